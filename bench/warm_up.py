@@ -16,7 +16,7 @@ from typing import cast
 import click
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.base.kernel_cache import PARTS, remove_stale_kernels, set_kernel_cache
+from bench.base.home import PARTS, remove_stale_kernels, set_kernel_cache
 from bench.terminal.compiling import compile_missing
 from drivers.errors import RecordingFailed
 

@@ -15,8 +15,9 @@ from simulators.config import AxisConfig, LightConfig
 from simulators.faults.fault_injection import AxisController
 from simulators.lights.driver import LightDriver
 from simulators.lights.gardasoft import GardasoftRt
-from simulators.lights.generators import GeneratorModel, ScpiGenerator, SiglentGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.microcontroller import MicrocontrollerLight
+from simulators.lights.siglent import SiglentGenerator
 from simulators.ports.serial_device import Dialect
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.dynamixel import DynamixelBus, ServoModel

@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from bench.align.focus_figure import FocusFigures
-from bench.align.live_image import LiveImage, LiveSetting
-from bench.align.signal_figures import SignalFigures
+from bench.align.focus import FocusFigures
+from bench.align.live_image import LiveImage, LiveSetting, SignalFigures
 from bench.align.where_to_turn import TurnFigures
-from bench.views.frames import MOST_SATURATED
 from bench.views.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
+from bench.views.measure import MOST_SATURATED
 from calib.stars.beam import Beam
 from calib.stars.quick import QuickStars
 from drivers.camera import RecordingFacts

@@ -17,6 +17,7 @@ from bench.align.live_loop import LiveLoop
 from bench.base.errors import ControlRefused
 from bench.base.failure import Failure
 from bench.stations.devices import Camera
+from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import Station
 from bench.stations.station_cameras import (
     BiasesConfig,
@@ -24,8 +25,7 @@ from bench.stations.station_cameras import (
     FrameCameraConfig,
     OpenCvCameraConfig,
 )
-from bench.stations.station_lights import LightConfig
-from bench.views.station_camera_kind import camera_kind
+from bench.views.camera_kinds import camera_kind
 from drivers.camera import CameraIdentity, CameraSettings, EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.errors import DriverError

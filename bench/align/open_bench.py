@@ -28,7 +28,7 @@ from bench.simulated import SimulatedBench
 from bench.stations.devices import Devices
 from bench.stations.separate_devices import SeparateDevices
 from bench.stations.station import Station
-from bench.views.station_camera_kind import camera_kind
+from bench.views.camera_kinds import camera_kind
 from drivers.errors import StillOpening
 
 _ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."

@@ -1,6 +1,6 @@
 """The checks that a run makes before it moves, made while a person aligns: green or red, each with its remedy.
 
-The devices are asked what `bench.run.preflight` asks them, and one recording is made and judged as a run does it, at
+The devices are asked what `bench.run.states` asks them, and one recording is made and judged as a run does it, at
 the present pose and with the present light. Nothing moves, and the light stays as it is.
 """
 
@@ -18,9 +18,9 @@ from bench.align.open_bench import Bench
 from bench.align.session import Session
 from bench.base.failure import FORESEEN, Failure
 from bench.plan.plan import Plan, load_documents, make_plan
-from bench.stations.placeholders import find_placeholders
+from bench.stations.station_fields import find_placeholders
+from bench.views.camera_kinds import camera_kind
 from bench.views.gates import ADVICE, Gate
-from bench.views.station_camera_kind import camera_kind
 from drivers.light import LightSettings
 from sequences.schema import RecordConfig
 from sequences.script import Flicker, Gates, LightStep, Pose, RecordStep

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.align.controls import Owners
 from bench.align.live_figures import LiveFigures, LiveSetting
 from bench.align.live_loop import LivePicture
 from bench.align.meter import Meter, MeterProcess
@@ -32,11 +33,10 @@ from bench.align.open_bench import (
     open_devices,
     try_again,
 )
-from bench.align.owners import Owners
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
 from bench.stations.station import Station
-from bench.web.stream import Changes
+from bench.web.pages import Changes
 from drivers.errors import DriverError
 from sequences.reader import Located
 

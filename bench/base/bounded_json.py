@@ -2,7 +2,7 @@
 
 What two readers could read differently is refused: a key that stands twice, a byte-order mark, ``NaN``, blanks behind
 the end. `canonical_json` is the one form that the program writes; it also shows numbers that are too large. Files are
-read by `bench.records.reading`, which bounds their size.
+read by `bench.records.storage`, which bounds their size.
 """
 
 from __future__ import annotations

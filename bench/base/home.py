@@ -1,9 +1,12 @@
-"""The folder of the bench's own files: keys, ledger, index of runs, outbox. Reads environment variables only."""
+"""Folders outside of runs: the bench's own files (keys, ledger, index of runs, outbox), and compiled event kernels."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import sys
+import tempfile
+from collections.abc import Mapping, MutableMapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 HOME_VARIABLE = "STARBENCH_HOME"
@@ -28,3 +31,100 @@ def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
     if configuration := environ.get("XDG_CONFIG_HOME"):
         return Path(configuration) / "starbench"
     return Path(environ.get("HOME") or Path.home()) / ".config" / "starbench"
+
+
+# numba keeps compiled functions beside the source, or else in the user's cache folder; without either, the import of
+# such a function fails (documentation of numba, ``NUMBA_CACHE_DIR``). The folder for users who may write to neither
+# must therefore be set before numba is imported.
+
+VARIABLE = "NUMBA_CACHE_DIR"
+_ROOT = Path(__file__).parents[2]
+_BESIDE = _ROOT / "calib"
+_LAST_KERNELS = {"adjustment": "search_kernel.search", "stars": "edge_pixels._add_edge"}
+PARTS = tuple(_LAST_KERNELS)
+"""Parts of the program with compiled loops that calculate results."""
+_PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
+
+
+def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
+    """Set ``NUMBA_CACHE_DIR`` if numba would not find a folder it may write to.
+
+    The folder is private to the user, in the system's folder for temporary files, and is used again by the next call.
+    If another user has taken its name, a new folder is made: a kernel is a program, and a program of another user must
+    not be executed.
+
+    environ: Environment variables of the process; a value that is already set is kept. Child processes
+      inherit it.
+    Raises OSError: When no folder can be made.
+    """
+    if environ.get(VARIABLE) or _may_write(beside / "__pycache__") or _may_write(_user_cache(environ)):
+        return
+    folder = Path(tempfile.gettempdir()) / f"starbench-kernels-{_user_name()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    private = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
+    usable = private and folder.is_dir() and not folder.is_symlink()
+    environ[VARIABLE] = str(folder) if usable else tempfile.mkdtemp(prefix="starbench-kernels-")
+
+
+def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Path = _ROOT) -> tuple[str, ...]:
+    """Return the parts of the program whose loops no earlier process has compiled.
+
+    A part counts as compiled if one of its last kernels is; `remove_stale_kernels` removes all kernels of a folder
+    together.
+    """
+    if environ.get(VARIABLE):
+        caches = [Path(environ[VARIABLE])]
+    elif _may_write(root / "calib" / "__pycache__"):
+        caches = [root / "calib"]
+    else:
+        caches = [_user_cache(environ) / "numba"]
+    ending = f"-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    return tuple(
+        part
+        for part in parts
+        if not any(any(cache.glob(f"**/{_LAST_KERNELS[part]}{ending}")) for cache in caches)
+    )
+
+
+def remove_stale_kernels(root: Path = _ROOT) -> int:
+    """Remove compiled kernels that are older than the source files in their folder, so that an update never loads them.
+
+    numba compares ages itself, with two gaps. It first unpickles the index of the kernels, which fails where a class
+    that the index names was renamed. And it does not see that another compiled function, which a kernel calls, changed.
+
+    Returns: Number of kernels removed; files that cannot be removed are left.
+    """
+    removed = 0
+    caches = (
+        cache for package in _PACKAGES_WITH_KERNELS for cache in (root / package).glob("**/__pycache__")
+    )
+    for cache in caches:
+        indexes = list(cache.glob("*.nbi"))
+        newest = (
+            max((source.stat().st_mtime for source in cache.parent.glob("*.py")), default=0.0)
+            if indexes
+            else 0.0
+        )
+        for index in indexes:
+            with suppress(OSError):
+                orphaned = not (cache.parent / f"{index.name.partition('.')[0]}.py").exists()
+                if orphaned or index.stat().st_mtime < newest:
+                    index.unlink()
+                    removed += 1
+    return removed
+
+
+def _user_cache(environ: Mapping[str, str]) -> Path:
+    base = environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - Path's fails without a home
+    return Path(base)
+
+
+def _may_write(folder: Path) -> bool:
+    """Return whether files can be made in a folder, or the folder itself if it does not exist yet."""
+    existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    return existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+
+
+def _user_name() -> str:
+    return str(os.getuid()) if hasattr(os, "getuid") else "user"

@@ -17,15 +17,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
-from bench.batch.batch_events import BatchEvent, Requested
 from bench.batch.batch_plan import job_faults
-from bench.batch.batch_record import BatchRecord
-from bench.records.folder_lock import is_locked
+from bench.batch.batch_record import BatchEvent, BatchRecord, Requested
 from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY, is_rehearsal
-from bench.records.storage import make_folder
+from bench.records.storage import is_locked, make_folder
 from sequences.queue import JobConfig, Key
 
 REQUESTS = "requests"

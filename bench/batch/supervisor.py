@@ -24,12 +24,18 @@ from typing import Any, Protocol
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.device_ends import DeviceEnd, all_ends, lost_ends, unsafe_devices
-from bench.base.linux_process import out_of_memory_kills, waits_for_disk
-from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
-from bench.run.crash_log import write_crash_log
-from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat
-from bench.stations.orphans import make_orphans_safe
+from bench.records.storage import is_locked
+from bench.run.heartbeat import (
+    SUPERVISOR,
+    Heartbeat,
+    open_process,
+    out_of_memory_kills,
+    read_heartbeat,
+    waits_for_disk,
+    write_crash_log,
+)
+from bench.stations.devices import make_orphans_safe
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
 

@@ -21,9 +21,9 @@ from typing import Any, Literal
 from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import Budget, BudgetRow
 from bench.records.results import BudgetRowData, CalibrationData
-from bench.report.budget_tables import overlap
-from bench.report.target_words import STARS as STAR_WORDS
-from bench.report.target_words import TargetWords
+from bench.report.calibration_tables import overlap
+from bench.report.text import STARS as STAR_WORDS
+from bench.report.text import TargetWords
 from calib.model.budget_row import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
 from calib.uncertainty.covariance import coverage_factor
 

@@ -13,17 +13,15 @@ from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
 from bench.certificate.clauses import faults_of_lab
 from bench.certificate.compose import Identity, compose
-from bench.certificate.folder import DCC, LAB, PDF, PLOTS, certificate_files, require_libraries
+from bench.certificate.issue import DCC, LAB, PDF, PLOTS, certificate_files, require_libraries
 from bench.certificate.lab_config import LabConfig, lab_of
 from bench.certificate.sealed_run import is_statement, other_writer, run_of
 from bench.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
 from bench.evidence.findings import Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
-from bench.records.ledger import Ledger
-from bench.records.ledger_file import LEDGER
-from bench.records.reading import read_bounded
+from bench.records.ledger import LEDGER, Ledger
 from bench.records.run_folder import MANIFEST, RESULTS
-from bench.records.storage import sha256_of
+from bench.records.storage import read_bounded, sha256_of
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
 
@@ -266,7 +264,7 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
     if read_bounded(run / RESULTS) != results:
         found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
         return
-    from bench.certificate.pdf_plots import plots_of_run
+    from bench.certificate.pdf_blocks import plots_of_run
 
     drawn = plots_of_run(run, parse_json(results))
     stored = {path.stem: path.read_text("utf-8") for path in (folder / PLOTS).glob("*.svg")}

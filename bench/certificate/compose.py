@@ -50,7 +50,7 @@ from bench.certificate.lab_config import (
 from bench.certificate.run_facts import is_unnamed
 from bench.certificate.series import SIMULATED
 from bench.records.results import Results
-from bench.report.target_words import words_of
+from bench.report.text import words_of
 from calib.model.budget_row import PASSPORT
 from calib.model.lens import is_fisheye
 from sequences.strict_model import StrictModel

@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from bench.base.errors import EvidenceError
 from bench.certificate.dcc_xml import DS, NAMESPACES, ROOT, SIGNATURE, library, read_dcc, short, to_bytes
-from bench.evidence.safe_files import refuse_readable_by_others
+from bench.evidence.signers import refuse_readable_by_others
 from bench.records.storage import storage_errors
 
 if TYPE_CHECKING:

@@ -8,27 +8,20 @@ certificate, which it names by hash; the old one stays as it is.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import EvidenceError
+from bench.base.errors import EvidenceError, UsageError
 from bench.certificate import run_facts
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
 from bench.certificate.clauses import faults_of_lab
 from bench.certificate.compose import Identity, compose
 from bench.certificate.dcc import render_dcc
-from bench.certificate.folder import (
-    PLOTS,
-    certificate_files,
-    refuse_occupied,
-    remove_unfinished,
-    require_libraries,
-    write_sealed,
-)
 from bench.certificate.lab_config import LabConfig, read_lab
 from bench.certificate.sealed_run import Source, Verify, read_sealed_run, written_with
 from bench.certificate.series import (
@@ -44,12 +37,146 @@ from bench.certificate.series import (
 )
 from bench.evidence.findings import Verification
 from bench.evidence.keys import BenchKey
+from bench.evidence.seal import seal_folder
 from bench.records.ledger import Ledger
-from bench.records.reading import read_bounded
+from bench.records.results import Results
 from bench.records.run_folder import MANIFEST, RESULTS, is_sealed
-from bench.records.storage import sha256_of, storage_errors
+from bench.records.storage import (
+    make_folder,
+    read_bounded,
+    sha256_of,
+    storage_errors,
+    sync_folder,
+    write_atomic,
+)
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
+
+# The folder of a certificate: its files from the data, written as a whole and sealed under its final name.
+#
+# The folder is made under a hidden name beside its final one, sealed there, and renamed last. So a process
+# that is killed leaves no half certificate.
+
+PDF = "certificate.pdf"
+DCC = "dcc.xml"
+LAB = "lab.yaml"
+PLOTS = "plots"
+_UNFINISHED = ".tmp"
+
+
+def require_libraries() -> None:
+    """Refuse to begin without the libraries of PDF and DCC.
+
+    Raises UsageError: When one is missing.
+    """
+    try:
+        import lxml.etree
+        import matplotlib as mpl
+        import typst
+    except ImportError as error:
+        raise UsageError(
+            f"The package {error.name} is missing; PDF and DCC need it.",
+            remedy="Install it: pip install 'starbench[certificate]'",
+        ) from error
+    del lxml, mpl, typst
+
+
+def certificate_files(
+    certificate: Certificate,
+    found: Results,
+    results: bytes,
+    lab: bytes,
+    plots: Mapping[str, str],
+    sign: Callable[[bytes], bytes] | None = None,
+) -> dict[str, bytes]:
+    """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
+
+    sign: Returns the DCC with a signature in it; None for none.
+    Raises UsageError: When a library is missing, or a text has characters that cannot be printed.
+    """
+    from bench.certificate.dcc import render_dcc
+    from bench.certificate.pdf import render_pdf
+
+    dcc = render_dcc(certificate)
+    dcc = dcc if sign is None else sign(dcc)
+    attachments = {DCC: dcc, RESULTS: results}
+    return {
+        CERTIFICATE: certificate.to_json(),
+        RESULTS: results,
+        LAB: lab,
+        DCC: dcc,
+        PDF: render_pdf(certificate, found, attachments, plots),
+        **{f"{PLOTS}/{name}.svg": svg.encode() for name, svg in sorted(plots.items())},
+    }
+
+
+def refuse_occupied(folder: Path) -> None:
+    """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken.
+
+    Raises UsageError: When something has this name, or a folder above it is sealed.
+    """
+    sealed = next((parent for parent in folder.absolute().parents if is_sealed(parent)), None)
+    if sealed is not None:
+        raise UsageError(
+            f"{sealed} is sealed; a file in it would break its seal.",
+            where=str(folder),
+            remedy="Choose an --output outside of it.",
+        )
+    if os.path.lexists(folder):
+        raise UsageError(
+            "A file or folder with this name already exists.",
+            where=str(folder),
+            remedy="Choose another --output. A certificate is never overwritten.",
+        )
+
+
+def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str:
+    """Write and seal a folder; it has its final name only when it is complete.
+
+    key: The bench's key.
+    Returns: SHA-256 of its SHA256SUMS.
+    Raises UsageError: When the name is taken.
+    Raises StorageError: When a file cannot be written.
+    """
+    part = unfinished(folder)
+    make_folder(folder.parent)
+    remove_unfinished(folder)
+    refuse_occupied(folder)
+    make_folder(part)
+    for name, data in files.items():
+        make_folder((part / name).parent)
+        write_atomic(part / name, data)
+    seal_folder(part, key)
+    with storage_errors(folder):
+        seal = sha256_of(part / MANIFEST)
+        part.rename(folder)
+        sync_folder(folder.parent)
+    return seal
+
+
+def unfinished(folder: Path) -> Path:
+    """Return the name of a folder while it is being made."""
+    return folder.with_name(f".{folder.name}{_UNFINISHED}")
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what a process left behind that was killed while it made this folder.
+
+    Raises StorageError: When it cannot be removed.
+    """
+    part = unfinished(folder)
+    if part.is_symlink() or not part.is_dir():
+        return
+    with storage_errors(part):
+        for name, folders, files in os.walk(part, topdown=True):
+            Path(name).chmod(0o755)
+            del folders, files
+        for name, folders, files in os.walk(part, topdown=False):
+            for file in files:
+                (Path(name) / file).unlink()
+            for inner in folders:
+                (Path(name) / inner).rmdir()
+        part.rmdir()
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from bench.certificate.certificate_data import PlaceKind
 from bench.certificate.series import is_number_format
-from bench.stations.station_collimator import Date
+from bench.stations.station_budget import Date
 from bench.stations.station_fields import Serial
 from sequences.reader import Located, check_document, read_document
 from sequences.strict_model import StrictModel

@@ -28,10 +28,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bench import __version__
 from bench.base.errors import BenchError, UsageError
-from bench.certificate.pdf_plots import Picture, draw_plots, pictures
+from bench.certificate.pdf_blocks import Picture, draw_plots, pictures
 from bench.certificate.pdf_sections import opening, sections, subject
 from bench.records.results import Results
-from bench.report.target_words import words_of
+from bench.report.text import words_of
 
 if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate
@@ -175,7 +175,7 @@ def render_pdf(
 
     results: Content of the run's results.json.
     attachments: Files to attach, by name: ``dcc.xml`` and ``results.json``.
-    plots: SVG by name, from `bench.certificate.pdf_plots.plots_of_run`; None to draw what follows from
+    plots: SVG by name, from `bench.certificate.pdf_blocks.plots_of_run`; None to draw what follows from
       ``results`` alone.
     Raises UsageError: When typst is not installed, or the laboratory wrote characters that the fonts do not
       have.

@@ -10,14 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from bench.certificate.certificate_data import (
-    Budget,
-    BudgetRow,
-    Certificate,
-    Conformity,
-    Covariance,
-    Result,
-)
+from bench.certificate.certificate_data import Budget, BudgetRow, Certificate, Conformity, Covariance, Result
 from bench.certificate.pdf_blocks import (
     NU,
     SUPERSCRIPTS,

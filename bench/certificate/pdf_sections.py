@@ -14,6 +14,7 @@ from bench.certificate.pdf_blocks import (
     NU,
     Block,
     Cell,
+    Picture,
     bullets,
     filled,
     heading,
@@ -28,7 +29,6 @@ from bench.certificate.pdf_blocks import (
     with_note,
     with_unit,
 )
-from bench.certificate.pdf_plots import Picture
 from bench.report.text import moment
 
 _AUTHORISATION = "SHA256SUMS.authorised.sig"

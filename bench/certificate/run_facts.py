@@ -24,8 +24,8 @@ from bench.certificate.certificate_data import (
 from bench.certificate.lab_config import ItemConfig
 from bench.records.events import GateData
 from bench.records.results import CalibrationData, KnownDirection, Results
-from bench.report.camera_values import camera_covariance, camera_of
-from bench.report.target_words import words_of
+from bench.report.pose_plot import camera_covariance, camera_of
+from bench.report.text import words_of
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 
 PROBABILITY = 0.9545

@@ -23,10 +23,9 @@ from bench.evidence.findings import Findings, Verification
 from bench.records.events import Event
 from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
-from bench.records.reading import read_bounded
 from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
-from bench.records.storage import sha256_of, storage_errors
+from bench.records.storage import read_bounded, sha256_of, storage_errors
 
 FORM = "certificate_form"
 _LIBRARIES = ("typst", "lxml")
@@ -34,7 +33,7 @@ _FOLDER = "bench/certificate"
 _ENDINGS = frozenset({".py", ".typ"})
 _ALSO = (
     "bench/report/calibration_tables.py",
-    "bench/report/camera_values.py",
+    "bench/report/pose_plot.py",
     "calib/model/camera.py",
     "calib/model/lens.py",
     "calib/uncertainty/covariance.py",
@@ -210,7 +209,7 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         raise EvidenceError(
             "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
         )
-    from bench.certificate.pdf_plots import plots_of_run
+    from bench.certificate.pdf_blocks import plots_of_run
 
     run = run_of(
         found,

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.base.errors import EvidenceError, JournalBroken
-from bench.records.journal import Journal
-from bench.records.journal_entry import Entry
+from bench.records.journal import Entry, Journal
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import highest_counts
 from bench.records.storage import make_folder, storage_errors

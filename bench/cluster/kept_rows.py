@@ -15,10 +15,31 @@ from pathlib import Path
 from typing import Any, Self
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import UsageError
-from bench.records.folder_lock import lock_folder
-from bench.records.reading import MOST_TABLE_BYTES, read_bounded
-from bench.records.storage import make_folder, storage_errors, write_all
+from bench.base.errors import BenchError, UsageError
+from bench.records.storage import (
+    MOST_TABLE_BYTES,
+    lock_folder,
+    make_folder,
+    read_bounded,
+    storage_errors,
+    write_all,
+)
+from bench.results.forms import forms
+
+# Refuses work of another program. Loads no mathematics.
+
+
+def require_program_of(program: str) -> None:
+    """Refuse work of another program, because its results would differ.
+
+    program: Hash of the program that hands out the work.
+    Raises BenchError: If this worker runs another program.
+    """
+    if (here := forms()["program"]) != program:
+        raise BenchError(
+            f"This worker has another Starbench ({here}) than the command ({program}).",
+            remedy="Install the same version on all computers, and restart the workers.",
+        )
 
 
 def content_key(parts: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from bench.base.errors import UsageError
 from bench.commands.calibration_text import unit_text
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
 from bench.commands.output import JSON, STOPPED, show
-from bench.records.estimates import REPEATS_TEXT, factors_text
+from bench.records.run_facts import REPEATS_TEXT, factors_text
 from bench.report.text import with_uncertainty
 
 _K = 2.0

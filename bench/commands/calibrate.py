@@ -2,21 +2,187 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from bench.base.errors import UsageError
-from bench.commands.calibration_text import offline_dict, offline_lines
+from bench.base.home import home_folder
+from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
+from bench.cluster.tasks import Task, find_places
+from bench.commands.calibration_text import offline_dict, offline_lines, unit_text
 from bench.commands.engine_options import engine_options
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, epilog
 from bench.commands.output import JSON, show, wants_json
-from bench.commands.workers import WORKERS
+from bench.commands.workers import WORKERS, LiveLine, open_workers
+from bench.records.run_facts import coverage_factor, factors_text
+from bench.report.text import with_uncertainty, words_for
+from bench.results.forms import forms
+from bench.results.offline_options import OfflineOptions
+from bench.terminal.encoding import clock_text, printable
+from bench.terminal.signals import reliable_interrupts
+from bench.views.kept_views import FOLDER
 
-if TYPE_CHECKING:
-    from bench.results.offline_options import OfflineOptions
+# `calibrate --each`: many runs are calibrated again, each alone, by many workers; `bench.cluster` does the
+# work.
+
+_SHOWN = ("fx", "cx", "cy", "r")
+_ROUNDING_SIGMA = 1e-6
+
+
+def calibrate_each(
+    paths: Sequence[Path | str],
+    options: OfflineOptions,
+    workers: int | str | None,
+    output: Path | None,
+    *,
+    table_only: bool,
+    no_seal: bool,
+    find_again: bool,
+) -> int:
+    """Calibrate runs, and print a line for each; return 1 if a run failed.
+
+    workers: Number of processes, or address of a Dask scheduler.
+    output: Folder for a table of all runs, and for the results of each unless ``table_only``.
+    find_again: Whether to use no views that an earlier command has kept.
+    """
+    if table_only and output is None:
+        raise UsageError("There is no folder for the table.", where="--table-only", remedy="Give one: -o.")
+    here = str((home_folder() / FOLDER).absolute())
+    kept = "" if find_again else None if isinstance(workers, str) else here
+    task = Task(options, forms()["program"], kept)
+    who = open_workers(workers)
+    as_json = wants_json()  # other threads, which call below, cannot ask
+    progress = _CountedProgress(quiet=as_json)
+
+    def say(text: str, *, err: bool = False) -> None:
+        progress.clear()
+        click.echo(text, err=err)
+
+    def ended(row: Mapping[str, Any]) -> None:
+        say(run_text(row), err=as_json)
+
+    with reliable_interrupts(), ExitStack() as stack:
+        stack.callback(who.close)
+        places = find_places([str(place) for place in paths])
+        key = None if output is None or no_seal or table_only else key_or_draft()
+        results = None
+        if output is not None:
+            results = stack.enter_context(ResultsFolders(output, key, table_only=table_only))
+        work = Recalculation(
+            places,
+            task,
+            who,
+            results,
+            ended=ended,
+            progress=progress.counted,
+            remark=lambda text: say(text, err=True),
+        )
+        try:
+            rows = work.run()
+        except BaseException:
+            kept = "These results are kept; the same command continues." if output else "Nothing was written."
+            say(f"{sum_text(work.counts)} {kept}", err=True)
+            raise
+    progress.clear()
+    done = {"done": work.counts.done + work.counts.skipped, "failed": work.counts.failed}
+    show({"runs": rows, **done}, _sum_lines(work.counts, output))
+    return 1 if work.counts.failed else 0
+
+
+def _sum_lines(counts: Counts, output: Path | None) -> Iterator[str]:
+    yield sum_text(counts)
+    if output is not None:
+        yield f"Table: {output / TABLE}"
+
+
+def run_text(row: Mapping[str, Any]) -> str:
+    """Return one line about a run.
+
+    Returns: Values with their expanded uncertainty and its k, and the largest change against the run's own
+      results; or why it failed.
+    """
+    name = Path(str(row["folder"]).rstrip("/")).name
+    if row["state"] != "done":
+        failure = row["failure"]
+        place = f" ({failure['where']})" if failure["where"] else ""
+        return printable(f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip())
+    if row.get("skipped"):
+        where = f"; its results are in {row['results']}" if row["results"] else ""
+        return printable(f"{name}: was done before{where}.")
+    shown, factors = [], []
+    for parameter in _SHOWN:
+        if parameter in row["sigma"]:
+            factors.append(coverage_factor(row, parameter))
+            value, expanded = with_uncertainty(
+                row["values"][parameter], factors[-1] * row["sigma"][parameter]
+            )
+            shown.append(f"{parameter} {value} ± {expanded} {unit_text(parameter)}".rstrip())
+    located = f"{row['stars']} {words_for(row.get('board')).points}"  # rows of earlier versions have no board
+    parts = [f"{', '.join(shown)} (U with {factors_text(factors)})", f"{row['views']} views, {located}"]
+    if row["left_out"]:
+        parts.append(f"{len(row['left_out'])} recordings left out")
+    if not row["converged"]:
+        parts.append("NOT CONVERGED")
+    return printable(f"{name}: {'; '.join([*parts, change_text(row)])}.")
+
+
+def change_text(row: Mapping[str, Any]) -> str:
+    """Return the largest change of a value against the run's own results.
+
+    row: Row of a run that is done.
+    Returns: In units of the standard uncertainty that the run stated.
+    """
+    before = row["before"]
+    if before is None:
+        return "no earlier results to compare"
+    changes = {
+        name: abs(value - before["values"][name]) / before["sigma"][name]
+        for name, value in row["values"].items()
+        if before["sigma"].get(name)
+    }
+    if not changes:
+        return "no earlier results to compare"
+    name = max(changes, key=lambda one: changes[one])
+    if changes[name] < _ROUNDING_SIGMA:
+        return "all values as in the run"
+    return f"largest change since the run: {name} by {changes[name]:.2g} sigma"
+
+
+class _CountedProgress(LiveLine):
+    """Shows how far a recalculation is."""
+
+    def counted(self, counts: Counts, left_s: float | None) -> None:
+        """Show the counts, if it is time.
+
+        left_s: Expected time to the end, s; None if unknown.
+        """
+        if not self.due():
+            return
+        left = "" if left_s is None else f", {clock_text(left_s)} left"
+        failed = f", {counts.failed} failed" if counts.failed else ""
+        self.show(f"{counts.ended} of {counts.runs} runs{failed}, {counts.recordings} recordings{left}")
+
+
+def sum_text(counts: Counts) -> str:
+    """Return how a recalculation ended.
+
+    counts: Its counts.
+    """
+    parts = [f"{counts.done} of {counts.runs} runs calibrated"]
+    if counts.skipped:
+        parts.append(f"{counts.skipped} were done before")
+    if counts.failed:
+        parts.append(f"{counts.failed} FAILED")
+    missing = counts.runs - counts.ended
+    if missing:
+        parts.append(f"{missing} not done")
+    kept = f", {counts.kept} of them with kept views" if counts.kept else ""
+    return f"{'; '.join(parts)} ({counts.recordings} recordings{kept})."
 
 
 class _PathOrUrl(ExistingPath):
@@ -88,7 +254,6 @@ def calibrate(
     if each:
         if compare:
             raise UsageError("--compare and --each cannot be used together.", remedy="Leave out one of them.")
-        from bench.commands.calibrate_each import calibrate_each
 
         return calibrate_each(
             paths,

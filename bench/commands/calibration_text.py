@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from bench.records.estimates import coverage_factor
-from bench.report.target_words import TargetWords, words_for
-from bench.report.text import exact, unit_of, with_uncertainty
+from bench.records.run_facts import coverage_factor
+from bench.report.text import TargetWords, exact, unit_of, with_uncertainty, words_for
 
 if TYPE_CHECKING:
     from bench.records.results import CalibrationData

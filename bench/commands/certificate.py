@@ -1,6 +1,6 @@
 """The group `certificate`: certificates of sealed runs are issued, amended, listed and shown; more in three modules.
 
-`bench.commands.certificate_authorise`, `bench.commands.certificate_timestamp` and `bench.commands.certificate_dcc` hold
+`bench.commands.certificate_authorise`, `bench.commands.certificate_authorise` and `bench.commands.certificate_dcc` hold
 the other commands of the group.
 """
 
@@ -18,9 +18,8 @@ import click
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
-from bench.commands.certificate_authorise import authorise
+from bench.commands.certificate_authorise import authorise, timestamp
 from bench.commands.certificate_dcc import check, from_dcc
-from bench.commands.certificate_timestamp import timestamp
 from bench.commands.options import (
     OPERATOR,
     ExistingFile,
@@ -31,8 +30,7 @@ from bench.commands.options import (
     epilog,
 )
 from bench.commands.output import JSON, ask_passphrase, show, wants_json
-from bench.records.reading import read_bounded
-from bench.records.storage import storage_errors, write_atomic
+from bench.records.storage import read_bounded, storage_errors, write_atomic
 
 if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate

@@ -1,4 +1,4 @@
-"""The command line, `starbench`: the list of commands, and how every command ends. Each command has its own module.
+"""The command line, `starbench`: the list of commands, and how every command ends. A module has one command or some.
 
 Only the module of the called command is imported. With ``--json`` a command prints one object to standard output and
 everything else to standard error. Exit status: 0 done, 1 failed, 2 invalid argument or file, 3 stopped on request
@@ -58,7 +58,15 @@ SECTIONS = {
     },
 }
 """Commands by their purpose, each with its line in ``starbench --help``."""
-_MODULES = {"resume": "run", "rehearse": "batch", "schema": "station"}
+_MODULES = {
+    "resume": "run",
+    "rehearse": "batch",
+    "compare": "study",
+    "rig": "passport",
+    **dict.fromkeys(("align", "panel"), "pages"),
+    **dict.fromkeys(("tell", "messages"), "status"),
+    **dict.fromkeys(("schema", "target", "simulate"), "station"),
+}
 """Modules of the commands that share one; all others have the name of their command."""
 _BOTH = ("adjustment", "stars")
 _CALCULATES = {
@@ -67,7 +75,7 @@ _CALCULATES = {
         ("run", "resume", "verify", "calibrate", "check", "passport", "rig", "compare", "batch"), _BOTH
     ),
 }
-"""Parts with compiled loops that a command uses (`bench.base.kernel_cache`)."""
+"""Parts with compiled loops that a command uses (`bench.terminal.compiling`)."""
 _RENAMED = {
     "recalibrate": "calibrate RUN... --each",
     "hold": "tell RUN hold",
@@ -145,9 +153,8 @@ def main(arguments: list[str] | None = None) -> None:
     """
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from bench.base.kernel_cache import remove_stale_kernels, set_kernel_cache
-    from bench.terminal.closed_output import outlive_readers
-    from bench.terminal.encoding import replace_unencodable
+    from bench.base.home import remove_stale_kernels, set_kernel_cache
+    from bench.terminal.encoding import outlive_readers, replace_unencodable
 
     outlive_readers()
     set_kernel_cache(os.environ)
@@ -164,7 +171,7 @@ def _compile_missing(args: list[str]) -> None:
     if args[:1] == ["verify"] and "--again" not in args:
         parts = ()
     if parts and not {"-h", "--help"} & set(args):
-        from bench.base.kernel_cache import missing_parts
+        from bench.base.home import missing_parts
 
         if missing_parts(parts, os.environ):
             from bench.terminal.compiling import compile_missing

@@ -13,7 +13,7 @@ from bench.commands.options import EventFile, NewFile, OutputFolder, epilog
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
 
 if TYPE_CHECKING:
-    from bench.cluster.conversions import Converted
+    from bench.cluster.verifications import Converted
     from bench.cluster.work import Workers
 
 
@@ -106,8 +106,8 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
     from contextlib import ExitStack
 
-    from bench.cluster.conversions import CONVERTED, convert_many, plan_targets
     from bench.cluster.kept_rows import KeptRows
+    from bench.cluster.verifications import CONVERTED, convert_many, plan_targets
     from bench.terminal.encoding import printable
     from bench.terminal.signals import reliable_interrupts
 

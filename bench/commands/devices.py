@@ -15,7 +15,7 @@ from bench.commands.output import JSON, STOPPED, show
 
 if TYPE_CHECKING:
     from bench.run.wiring import WiringReport
-    from bench.stations.discovery import Discovery
+    from bench.stations.station_draft import Discovery
 
 
 @click.command(epilog=epilog("starbench devices"))
@@ -40,7 +40,7 @@ def devices(wiring: bool, station: str | None, yes: bool, seed: int) -> int:
         if station is None:
             raise click.UsageError("Missing option '--station' / '-s', which --wiring needs.")
         return _show_wiring(station, seed, yes=yes)
-    from bench.stations.discovery import discover
+    from bench.stations.station_draft import discover
 
     return show_devices(discover())
 
@@ -74,7 +74,7 @@ def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[s
 
 def _plugins() -> list[dict[str, str]]:
     """Return the drivers that other packages bring, with the trouble of those that cannot be used."""
-    from bench.stations.plugins import GROUPS, plugins
+    from bench.stations.sections import GROUPS, plugins
 
     return [
         {

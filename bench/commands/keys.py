@@ -17,8 +17,7 @@ from bench.commands.output import JSON, ask_passphrase, show
 
 if TYPE_CHECKING:
     from bench.evidence.keys import BenchKey
-    from bench.evidence.revocation import RevokedKey
-    from bench.evidence.signers import Signer
+    from bench.evidence.signers import RevokedKey, Signer
 
 _PASSPHRASE = click.option(
     "--passphrase",
@@ -48,7 +47,7 @@ def keys_show() -> int:
 
 
 def _keys_dict(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> dict[str, Any]:
-    from bench.evidence.ssh_keys import fingerprint
+    from bench.evidence.sshsig import fingerprint
 
     gone = {one.public_key: one for one in revoked}
     rows = [
@@ -67,10 +66,9 @@ def _keys_dict(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> dict
 
 
 def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Iterator[str]:
-    from bench.evidence.keys import KEY_FILE
-    from bench.evidence.public_key import load_public_key
+    from bench.evidence.keys import KEY_FILE, load_public_key
     from bench.evidence.signers import SIGNERS_FILE
-    from bench.evidence.ssh_keys import fingerprint
+    from bench.evidence.sshsig import fingerprint
 
     home = home_folder()
     if not (home / KEY_FILE).exists():
@@ -86,7 +84,7 @@ def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
 
 
 def _list_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Iterator[str]:
-    from bench.evidence.ssh_keys import fingerprint
+    from bench.evidence.sshsig import fingerprint
 
     dates = {one.public_key: one for one in revoked}
     for one in signers:
@@ -138,7 +136,7 @@ def keys_trust(
     KEY is what `starbench keys show` prints on the other bench; or a public key, or its file, with --person or --bench.
     """
     from bench.evidence.signers import trust
-    from bench.evidence.ssh_keys import fingerprint
+    from bench.evidence.sshsig import fingerprint
 
     if person and bench:
         raise UsageError("Give --person or --bench, not both.", remedy="One key never seals and authorises.")
@@ -225,8 +223,8 @@ def keys_revoke(key: str, reason: str, since: datetime | None) -> int:
     use `starbench keys rotate`.
     """
     from bench.evidence.keys import KEY_FILE
-    from bench.evidence.revocation import REVOKED_FILE, RevokedKey, revoke
-    from bench.evidence.ssh_keys import fingerprint
+    from bench.evidence.signers import REVOKED_FILE, RevokedKey, revoke
+    from bench.evidence.sshsig import fingerprint
 
     home = home_folder()
     signers, _ = _read_lists(home)
@@ -267,8 +265,7 @@ def key_or_draft() -> BenchKey | None:
 
 
 def _read_lists(home: Path) -> tuple[list[Signer], list[RevokedKey]]:
-    from bench.evidence.revocation import REVOKED_FILE, read_revoked
-    from bench.evidence.signers import SIGNERS_FILE, read_signers
+    from bench.evidence.signers import REVOKED_FILE, SIGNERS_FILE, read_revoked, read_signers
 
     signers = read_signers(home / SIGNERS_FILE) if (home / SIGNERS_FILE).exists() else []
     return signers, read_revoked(home / REVOKED_FILE)

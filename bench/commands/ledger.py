@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +15,15 @@ from bench.base.errors import BenchError, UsageError
 from bench.base.home import home_folder
 from bench.commands.options import OPERATOR, epilog, status_text
 from bench.commands.output import JSON, show, wants_json
-from bench.terminal.wording import counted
+from bench.terminal.encoding import counted
 
 if TYPE_CHECKING:
     from bench.records.ledger import Ledger
     from bench.records.ledger_breaks import Break
 
 _LONGEST_REASON = 2000
+_MOST_SHOWN = 40
+"""Most faults that are printed as text."""
 
 
 @click.command(
@@ -102,8 +106,8 @@ def _explained_text(one: Break) -> str:
 
 def _check() -> int:
     """Print the state of the ledger and every fault of it; return 1 if there is a fault."""
-    from bench.evidence.ledger_authorisation import known_authorisations, lost_authorisations
-    from bench.records.ledger_runs import runs_of
+    from bench.evidence.authorisation import known_authorisations, lost_authorisations
+    from bench.records.ledger_breaks import runs_of
 
     found = bench_ledger()
     faults, notes = ledger_findings(found)
@@ -178,3 +182,37 @@ def _forget_place(place: str, reason: str, by: str | None) -> int:
         f"The ledger is no longer written to {place}; the reason is in the ledger.",
     )
     return 0
+
+
+# Which runs `starbench runs` is about, and how faults of ledgers and folders are printed.
+
+
+@dataclass(frozen=True)
+class RunChoice:
+    """Which runs a command is about."""
+
+    folder: Path | None  # Folder whose runs to list; all runs of the ledger where None
+    # Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
+    ledgers: Sequence[Path] = ()
+    camera: str | None = None
+    # since, until: Only runs that began at or after ``since`` and before ``until``, UTC.
+    since: datetime | None = None
+    until: datetime | None = None
+    sequence: str | None = None  # Text that the name of the sequence must contain
+    how: str | None = None
+
+    @property
+    def filters(self) -> dict[str, Any]:
+        """The filters as `bench.records.run_index.RunIndex.runs` takes them."""
+        return {name: getattr(self, name) for name in ("camera", "since", "until", "sequence", "how")}
+
+
+def print_findings(notes: Sequence[str], faults: Sequence[str]) -> None:
+    """Print notes and faults to the standard error stream; of very many, the first ones and their number."""
+    if wants_json():
+        return
+    for word, sentences in (("Note", notes), ("FAULT", faults)):
+        for sentence in sentences[:_MOST_SHOWN]:
+            click.echo(f"{word}: {sentence}", err=True)
+        if len(sentences) > _MOST_SHOWN:
+            click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)

@@ -230,9 +230,9 @@ class RunFolder(_Path):
         Raises UsageError: If the path does not exist, is a file, is a batch where a run is needed, or is
           another kind of folder.
         """
-        from bench.records.folder_lock import is_locked
         from bench.records.run_folder import JOURNAL
         from bench.records.run_index import is_batch
+        from bench.records.storage import is_locked
 
         where = str(path)
         if not path.exists():

@@ -19,9 +19,9 @@ from calib.model.budget_row import WORST_CORNER
 if TYPE_CHECKING:
     from bench.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
-    from bench.records.ledger_runs import LedgerRun
+    from bench.records.ledger_breaks import LedgerRun
     from bench.results.forecasts import PlanForecast
-    from bench.results.until_forecast import ExpectedCourse
+    from bench.results.next_pose import ExpectedCourse
     from calib.model.budget_row import BudgetRow
     from calib.studies.planning import Forecast, SuggestedPose
     from sequences.queue import Queue
@@ -104,7 +104,7 @@ def _show_plan(planned: Plan, suggest: int) -> int:
 
     found, courses = expected_uncertainty(planned), []
     if planned.most_poses > len(planned.poses):  # an `until` may choose poses
-        from bench.results.until_forecast import expected_courses
+        from bench.results.next_pose import expected_courses
 
         courses = expected_courses(planned)
     suggested = suggest_poses(planned, suggest) if suggest else []
@@ -228,8 +228,7 @@ def _why(pose: SuggestedPose) -> str:
 
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
-    from bench.batch.batch_plan import plan_batch, read_queue
-    from bench.batch.pace import paces
+    from bench.batch.batch_plan import paces, plan_batch, read_queue
     from bench.results.forecasts import expected_uncertainty
     from bench.results.previous_calibration import bench_ledger
 

@@ -21,10 +21,9 @@ from bench.commands.options import (
     settings_of,
 )
 from bench.commands.output import JSON, STOPPED, ask_passphrase, error_object, show
-from bench.records.captures import CAPTURES
+from bench.records.journal import CAPTURES
 from bench.records.run_folder import REPORT
-from bench.report.target_words import words_of
-from bench.report.text import fixed, with_uncertainty
+from bench.report.text import fixed, with_uncertainty, words_of
 
 if TYPE_CHECKING:
     from bench.run.runner import RunEnd

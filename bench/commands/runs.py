@@ -12,19 +12,18 @@ import click
 
 from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
-from bench.commands.ledger import bench_ledger, ledger_findings
+from bench.commands.ledger import RunChoice, bench_ledger, ledger_findings, print_findings
 from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, epilog, status_text
 from bench.commands.output import JSON, show
-from bench.commands.run_choice import RunChoice, print_findings
-from bench.records.estimates import REPEATS_TEXT
+from bench.records.run_facts import REPEATS_TEXT
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
-from bench.terminal.wording import counted
+from bench.terminal.encoding import counted
 
 if TYPE_CHECKING:
     from bench.records.ledger import Ledger
-    from bench.results.agreement import Agreement
+    from bench.results.trends import Agreement
 
 _EVERY_PARAMETER = "all"
 """Stands for `--chart` without a parameter."""
@@ -149,7 +148,7 @@ def _show_runs(choice: RunChoice, *, compare: bool) -> int:
     else:
         found, faults, notes = _runs_of_bench(choice)
     if compare:
-        from bench.results.agreement import compare_runs
+        from bench.results.trends import compare_runs
 
         solved = [run for run in found if run.parameters]
         compared = compare_runs(solved)
@@ -174,7 +173,7 @@ def _show_runs(choice: RunChoice, *, compare: bool) -> int:
 
 def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list[str]]:
     """Return the runs of this bench, faults, and notes."""
-    from bench.evidence.ledger_authorisation import known_authorisations, lost_authorisations
+    from bench.evidence.authorisation import known_authorisations, lost_authorisations
 
     index, ledger = RunIndex(home_folder()), bench_ledger()
     folders, missing = (run_folders(choice.folder), []) if choice.folder else _ledger_folders(ledger, index)
@@ -225,7 +224,7 @@ def _runs_lines(runs: Sequence[IndexedRun]) -> Iterator[str]:
 
 def _states(runs: Sequence[IndexedRun]) -> dict[str, str]:
     """Return DRAFT, SEALED or AUTHORISED by folder, from the signatures beside each run."""
-    from bench.evidence.shown_state import home_trust, shown_state
+    from bench.evidence.states import home_trust, shown_state
 
     trust, now = home_trust(home_folder()), datetime.now(UTC)
     return {run.folder: str(shown_state(Path(run.folder), trust, now).state) for run in runs}
@@ -238,7 +237,7 @@ def signed(number: float) -> str:
 
 
 def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> Iterator[str]:
-    from bench.results.agreement import repeats
+    from bench.results.trends import repeats
 
     head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
     yield f"{head} ± is the expanded uncertainty U (about 95 %), with the k of the report."

@@ -10,22 +10,18 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
+from bench.commands.ledger import RunChoice, print_findings
 from bench.commands.output import show
-from bench.commands.run_choice import RunChoice, print_findings
-from bench.evidence.ledger_authorisation import known_authorisations
-from bench.evidence.shown_state import home_trust, shown_state
-from bench.history.chart_findings import drifts, find_charts, needs_attention
-from bench.history.chart_groups import Grouped, Level, group_runs
-from bench.history.ledger_sources import LedgerSource, merge_ledgers, read_source
-from bench.history.merged_runs import MergedRuns, merge_runs
-from bench.history.table_files import require_writable_table, write_table
-from bench.history.table_rows import table_row
-from bench.history.table_schema import SCHEMA
+from bench.evidence.authorisation import known_authorisations
+from bench.evidence.states import home_trust, shown_state
+from bench.history.chart_findings import Grouped, Level, drifts, find_charts, group_runs, needs_attention
+from bench.history.merged_runs import LedgerSource, MergedRuns, merge_ledgers, merge_runs, read_source
+from bench.history.table import SCHEMA, require_writable_table, table_row, write_table
 from bench.records.ledger import Ledger
 from bench.records.run_index import RunIndex, run_folders
 from bench.records.storage import write_atomic
 from bench.report.chart_page import render_charts
-from bench.terminal.wording import counted
+from bench.terminal.encoding import counted
 
 _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""

@@ -1,13 +1,190 @@
-"""The commands `station new` and `schema`: a station file is drafted, and the form of each kind of file is printed."""
+"""The commands `station`, `schema`, `target` and `simulate`: what a station file says, before anything moves."""
 
 from __future__ import annotations
 
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from bench.commands.options import Family, NewFile, epilog
-from bench.commands.output import print_json
+from bench.base.errors import BenchError
+from bench.commands.options import SEED, STATION, STATION_NAME, Family, NewFile, Number, epilog
+from bench.commands.output import JSON, print_json, show
+
+if TYPE_CHECKING:
+    from bench.stations.station_fields import TargetConfig
+    from bench.stations.target.use import Optics, TargetUse
+
+# The command `target`: what the target of a station is good for, and its drawing.
+
+
+@click.command(
+    epilog=epilog(
+        "starbench target -s my_bench.yaml",
+        "starbench target -s simulated --focal-length-mm 12 --r-mm 200",
+        "starbench target -s my_bench.yaml -o reticle.gds",
+        "starbench target -s simulated -o target.pdf",
+    )
+)
+@STATION
+@click.option(
+    "--focal-length-mm",
+    type=Number(least=0, above=True),
+    metavar="MM",
+    help="Focal length of the lens.  [default: expected.focal_px of the station]",
+)
+@click.option(
+    "--r-mm",
+    type=Number(least=0, above=True),
+    metavar="MM",
+    help="Focal length of the collimator.  [default: that of the station]",
+)
+@click.option(
+    "--pixel-um",
+    type=Number(least=0, above=True),
+    metavar="UM",
+    help="Side of a pixel, with --focal-length-mm.  [default: 4.86, of the IMX636]",
+)
+@click.option(
+    "--output",
+    "-o",
+    type=NewFile(),
+    help="Draw the reticle into this new file instead; its name ends in .svg, .pdf, .dxf or .gds.",
+)
+@JSON
+def target(
+    station: str,
+    focal_length_mm: float | None,
+    r_mm: float | None,
+    pixel_um: float | None,
+    output: Path | None,
+) -> int:
+    """Show what the target of a station is good for: stars in view, their size in px, the field, and warnings.
+
+    With --output, draw the reticle that the section `target` of the station describes. What is filled in the drawing is
+    opaque. SVG and PDF have exact millimetres. DXF and GDSII are for makers of reticles; they need: pip install
+    'starbench[draw]'.
+    """
+    from bench.stations.station import load_station
+
+    described = load_station(station).value
+    if output is not None:
+        return _draw(described.target, output)
+    from bench.stations.target.use import optics_of, use_of
+
+    optics = optics_of(described, focal_length_mm=focal_length_mm, r_mm=r_mm, pixel_um=pixel_um)
+    found = use_of(described.target, optics)
+    data = described.target.model_dump(mode="json") | {"size_mm": list(described.target.size_mm)}
+    show(
+        lambda: {"target": data, "optics": asdict(optics), **found.to_dict()},
+        _lines(described.target, optics, found),
+    )
+    return 0
+
+
+def _lines(target: TargetConfig, optics: Optics, found: TargetUse) -> Iterator[str]:
+    columns, rows = target.squares
+    width, height = optics.image_size
+    left, right, up, down = found.target_deg
+    beam = "not known" if found.beam_deg is None else f"{found.beam_deg:.1f} degrees, full angle"
+    lines = {
+        "target": f"{columns} x {rows} squares of {target.pitch_mm:.6g} mm, {found.stars} stars of {target.segments}"
+        f" segments, {target.polarity}",
+        "tag": f"family {target.tag_family}, number {target.tag_id}, {found.tag_px:.0f} px wide",
+        "optics": f"lens {optics.focal_px:.0f} px, collimator {optics.r_mm:g} mm, image {width} x {height} px",
+        "pitch": f"{found.pitch_px:.1f} px; a segment is {found.segment_px:.1f} px wide at 0.4 pitches",
+        "stars in view": f"{found.stars_in_view}, when the camera looks at the tag",
+        "camera's field": f"{found.camera_deg[0]:.1f} x {found.camera_deg[1]:.1f} degrees",
+        "target's field": f"{left:.1f} degrees left of the tag, {right:.1f} right, {up:.1f} up, {down:.1f} down",
+        "beam": beam,
+    }
+    for name, text in lines.items():
+        yield f"{name:<15} {text}"
+    for warning in found.warnings:
+        yield f"{'warning':<15} {warning}"
+    if not found.warnings:
+        yield f"{'verdict':<15} Nothing speaks against this target."
+
+
+def _draw(target: TargetConfig, path: Path) -> int:
+    """Write the drawing of a target, never over an existing file."""
+    from bench.records.storage import write_atomic
+    from bench.stations.target.draw import drawing_file
+    from bench.stations.target.shapes import title_of
+
+    write_atomic(path, drawing_file(target, path))
+    width, height = target.size_mm
+    opaque = "black" if target.polarity == "positive" else "white"
+    what = f"{title_of(target)}; {width:.6g} x {height:.6g} mm; {target.polarity}"
+    filled = f"the {opaque} parts of the pattern are filled, and what is filled is opaque"
+    lines = [f"Written: {path}. {what}: {filled}."]
+    if target.drawing.mirrored:
+        lines.append("Mirrored: the camera sees the pattern through the glass.")
+    if path.suffix.lower() == ".pdf":
+        lines.append("Print it at 100 % (actual size), and measure the scale bars.")
+    show({"drawing": str(path), "title": title_of(target), "size_mm": [width, height]}, lines)
+    return 0
+
+
+# The command `simulate`: a simulated bench in a process of its own.
+
+
+@click.command(epilog=epilog("starbench simulate --station simulated --seed 1"))
+@click.option(
+    "--station",
+    "-s",
+    "station_name",
+    default="simulated",
+    type=STATION_NAME,
+    show_default=True,
+    help="Station whose devices to simulate.",
+)
+@click.option(
+    "--seed", type=SEED, metavar="N", default=1, show_default=True, help="Random seed of the simulated bench."
+)
+def simulate(station_name: str, seed: int) -> int:
+    """Keep a simulated bench running in its own process, and print its ports.
+
+    Write a line to standard input to simulate a fault, e.g. pan stall share=0.3 (docs/simulated-bench.md lists all).
+    """
+    from bench.simulated import SimulatedBench
+    from bench.stations.station import load_station
+
+    station = load_station(station_name).value
+    if station.simulation is None:
+        raise BenchError(
+            "This station has no simulation section.",
+            where=station_name,
+            remedy="Use the station `simulated`.",
+        )
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with SimulatedBench(station.simulated_world, seed) as bench:
+        for name, port in bench.endpoints.items():
+            click.echo(f"{name:<8} {port}")
+        click.echo(
+            "These are the ports of the simulated bench, as a station file names them. To simulate a fault, write a"
+            " line (e.g. pan stall share=0.3). To turn the lens by hand, write: lens turn deg=5. Ctrl-C ends the"
+            " simulated bench.",
+            err=True,
+        )
+
+        def obey_orders() -> None:
+            for line in sys.stdin:
+                click.echo(bench.order(line))
+
+        threading.Thread(target=obey_orders, daemon=True).start()
+        while bench.alive and not stop.wait(0.5):
+            pass
+        if not bench.alive:
+            raise BenchError("The simulated bench ended by itself.", where=station_name)
+    return 0
 
 
 @click.group(cls=Family, epilog=epilog("starbench station new my_bench.yaml"))
@@ -45,9 +222,8 @@ def station() -> None:
 def station_new(path: Path, name: str, stage: str, light: str, camera: str | None) -> int:
     """Create a station file at PATH, filled in with the connected devices."""
     from bench.records.storage import write_atomic
-    from bench.stations.discovery import discover
-    from bench.stations.placeholders import UNKNOWN_SERIAL
-    from bench.stations.station_draft import draft_station
+    from bench.stations.station_draft import discover, draft_station
+    from bench.stations.station_fields import UNKNOWN_SERIAL
 
     draft = draft_station(name, discover(), stage=stage, light=light, camera=camera)
     write_atomic(path, draft.encode())

@@ -1,20 +1,255 @@
-"""The command `status`: a run or a batch, once or followed; one block that stays on a terminal, lines elsewhere."""
+"""The commands `status`, `tell` and `messages`: what another terminal sees of a run or a batch, and says to it."""
 
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.options import RunFolder, epilog, status_text
+from bench.base.clock import BenchClock
+from bench.base.errors import UsageError
+from bench.base.home import home_folder
+from bench.commands.options import OPERATOR, ExistingFile, ExistingFolder, RunFolder, epilog, status_text
 from bench.commands.output import JSON, STOPPED, show, wants_json
-from bench.terminal.closed_output import output_is_lost
+from bench.records.journal import Entry
+from bench.records.run_folder import JOURNAL
+from bench.records.storage import is_locked, storage_errors
+from bench.run.status import Status, line_text, read_with_entries
+from bench.terminal.encoding import output_is_lost
 
 if TYPE_CHECKING:
-    from bench.batch.batch_status import BatchStatus
-    from bench.run.status import Status
+    from bench.batch.batch_requests import Request
+    from bench.batch.batch_summary import BatchStatus
+    from bench.messaging.outbox import Delivery
+    from bench.records.inbox import KnownBy
+    from bench.run.control import Command
+
+# The command `tell`: what an operator tells a run or a batch from another terminal, and its answer.
+
+_ANSWERS = {"yes": "continue", "no": "abort"}
+_VALUES = {"skip": "the number of a pose", "add": "the file of a job", "withdraw": "the name of a job"}
+"""What stands behind a word; it may be left out for ``skip``."""
+_OF_BATCH = ("add", "withdraw")
+
+
+class _Told(ExistingFolder):
+    """The folder of a run or of a batch."""
+
+    def check(self, path: Path) -> None:
+        """Nothing: what the folder must be is known when the word is."""
+
+
+@click.command(
+    epilog=epilog(
+        "starbench tell runs/cam7 hold",
+        "starbench tell runs/cam7 release --take-over",
+        "starbench tell runs/cam7 skip 4",
+        "starbench tell runs/cam7 yes",
+        "starbench tell runs/night add job.yaml",
+        status=status_text("0 accepted, 1 refused{invalid}{ctrl_c}"),
+    )
+)
+@click.argument("folder", metavar="FOLDER", type=_Told())
+@click.argument("word", type=click.Choice(["hold", "release", "skip", "abort", "yes", "no", *_OF_BATCH]))
+@click.argument("value", required=False)
+@OPERATOR
+@click.option("--take-over", is_flag=True, help="Do it even if another person holds the run.")
+@JSON
+def tell(folder: Path, word: str, value: str | None, by: str | None, take_over: bool) -> int:
+    """Tell the run or the batch in FOLDER what to do; also possible while it works.
+
+    \b
+    A run:
+      hold           hold at the next safe point, with the light off; you hold it until the release
+      release        let a held run continue
+      skip [POSE]    skip a pose, the current one if no number is given; its recordings are kept
+      abort          end the run now, safely; anyone may do this, and the run can be resumed
+      yes, no        answer the question that the run asks: continue, or abort
+    A batch:
+      add JOB        add the job in the file JOB
+      withdraw NAME  begin no further run of the job NAME
+    """  # noqa: D301 - click keeps the lines of a paragraph that begins with this character
+    needs = _VALUES.get(word)
+    if needs and value is None and word != "skip":
+        raise click.UsageError(f"`{word}` needs {needs}.")
+    if value is not None and not needs:
+        raise click.UsageError(f"`{word}` takes no value, and {value!r} is given.")
+    if word in _OF_BATCH:
+        assert value is not None
+        return _tell_batch(folder, word, value, by)
+    RunFolder().check(folder)
+    pose = None if value is None else click.IntRange(1)(value)
+    return _tell_run(
+        folder,
+        {
+            "word": "answer" if word in _ANSWERS else word,
+            "answer": _ANSWERS.get(word),
+            "pose": pose,
+            "take_over": take_over,
+        },
+        by,
+    )
+
+
+def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
+    from pydantic import ValidationError
+
+    from bench.run.control import Command, command_text, operator_at_terminal, send
+
+    try:
+        command: Command = Command.model_validate(
+            {"by": by or operator_at_terminal(), "known_by": "typed" if by else "file mode", **words}
+        )
+    except ValidationError as error:
+        raise UsageError(
+            f"--operator: {error.errors()[0]['msg']}.",
+            remedy="Give a name of one line and at most 200 characters.",
+        ) from error
+    answer = send(folder, command)
+    return _show_answer(answer, command_text(answer))
+
+
+def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:
+    from bench.batch.batch_plan import read_job
+    from bench.batch.batch_requests import Request, answer_text, send_request
+    from bench.run.control import operator_at_terminal
+
+    who = by or operator_at_terminal()
+    known_by: KnownBy = "typed" if by else "file mode"
+    request: Request
+    if word == "add":
+        ExistingFile().check(Path(value))
+        request = Request(word="add", by=who, known_by=known_by, job=read_job(Path(value)))
+    else:
+        request = Request(word="withdraw", by=who, known_by=known_by, name=value)
+    answer = send_request(folder, request)
+    return _show_answer(answer or {"taken": None, "why": "not answered yet"}, answer_text(answer))
+
+
+def _show_answer(answer: Mapping[str, Any], text: str) -> int:
+    """Print an answer, on standard error where the word was refused; return 1 then."""
+    refused = answer["taken"] is False
+    show({"schema": "starbench/answer/1", **answer}, text, err=refused)
+    return int(refused)
+
+
+# The command `messages`: what this bench has sent and what still waits.
+
+
+@click.command(
+    epilog=epilog(
+        "starbench messages",
+        "starbench messages --send",
+        status=status_text("0 messages shown, 1 a message is still waiting after --send{invalid}{ctrl_c}"),
+    )
+)
+@click.option("--send", "send_now", is_flag=True, help="Try to send the waiting messages now.")
+@JSON
+def messages(send_now: bool) -> int:
+    """List the messages of this bench: sent ones and waiting ones."""
+    from bench.messaging.messages import send
+    from bench.messaging.outbox import Outbox
+
+    outbox = Outbox(home_folder())
+    waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
+    found = outbox.deliveries()
+    show(
+        {"schema": "starbench/messages/1", "messages": [asdict(delivery) for delivery in found]},
+        _lines(found),
+    )
+    return 1 if waiting else 0
+
+
+def _lines(found: Sequence[Delivery]) -> Iterator[str]:
+    for delivery in found:
+        marks = f", {delivery.tries} tries" if delivery.tries > 1 else ""
+        marks += ", perhaps sent twice" if delivery.perhaps_twice else ""
+        marks += f"; {delivery.last_error}" if delivery.last_error else ""
+        kind = next(iter(json.loads(delivery.channel)))
+        written, subject = delivery.message.utc[:16].replace("T", " "), delivery.message.subject
+        yield f"{written}  {kind:<7} {delivery.state:<7}  {subject}{marks}"
+    if not found:
+        yield "No messages."
+
+
+# Follow the status of a run in another process: new states and lines as they come.
+
+FOLLOW_S = 0.5
+_READING_SHARE = 4.0
+"""A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
+
+
+def follow(
+    folder: Path,
+    sleep: Callable[[float], None] = time.sleep,
+    *,
+    ticks: bool = False,
+    monotonic: Callable[[], float] = time.monotonic,
+) -> Iterator[Status]:
+    """Read the status of a run after every change, as long as a process works on the run.
+
+    sleep: Waits between two reads of the journal.
+    ticks: Whether to yield also when nothing has changed, with the remaining time counted down.
+    monotonic: Returns the time since an arbitrary moment, s.
+    Yields: One per change; the last one shows how the run ended.
+    """
+    for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
+        yield status
+
+
+def follow_lines(
+    folder: Path,
+    sleep: Callable[[float], None] = time.sleep,
+    monotonic: Callable[[], float] = time.monotonic,
+) -> Iterator[tuple[Status, Sequence[str]]]:
+    """Read the status of a run as `follow` does, with the journal lines that are new, as text.
+
+    sleep, monotonic: As for `follow`.
+    Yields: The status, and the new lines, the newest last. The first time these are the last lines of the
+      status.
+    """
+    seen = None
+    for status, entries in _followed(folder, sleep, ticks=False, monotonic=monotonic):
+        if seen is None:
+            yield status, status.last
+        else:
+            yield status, [text for text in map(line_text, entries[seen:]) if text]
+        seen = len(entries)
+
+
+def _followed(
+    folder: Path, sleep: Callable[[float], None], *, ticks: bool, monotonic: Callable[[], float]
+) -> Iterator[tuple[Status, Sequence[Entry]]]:
+    """Yield the status and all journal lines after every change; with ``ticks`` also without a change."""
+    seen, pause_s = -1, FOLLOW_S
+    while True:
+        with storage_errors(folder):
+            size = (folder / JOURNAL).stat().st_size
+        if size != seen or not is_locked(folder):
+            began_s = monotonic()
+            (status, entries), seen = read_with_entries(folder, datetime.now(UTC)), size
+            read_s = monotonic()
+            pause_s = max(FOLLOW_S, _READING_SHARE * (read_s - began_s))
+            yield status, entries
+            if not status.running:
+                return
+        elif ticks:
+            yield _counted_down(status, monotonic() - read_s), entries
+        sleep(pause_s)
+
+
+def _counted_down(status: Status, since_s: float) -> Status:
+    """Return a status with the time counted down that has passed since it was read; a held run has no such time."""
+    if status.left_s is None or status.held_by or status.question:
+        return status
+    return replace(status, left_s=max(0.0, status.left_s - since_s))
+
 
 _INTERRUPTED = 130
 _NOT_READ = 128 + 13
@@ -63,7 +298,7 @@ def _summarise(folder: Path) -> int:
 
 def _show_run(folder: Path) -> int:
     from bench.run.status import read_status
-    from bench.run.status_text import status_text as text_of
+    from bench.run.status import status_text as text_of
 
     found = read_status(folder)
     show(found.to_dict, text_of(found))
@@ -71,7 +306,7 @@ def _show_run(folder: Path) -> int:
 
 
 def _show_batch(folder: Path) -> int:
-    from bench.batch.batch_status import batch_status_text, read_batch_status
+    from bench.batch.batch_summary import batch_status_text, read_batch_status
 
     found = read_batch_status(folder)
     show(found.to_dict, batch_status_text(found))
@@ -80,9 +315,8 @@ def _show_batch(folder: Path) -> int:
 
 def _follow_run(folder: Path) -> str:
     """Follow a run; return how it ended, empty if it was interrupted."""
-    from bench.run.follow_status import follow, follow_lines
-    from bench.run.status_text import head_lines
-    from bench.terminal.block import Block
+    from bench.run.status import head_lines
+    from bench.terminal.progress import Block
 
     now: Status
     if wants_json():
@@ -113,8 +347,8 @@ def _follow_run(folder: Path) -> str:
 
 def _follow_batch(folder: Path) -> str:
     """Follow a batch; return how it ended, empty if it was interrupted."""
-    from bench.batch.batch_status import batch_status_text, follow_batch
-    from bench.terminal.block import Block
+    from bench.batch.batch_summary import batch_status_text, follow_batch
+    from bench.terminal.progress import Block
 
     block, before, as_json = Block(), "", wants_json()
     now: BatchStatus

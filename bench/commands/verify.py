@@ -300,8 +300,8 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
 
 def _check_authorisation(folder: Path) -> Findings:
     """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
+    from bench.evidence.authorisation import compare_authorisation, known_authorisations
     from bench.evidence.findings import Findings
-    from bench.evidence.ledger_authorisation import compare_authorisation, known_authorisations
     from bench.evidence.seal import AUTHORISATION
 
     found = Findings()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.terminal.duration import clock_text
+from bench.terminal.encoding import clock_text
 
 if TYPE_CHECKING:
     from bench.cluster.work import Workers

@@ -12,13 +12,10 @@ from markupsafe import Markup
 
 from bench import __version__
 from bench.compare.spec import STAR_METHODS
-from bench.compare.summary import PARAMETERS
-from bench.compare.table import DATA_HEADS, HEADS, data_rows, parameter_rows, table_rows
-from bench.report.drawing import INK, MUTED, POSE_COLOURS
+from bench.compare.table import DATA_HEADS, HEADS, PARAMETERS, data_rows, parameter_rows, table_rows
 from bench.report.html import environment
 from bench.report.plot_frame import Key, Words, axes_in
-from bench.report.scales import Scale, plain
-from bench.report.svg_plot import Axes, Picture
+from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Picture, Scale, plain
 
 # Plots of a comparison: errors of direction and of the focal length of every repetition, column by column.
 
@@ -86,7 +83,7 @@ def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
     """Draw the error of direction against the number of images, a line for columns that differ in nothing else.
 
-    columns: Columns of the summary, from `bench.compare.summary.summarise`.
+    columns: Columns of the summary, from `bench.compare.table.summarise`.
     Returns: SVG; empty if no line has three points.
     """
     series = _by_images(columns)
@@ -236,7 +233,7 @@ def render_page(
 ) -> str:
     """Render the page of a comparison.
 
-    summary: From `bench.compare.summary.summarise`.
+    summary: From `bench.compare.table.summarise`.
     true: True values of the camera.
     """
     simulated = [column for column in summary["columns"] if not column["settings"]["data"]]

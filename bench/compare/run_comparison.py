@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from bench.base.bounded_json import parse_json
 from bench.base.errors import UsageError
 from bench.compare.spec import ColumnConfig, ComparisonConfig
-from bench.records.reading import MOST_TABLE_BYTES, read_bounded
-from bench.records.storage import make_folder, storage_errors
+from bench.records.storage import MOST_TABLE_BYTES, make_folder, read_bounded, storage_errors
 from bench.results.forms import forms
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ def row_key(column: ColumnConfig, seed: int) -> str:
     """
     described: list[Any] = [column.model_dump(exclude={"name"}, exclude_none=True), seed, forms()["program"]]
     if column.data is not None:
-        from bench.compare.real_data import data_digest
+        from bench.compare.methods import data_digest
 
         described.append(data_digest(column.data))
     content = json.dumps(described, sort_keys=True)
@@ -173,7 +172,7 @@ def _task_rows(task: Task) -> dict[str, Row]:
     from bench.compare.scenes import find_targets, finding_key, record
 
     if task.columns[0].data is not None:
-        from bench.compare.real_data import solve_data
+        from bench.compare.methods import solve_data
 
         return {row_key(column, task.seed): _finite(solve_data(column, task.seed)) for column in task.columns}
     began = time.process_time()

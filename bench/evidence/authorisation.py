@@ -7,21 +7,279 @@ time after sealing (ISO/IEC 17025:2017, 7.8.2.1 o). A certificate names the pers
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
 
-from bench.base.errors import EvidenceError, StorageError
-from bench.evidence.beside_seal import add_beside, read_beside
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from bench.base.errors import BenchError, EvidenceError, StorageError
 from bench.evidence.key_trust import Moments, Trust, judge_key
-from bench.evidence.openssh import NotInstalled
-from bench.evidence.seal import AUTHORISATION
-from bench.evidence.signers import AUTHORISATION_NAMESPACE
-from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature
-from bench.records.reading import read_json
+from bench.evidence.seal import AUTHORISATION, add_beside, read_beside
+from bench.evidence.signers import AUTHORISATION_NAMESPACE, read_public_key, refuse_readable_by_others
+from bench.evidence.sshsig import (
+    SOCKET_VARIABLE,
+    Ed25519Signer,
+    NotInstalled,
+    OpenSshKey,
+    SigningKey,
+    SshSignature,
+    agent_lines,
+    check_key,
+    fingerprint,
+    is_valid,
+    read_signature,
+)
+from bench.records.journal import Entry, read_journal
+from bench.records.ledger import LEDGER, LedgerFile
 from bench.records.run_folder import MANIFEST, SIGNATURE
-from bench.records.storage import storage_errors
+from bench.records.storage import read_json, sha256_of, storage_errors
+
+# A person's own key: in a file, or in ssh-agent. It never belongs to a bench.
+
+_MOST_BYTES = 1 << 20
+
+
+def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
+    """Load a person's key from a file: in OpenSSH's format, or PEM (PKCS#8).
+
+    ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
+    Raises EvidenceError: When other users can read the file, the passphrase is wrong, or it is not a key that
+      can sign here.
+    Raises StorageError: When the file cannot be read.
+    """
+    with storage_errors(path):
+        refuse_readable_by_others(path)
+        with path.open("rb") as stream:
+            data = stream.read(_MOST_BYTES)
+    load = serialization.load_ssh_private_key if b"OPENSSH" in data else serialization.load_pem_private_key
+    passphrase = b""
+    try:
+        try:
+            private = load(data, password=None)
+        except TypeError:  # cryptography raises it if the key is protected
+            passphrase = ask_passphrase(path)
+            private = load(data, password=passphrase)
+        return _signing_key(private, path, passphrase)
+    except (ValueError, UnsupportedAlgorithm) as error:
+        why = "the passphrase is wrong, or the file is damaged" if passphrase else _reason(error)
+        raise EvidenceError(
+            f"The key cannot be used: {why}.",
+            where=str(path),
+            remedy="Try again. A key in a token is used by ssh-agent: name its file .pub.",
+        ) from error
+
+
+def _signing_key(private: object, path: Path, passphrase: bytes) -> SigningKey:
+    """Return a key that was read. Raises ValueError if it cannot sign here."""
+    if isinstance(private, Ed25519PrivateKey):
+        return Ed25519Signer(private)
+    if not isinstance(private, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
+        raise ValueError("its type of key is not supported")  # noqa: TRY004 - not a wrong argument, but a wrong file
+    public = private.public_key().public_bytes(
+        serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH
+    )
+    blob = base64.b64decode(public.split()[1])
+    check_key(blob)
+    return OpenSshKey(public.decode(), blob, path, passphrase)
+
+
+def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
+    """Find a person's key by its file, by the file of its public key, or by its fingerprint.
+
+    name: File of the private key; or file of the public key, or fingerprint (``SHA256:...``), of a key in
+      ssh-agent. None for the only key in ssh-agent.
+    agent: Path of the agent's socket; None if there is no agent.
+    ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
+    Raises EvidenceError: When there is no such key, more than one, or it cannot be used.
+    Raises StorageError: When a file cannot be read.
+    """
+    if name is None or name.startswith("SHA256:"):
+        return _agent_key(name, agent)
+    path = Path(name)
+    with storage_errors(path), path.open("rb") as stream:
+        text = stream.read(_MOST_BYTES)
+    try:
+        public_key = read_public_key(text.decode(errors="replace"))
+    except ValueError:
+        return load_file_key(path, ask_passphrase)
+    return _agent_key(fingerprint(public_key), agent)
+
+
+def agent_keys(agent: str) -> list[OpenSshKey]:
+    """List the keys of an agent that can be used here. Keys of other types and certificates are left out.
+
+    agent: Path of the agent's socket.
+    Raises EvidenceError: When the agent does not answer.
+    """
+    found = []
+    for line in agent_lines(agent):
+        try:
+            blob = read_public_key(line)
+        except ValueError:
+            continue
+        kind, text, *comment = line.split(maxsplit=2)
+        found.append(OpenSshKey(f"{kind} {text}", blob, agent=agent, comment="".join(comment)))
+    return found
+
+
+def _agent_key(wanted: str | None, agent: str | None) -> OpenSshKey:
+    """Return the key of the agent with a fingerprint, or the only one."""
+    if agent is None:
+        raise EvidenceError(
+            f"There is no ssh-agent: {SOCKET_VARIABLE} is not set.",
+            remedy="Name the file of the private key with --key, or start ssh-agent and add the key with ssh-add.",
+        )
+    keys = agent_keys(agent)
+    found = [key for key in keys if wanted in {None, fingerprint(key.public_key)}]
+    if len(found) == 1:
+        return found[0]
+    held = ", ".join(f"{fingerprint(key.public_key)} ({key.comment})" for key in keys[:5]) or "none"
+    what = f"ssh-agent does not hold the key {wanted}." if wanted else f"ssh-agent holds {len(keys)} keys."
+    raise EvidenceError(
+        what,
+        where=agent,
+        remedy=f"Its keys: {held}. Name one with --key SHA256:..., or add yours with ssh-add.",
+    )
+
+
+def _reason(error: Exception) -> str:
+    """Return the first sentence of a message of the library, without its end."""
+    return str(error).split(". ", maxsplit=1)[0].rstrip(".") or "wrong passphrase"
+
+
+# Authorisations in the bench's ledger: a line for each, so that one that was removed afterwards is noticed.
+#
+# The signature of a person lies beside the seal, and no list names it: whoever deletes the file turns
+# AUTHORISED into SEALED. The ledger of the bench on which the person signed knows the seal and the
+# signature by their SHA-256. A bench without a ledger enters nothing; the ledger of another bench knows
+# nothing of the folder.
+
+FOLDER_AUTHORISED = "folder_authorised"
+_SHOWN = 16
+
+
+@dataclass(frozen=True)
+class Authorised:
+    """An authorisation that the ledger names."""
+
+    signature: str  # SHA-256 of the file with the person's signature
+    person: str
+    fingerprint: str
+    folder: str  # The folder, where it lay then
+    utc: str  # When the line was written, ISO 8601
+
+    def __str__(self) -> str:
+        return f"{self.person} ({self.fingerprint}) on {self.utc[:_SHOWN].replace('T', ' ')} UTC"
+
+
+Known = Mapping[str, Sequence[Authorised]]
+"""Authorisations by the SHA-256 of the seal's list of files, in the order of the ledger."""
+NOTHING_KNOWN: Known = {}
+
+
+def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerprint: str) -> bool:
+    """Enter the authorisation of a folder that was just made.
+
+    Returns: Whether it was entered; False if this bench has no ledger.
+    Raises EvidenceError, JournalBroken, StorageError: When the ledger or the folder cannot be used.
+    """
+    if not ledger.path.exists():
+        return False
+    with storage_errors(folder):
+        hashes = {"seal": sha256_of(folder / MANIFEST), "signature": sha256_of(folder / AUTHORISATION)}
+    facts = {"folder": str(folder.resolve()), "person": person, "fingerprint": fingerprint}
+    ledger.append(FOLDER_AUTHORISED, **hashes, **facts)
+    return True
+
+
+def known_authorisations(home: Path) -> Known:
+    """Return the authorisations that the ledger of this bench names.
+
+    Returns: Empty if there is no ledger, or if it cannot be read, which `bench.records.ledger` tells.
+    """
+    path = home / LEDGER
+    try:
+        status = path.stat()
+    except OSError:
+        return NOTHING_KNOWN
+    return _read(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, _changed_ns: int, _size: int) -> Known:
+    """Read the ledger once for each of its states: a page that is shown asks every second."""
+    with suppress(BenchError):
+        return _authorisations(read_journal(path)[0])
+    return NOTHING_KNOWN
+
+
+def _authorisations(entries: Sequence[Entry]) -> Known:
+    found: dict[str, list[Authorised]] = {}
+    for entry in entries:
+        if entry.event == FOLDER_AUTHORISED:
+            signature, person, fingerprint, folder = (
+                str(entry.data.get(name, "")) for name in ("signature", "person", "fingerprint", "folder")
+            )
+            one = Authorised(signature, person, fingerprint, folder, entry.utc)
+            found.setdefault(str(entry.data.get("seal", "")), []).append(one)
+    return found
+
+
+@dataclass(frozen=True)
+class Compared:
+    """How the authorisation of a folder differs from what the ledger names; sentences without a full stop."""
+
+    fault: str = ""  # It was removed or replaced; empty if not
+    note: str = ""  # A copy of the folder does not have it, perhaps because the copy is older; empty if not
+
+
+_AGREES = Compared()
+
+
+def compare_authorisation(folder: Path, known: Known) -> Compared:
+    """Compare the authorisation of a folder with the one that the ledger names.
+
+    Returns: Empty if they agree, or if the ledger names none for this seal.
+    Raises StorageError: When a file cannot be read.
+    """
+    manifest, signature = folder / MANIFEST, folder / AUTHORISATION
+    with storage_errors(folder):
+        if not known or not manifest.is_file():
+            return _AGREES
+        named = known.get(sha256_of(manifest), ())
+        if not named or (signature.is_file() and sha256_of(signature) in {one.signature for one in named}):
+            return _AGREES
+        is_there, here = signature.exists(), folder.resolve()
+    last = named[-1]
+    if is_there:
+        return Compared(f"the ledger names another authorisation than {AUTHORISATION}: by {last}")
+    if here not in {Path(one.folder).resolve() for one in named} and Path(last.folder).is_dir():
+        return Compared(
+            note=f"the ledger names an authorisation that this copy does not have: by {last}, in {last.folder}"
+        )
+    return Compared(
+        f"the ledger names an authorisation that is missing: by {last}. Copy {AUTHORISATION} back, or let the person"
+        " authorise again"
+    )
+
+
+def lost_authorisations(known: Known) -> list[str]:
+    """Compare all folders that the ledger names as authorised, as far as they are still there."""
+    found = []
+    for folder in sorted({one.folder for named in known.values() for one in named if one.folder}):
+        with suppress(BenchError):
+            if why := compare_authorisation(Path(folder), known).fault:
+                found.append(f"{folder}: {why}.")
+    return found
+
 
 _CERTIFICATE = "certificate.json"
 

@@ -7,7 +7,22 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.evidence.faults import SealFault
+# One fault of a sealed folder, as every check of evidence reports it.
+
+
+@dataclass(frozen=True)
+class SealFault:
+    """One fault of a sealed folder."""
+
+    # ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
+    # ``kind``, ``form``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``,
+    # ``wire``, ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
+    kind: str
+    where: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}"
 
 
 @dataclass
@@ -42,7 +57,7 @@ found. It is called only while no check has found a fault, so it may rely on the
 it cannot read is a fault, never an exception; only StorageError and OSError may leave it."""
 
 Derivations = Mapping[str, Sequence[Derivation]]
-"""The derivations of each kind of folder (`bench.evidence.instructions.kind_of`)."""
+"""The derivations of each kind of folder (`bench.evidence.seal.kind_of`)."""
 
 
 @dataclass(frozen=True)

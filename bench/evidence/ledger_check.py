@@ -21,8 +21,15 @@ from bench.evidence.sshsig import read_signature
 from bench.records.events import Event
 from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import EXPLAIN, KnownRun, Strangers, breaks_of
-from bench.records.ledger_runs import STILL_OPEN, LedgerRun, runs_of
+from bench.records.ledger_breaks import (
+    EXPLAIN,
+    STILL_OPEN,
+    KnownRun,
+    LedgerRun,
+    Strangers,
+    breaks_of,
+    runs_of,
+)
 from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, is_sealed
 from bench.records.run_index import RunIndex
 from bench.records.storage import sha256_of

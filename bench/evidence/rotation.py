@@ -16,21 +16,9 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence.keys import (
-    KEY_FILE,
-    NEW_KEY,
-    BenchKey,
-    finish_rotation,
-    locked_folder,
-    private_text,
-)
-from bench.evidence.signers import (
-    PRINCIPAL,
-    read_public_key,
-    read_signer,
-    replace_lines,
-)
-from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.keys import KEY_FILE, NEW_KEY, BenchKey, finish_rotation, locked_folder, private_text
+from bench.evidence.signers import PRINCIPAL, read_public_key, read_signer, replace_lines
+from bench.evidence.sshsig import fingerprint
 from bench.records.storage import make_folder, storage_errors, sync_folder, write_atomic
 
 ARCHIVE = "old_keys"

@@ -8,16 +8,98 @@ from __future__ import annotations
 
 import base64
 import binascii
+import os
 import re
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
-from bench.evidence.safe_files import read_list
-from bench.evidence.ssh_keys import KEY_TYPES, check_key, fingerprint, key_type_of
+from bench.evidence.sshsig import KEY_TYPES, check_key, fingerprint, key_type_of
 from bench.records.storage import make_folder, storage_errors, write_atomic
+
+# Refuse files on which the trust rests if other users can read or write them.
+#
+# The rule is that of OpenSSH (sshd_config(5), ``StrictModes``): neither the group nor others may write the
+# file or its folder. A folder with the sticky bit is safe, because nobody can replace the files of another
+# user in it.
+
+_WRITABLE_BY_OTHERS = 0o022
+_MOST_BYTES = 16 << 20
+_ANY_ACCESS_BY_OTHERS = 0o077
+
+
+def refuse_writable_by_others(path: Path, what: str) -> None:
+    """Refuse a file, or a folder, that other users can change or replace.
+
+    what: What it is, for the message: ``the list of trusted keys``.
+    Raises EvidenceError: When the group or others can write to it or to its folder.
+    Raises OSError: When its mode cannot be read.
+    """
+    if not hasattr(os, "getuid"):  # Windows has no such modes
+        return
+    real = path.resolve()
+    for place in (real, real.parent):
+        mode = place.stat().st_mode
+        is_sticky_folder = stat.S_ISDIR(mode) and mode & stat.S_ISVTX
+        if mode & _WRITABLE_BY_OTHERS and not is_sticky_folder:
+            thing = what if place == real else f"the folder of {what}"
+            raise EvidenceError(
+                f"Other users can change {thing} (mode {stat.S_IMODE(mode):04o}), so it proves nothing.",
+                where=str(place),
+                remedy=f"If nobody has changed it: chmod go-w '{place}'. Otherwise get it again.",
+            )
+
+
+def read_list(path: Path, what: str) -> str:
+    """Read a list on which the trust rests.
+
+    what: What it is, for the message: ``the list of trusted keys``.
+    Raises EvidenceError: When other users can change it, it is not a file, is larger than 16 MB, or is not
+      text.
+    Raises OSError: When it cannot be read.
+    """
+    refuse_writable_by_others(path, what)
+    if not path.is_file():  # a pipe would never answer
+        raise EvidenceError(
+            f"{what[0].upper()}{what[1:]} is not a file.",
+            where=str(path),
+            remedy="Copy it into a file, and name that.",
+        )
+    with path.open("rb") as stream:
+        data = stream.read(_MOST_BYTES + 1)
+    try:
+        text = data.decode("utf-8")
+        if len(data) <= _MOST_BYTES:
+            return text
+        why = f"it has more than {_MOST_BYTES >> 20} MB"
+    except UnicodeDecodeError:
+        why = "it is not text"
+    raise EvidenceError(
+        f"{what[0].upper()}{what[1:]} cannot be read: {why}.",
+        where=str(path),
+        remedy="Expected is one key a line, in OpenSSH's format; a binary list (KRL) is not supported.",
+    )
+
+
+def refuse_readable_by_others(path: Path) -> None:
+    """Refuse a private key that other users can read.
+
+    Raises EvidenceError: When the group or others have any access to it, or it belongs to another user.
+    Raises OSError: When its mode cannot be read.
+    """
+    if not hasattr(os, "getuid"):
+        return
+    status = path.stat()
+    if status.st_mode & _ANY_ACCESS_BY_OTHERS or status.st_uid != os.getuid():
+        raise EvidenceError(
+            f"Other users can read the key (mode {stat.S_IMODE(status.st_mode):04o}): its signatures prove nothing.",
+            where=str(path),
+            remedy=f"If nobody has read it: chmod 600 '{path}'. Otherwise make a new key.",
+        )
+
 
 NAMESPACE = "starbench-report@v1"
 """Purpose of a bench's signature, the seal: the namespace of SSHSIG."""
@@ -269,3 +351,99 @@ def _matches(pattern: str, text: str) -> bool:
     """Compare with ``*`` and ``?`` as ssh does (ssh_config(5), PATTERNS)."""
     translated = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
     return re.fullmatch(translated, text) is not None
+
+
+# The list of revoked keys, ``revoked_keys``: keys that were stolen or lost.
+#
+# The format is a plain list of public keys, which ``ssh-keygen -Y verify -r revoked_keys`` reads (ssh-
+# keygen(1), ``-Y verify``). A binary list (KRL) cannot hold a date and a reason; here both stand behind the
+# key. A revoked key's signatures are refused unless a trusted time stamp proves that they are older than
+# the revocation: whoever has a stolen key can write any date into a report. A key that is only replaced is
+# not revoked; its line in ``allowed_signers`` ends (`bench.evidence.rotation`).
+
+REVOKED_FILE = "revoked_keys"
+_MARK = "revoked"
+_EVER = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class RevokedKey:
+    """A key that is no longer trusted."""
+
+    public_key: bytes
+    since: datetime = _EVER  # Moment from which its signatures are refused; 1970 for a line without a date
+    reason: str = ""  # Why; empty for a line without a reason
+
+    @property
+    def text(self) -> str:
+        """Date and reason, for a message."""
+        date = f"{self.since:%Y-%m-%d %H:%M} UTC" if self.since > _EVER else "without a date"
+        return f"{date} ({self.reason})" if self.reason else date
+
+    @property
+    def line(self) -> str:
+        """The line of ``revoked_keys`` for this key."""
+        key = f"{key_type_of(self.public_key)} {base64.b64encode(self.public_key).decode()}"
+        return f"{key} {_MARK} {time_text(self.since)} {self.reason}".rstrip()
+
+
+def read_revoked(path: Path) -> list[RevokedKey]:
+    """Read the list of revoked keys.
+
+    path: The file; no file is an empty list.
+    Returns: The keys in the order of the lines.
+    Raises EvidenceError: When the file cannot be read, other users can change it, or a line is not a public
+      key; the message names the line.
+    """
+    if not path.exists():
+        return []
+    with storage_errors(path):
+        lines = read_list(path, "the list of revoked keys").splitlines()
+    revoked = []
+    for number, line in enumerate(lines, start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                revoked.append(_read_line(line))
+            except ValueError as error:
+                raise EvidenceError(
+                    f"This is not a line of a revoked key: {error}.",
+                    where=f"{path}:{number}",
+                    remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
+                ) from error
+    return revoked
+
+
+def revoke(folder: Path, key: RevokedKey) -> None:
+    """Add a key to the list of revoked keys.
+
+    Raises EvidenceError: When it is revoked already, the reason is not one line of text, or other users can
+      change the file.
+    Raises StorageError: When the file cannot be written.
+    """
+    path = folder / REVOKED_FILE
+    if not key.reason.strip() or not key.reason.isprintable():
+        raise EvidenceError(
+            "A revocation needs a reason of one line.",
+            remedy="Say what happened, for example: stolen laptop.",
+        )
+    known = next((one for one in read_revoked(path) if one.public_key == key.public_key), None)
+    if known is not None:
+        raise EvidenceError(
+            f"The key {fingerprint(key.public_key)} is revoked already: {known.text}.", where=str(path)
+        )
+    with storage_errors(path):
+        present = path.read_text(encoding="utf-8") if path.exists() else ""
+    make_private_folder(folder)
+    separator = "" if not present or present.endswith("\n") else "\n"
+    write_atomic(path, f"{present}{separator}{key.line}\n".encode())
+
+
+def _read_line(line: str) -> RevokedKey:
+    """Read one line. Raises ValueError."""
+    public_key = read_public_key(line)
+    comment = line.split(maxsplit=2)[2:]
+    mark, _, rest = comment[0].strip().partition(" ") if comment else ("", "", "")
+    if mark != _MARK:
+        return RevokedKey(public_key)
+    date, _, reason = rest.partition(" ")
+    return RevokedKey(public_key, parse_time(date), reason)

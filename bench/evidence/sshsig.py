@@ -2,7 +2,7 @@
 
 Source: PROTOCOL.sshsig of OpenSSH. The bench's keys are Ed25519: their signatures are made and checked here, so a
 computer without OpenSSH can seal, and check seals. All other types of keys are left to ``ssh-keygen``
-(`bench.evidence.openssh`). This module reads no files and does not decide which keys are trusted.
+(`bench.evidence.sshsig`). This module reads no files and does not decide which keys are trusted.
 """
 
 from __future__ import annotations
@@ -10,23 +10,237 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
+import os
+import shutil
+import stat
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence import openssh
-from bench.evidence.ssh_keys import (
+
+# Public keys of SSH as bytes: their types, their fingerprints, and which of them are accepted. No files, no
+# trust.
+
+KEY_TYPE = b"ssh-ed25519"
+"""Type of the bench's own keys, whose signatures are made and checked without OpenSSH."""
+KEY_TYPES = (
     KEY_TYPE,
-    check_key,
-    encode_public_key,
-    fingerprint,
-    key_type_of,
-    string,
-    strings,
+    b"ecdsa-sha2-nistp256",
+    b"ecdsa-sha2-nistp384",
+    b"ecdsa-sha2-nistp521",
+    b"sk-ecdsa-sha2-nistp256@openssh.com",
+    b"ssh-rsa",
+    b"sk-ssh-ed25519@openssh.com",
 )
+"""Types of keys that are accepted; those with ``sk-`` lie in a security token."""
+_FEWEST_RSA_BITS, _MOST_RSA_BITS = 2048, 16384
+
+
+def string(data: bytes) -> bytes:
+    """Encode a string: its length in four bytes, then its bytes (RFC 4251, section 5)."""
+    return len(data).to_bytes(4, "big") + data
+
+
+def strings(data: bytes, count: int) -> tuple[list[bytes], bytes]:
+    """Read strings (RFC 4251, section 5).
+
+    Returns: So many strings, and what follows them.
+    Raises ValueError: When the data are shorter.
+    """
+    found = []
+    for _ in range(count):
+        size = int.from_bytes(data[:4], "big")
+        if len(data) < 4 + size:
+            raise ValueError("it is incomplete")
+        found.append(data[4 : 4 + size])
+        data = data[4 + size :]
+    return found, data
+
+
+def encode_public_key(key: Ed25519PublicKey) -> bytes:
+    """Encode a public key as SSH does (RFC 8709, section 4).
+
+    Returns: What OpenSSH writes in base64 after the type of the key.
+    """
+    return string(KEY_TYPE) + string(key.public_bytes_raw())
+
+
+def check_key(public_key: bytes) -> None:
+    """Refuse a public key that is not accepted.
+
+    public_key: The key as SSH encodes it (the part in base64 of its line).
+    Raises ValueError: When it is not a key of a known type, or an RSA key of less than 2048 bit.
+    """
+    key_type = key_type_of(public_key).encode()
+    if key_type not in KEY_TYPES:
+        raise ValueError("its type of key is not supported")
+    try:
+        key = serialization.load_ssh_public_key(key_type + b" " + base64.b64encode(public_key))
+    except UnsupportedAlgorithm as error:
+        raise ValueError("its type of key is not supported") from error
+    if isinstance(key, rsa.RSAPublicKey) and not _FEWEST_RSA_BITS <= key.key_size <= _MOST_RSA_BITS:
+        raise ValueError(f"an RSA key must have {_FEWEST_RSA_BITS} to {_MOST_RSA_BITS} bit")
+
+
+def key_type_of(public_key: bytes) -> str:
+    """Return the type of a public key, as the first word of its line.
+
+    Returns: The type; empty if it cannot be read.
+    """
+    try:
+        return strings(public_key, 1)[0][0].decode("ascii")
+    except ValueError:
+        return ""
+
+
+def fingerprint(public_key: bytes) -> str:
+    """Return the fingerprint of a public key, as ``ssh-keygen -l`` prints it.
+
+    Returns: ``SHA256:`` and the hash in base64, without padding.
+    """
+    digest = base64.b64encode(hashlib.sha256(public_key).digest()).decode()
+    return "SHA256:" + digest.rstrip("=")
+
+
+# What is left to OpenSSH: signatures of keys that are not Ed25519, and keys in ssh-agent or in a security
+# token.
+#
+# ``ssh-keygen -Y`` signs and checks, ``ssh-add -L`` lists what the agent holds. A call takes about 5 ms.
+# Messages and signatures pass through a folder of their own; a private key never does.
+
+SOCKET_VARIABLE = "SSH_AUTH_SOCK"
+_CHECK_S, _SIGN_S = 10.0, 120.0
+"""Longest wait for a check or a list, and for a signature, for which a person may have to touch a token, s."""
+_ASKED = "STARBENCH_ASKED"
+_ASK = f"#!/bin/sh\nprintf '%s\\n' \"${_ASKED}\"\n"
+
+
+class NotInstalled(EvidenceError):
+    """A program of OpenSSH is needed, and is not here."""
+
+
+@dataclass(frozen=True)
+class OpenSshKey:
+    """A key with which ssh-keygen signs: in a file, or behind ssh-agent."""
+
+    public_text: str  # Line of the public key, without a comment
+    public_key: bytes
+    path: Path | None = None  # File of the private key; None for a key behind the agent
+    passphrase: bytes = b""  # That of the file
+    agent: str | None = None  # Path of the agent's socket
+    comment: str = ""  # The agent's comment, usually the file or token that the key is from
+
+    def __repr__(self) -> str:
+        return f"OpenSshKey({self.public_text})"
+
+    def sign(self, message: bytes, namespace: str) -> bytes:
+        """Return the armoured signature of a message.
+
+        Raises EvidenceError: When OpenSSH is not installed, does not answer, or refuses.
+        """
+        with tempfile.TemporaryDirectory(prefix="starbench-sign-") as folder:
+            public, ask, data = (Path(folder) / name for name in ("key.pub", "ask", "message"))
+            data.write_bytes(message)
+            public.write_text(f"{self.public_text}\n")
+            ask.write_text(_ASK)
+            ask.chmod(stat.S_IRWXU)
+            of_key = {"SSH_ASKPASS": str(ask), "SSH_ASKPASS_REQUIRE": "force", "DISPLAY": ":0"}
+            of_agent = {SOCKET_VARIABLE: self.agent} if self.agent else {}
+            environment = {_ASKED: os.fsdecode(self.passphrase), **of_key} if self.path else of_agent
+            if self.path:  # ssh-keygen looks for the public key beside the private one
+                (private := public.with_suffix("")).symlink_to(self.path.absolute())
+            command = ["-Y", "sign", "-n", namespace, "-f", str(private if self.path else public), str(data)]
+            done = _run("ssh-keygen", command, environment, _SIGN_S)
+            signature = data.with_name("message.sig")
+            if done.returncode == 0 and signature.exists():
+                return signature.read_bytes()
+        said = done.stderr.decode(errors="replace").strip().splitlines() or ["it gave no reason"]
+        raise EvidenceError(
+            f"ssh-keygen did not sign with this key: {_printable(said[-1])}.",
+            where=str(self.path or self.agent or ""),
+            remedy="Check with `ssh-add -l` that the agent holds the key; confirm at the token or enter its PIN if"
+            " asked.",
+        )
+
+
+def is_valid_for_openssh(armoured: bytes, message: bytes, namespace: str) -> bool:
+    """Return whether a signature is valid for a message, by the key in it; whether that is trusted is not asked.
+
+    Raises NotInstalled: When ssh-keygen is not here.
+    """
+    with tempfile.TemporaryDirectory(prefix="starbench-check-") as folder:
+        signature = Path(folder) / "signature"
+        signature.write_bytes(armoured)
+        command = ["-Y", "check-novalidate", "-n", namespace, "-s", str(signature)]
+        return _run("ssh-keygen", command, {}, _CHECK_S, message).returncode == 0
+
+
+def agent_socket(environ: Mapping[str, str] = os.environ) -> str | None:
+    """Return the socket of the agent of this session.
+
+    Returns: Path of the socket; None if there is no agent.
+    """
+    return environ.get(SOCKET_VARIABLE) or None
+
+
+def agent_lines(agent: str) -> list[str]:
+    """Return the public keys of an agent, a line each: type, base64 and comment.
+
+    agent: Path of the agent's socket.
+    Raises EvidenceError: When the agent does not answer.
+    """
+    done = _run("ssh-add", ["-L"], {SOCKET_VARIABLE: agent}, _CHECK_S)
+    text = done.stdout.decode(errors="replace")
+    if done.returncode == 0:
+        return [_printable(line) for line in text.splitlines()]
+    if done.returncode == 1 and "no identities" in text:
+        return []
+    said = done.stderr.decode(errors="replace").strip() or f"status {done.returncode}"
+    raise EvidenceError(
+        f"ssh-agent does not answer: {_printable(said)}.",
+        where=agent,
+        remedy=f"Start it and add the key with ssh-add; {SOCKET_VARIABLE} names its socket.",
+    )
+
+
+def _run(
+    program: str, arguments: Sequence[str], environment: Mapping[str, str], wait_s: float, data: bytes = b""
+) -> subprocess.CompletedProcess[bytes]:
+    """Run a program of OpenSSH without a shell and without the terminal."""
+    path = shutil.which(program)
+    if path is None:
+        raise NotInstalled(
+            f"This needs {program} of OpenSSH, which is not installed.",
+            remedy="Install OpenSSH (Debian: apt install openssh-client), or use an Ed25519 key in a file.",
+        )
+    try:
+        return subprocess.run(
+            [path, *arguments],
+            env={**os.environ, **environment},
+            input=data,
+            capture_output=True,
+            timeout=wait_s,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise EvidenceError(
+            f"{program} gave no answer within {wait_s:.0f} s.",
+            remedy="Touch the token if it asks, and try again.",
+        ) from error
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
 
 __all__ = [
     "KEY_TYPE",
@@ -125,13 +339,13 @@ def is_valid(signature: SshSignature, message: bytes) -> bool:
 
     Returns: Whether it is valid; the caller decides whether the key is trusted. A security token's signature is valid
       only if a person touched the token.
-    Raises openssh.NotInstalled: When ``ssh-keygen`` is needed for this type of key, and is not here.
+    Raises NotInstalled: When ``ssh-keygen`` is needed for this type of key, and is not here.
     """
     key_type = key_type_of(signature.public_key)
     if key_type.encode() != KEY_TYPE:
         if key_type.startswith("sk-") and not signature.signature[-_FLAGS_AND_COUNTER] & _TOUCHED:
             return False
-        return openssh.is_valid(signature.armoured, message, signature.namespace)
+        return is_valid_for_openssh(signature.armoured, message, signature.namespace)
     data = _signed_data(message, signature.namespace.encode(), signature.hash_name.encode())
     key = Ed25519PublicKey.from_public_bytes(strings(signature.public_key, 2)[0][1])
     try:

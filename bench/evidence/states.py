@@ -14,19 +14,15 @@ from pathlib import Path
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, StorageError
-from bench.evidence.authorisation import check_authorisation
-from bench.evidence.beside_seal import read_beside
-from bench.evidence.faults import SealFault
-from bench.evidence.key_trust import Moments, Trust, judge_key
-from bench.evidence.openssh import NotInstalled
-from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
+from bench.evidence.authorisation import NOTHING_KNOWN, Known, check_authorisation, compare_authorisation
+from bench.evidence.findings import SealFault
+from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
 from bench.evidence.signers import NAMESPACE
-from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import is_valid, read_signature
+from bench.evidence.sshsig import NotInstalled, fingerprint, is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
-from bench.records.reading import read_json
-from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, SIGNATURE
-from bench.records.storage import storage_errors
+from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, SIGNATURE, is_sealed
+from bench.records.storage import read_json, storage_errors
 
 # When a folder says that it was made: by the bench's own clock, as the sealed files state it.
 
@@ -216,3 +212,54 @@ def _clocks(found: Standing, now: datetime) -> None:
             )
     if found.stated > now + _CLOCK_SLACK:
         found.remarks.append(f"the bench's own clock stated a time in the future: {stated}")
+
+
+# The state of a folder as one line, for lists and pages. Signatures are checked; files are not hashed.
+
+
+@dataclass(frozen=True)
+class ShownState:
+    """The state of a folder, to be shown."""
+
+    state: State = State.DRAFT  # ``DRAFT``, ``SEALED`` or ``AUTHORISED``
+    text: str = "DRAFT: not sealed"
+
+
+def home_trust(home: Path) -> Trust:
+    """Return whom this bench trusts; nobody, if its lists cannot be used."""
+    try:
+        return read_trust(home)
+    except (EvidenceError, StorageError):
+        return Trust()
+
+
+def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHING_KNOWN) -> ShownState:
+    """Return the state of a folder as one line.
+
+    folder: A run folder, a certificate folder, or a folder of results.
+    now: The present time, with its time zone.
+    known: Authorisations that the ledger names, from
+      `bench.evidence.authorisation.known_authorisations`.
+    """
+    if not is_sealed(folder):
+        return ShownState()
+    try:
+        standing = standing_of(folder, trust, now)
+        compared = compare_authorisation(folder, known)
+        if compared.fault:
+            standing.faults.append(SealFault("authorisation", AUTHORISATION, compared.fault))
+    except StorageError as error:
+        return ShownState(State.DRAFT, f"DRAFT: the seal cannot be read: {error.what}")
+    text = _text(standing)
+    return ShownState(standing.state, f"{text}. Note: {compared.note}" if compared.note else text)
+
+
+def _text(standing: Standing) -> str:
+    if standing.state is State.DRAFT:
+        return "DRAFT: the seal does not hold; see `starbench verify`"
+    bench = standing.signer or f"a key that is not accepted here ({standing.fingerprint})"
+    text = f"SEALED by {bench}"
+    if standing.state is State.AUTHORISED:
+        text = f"AUTHORISED by {standing.person}, sealed by {bench}"
+    beside = [fault for fault in standing.faults if fault.kind in {"authorisation", "timestamp"}]
+    return f"{text}. FAULT: {beside[0]}" if beside else text

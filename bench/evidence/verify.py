@@ -16,26 +16,15 @@ from typing import Any
 
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
-from bench.evidence.faults import SealFault
-from bench.evidence.findings import Derivation, Derivations, Findings, Verification
-from bench.evidence.instructions import KINDS, kind_of
+from bench.evidence.findings import Derivation, Derivations, Findings, SealFault, Verification
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import NOT_LISTED, list_files, read_manifest
+from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
 from bench.evidence.signers import Signer
 from bench.evidence.states import standing_of
 from bench.evidence.verify_journal import check_journal
-from bench.records.captures import Capture
-from bench.records.reading import read_bounded, read_json
-from bench.records.run_folder import (
-    JOURNAL,
-    MANIFEST,
-    PLAN,
-    REPORT,
-    RESULTS,
-    SEQUENCE_COPY,
-    STATION_COPY,
-)
-from bench.records.storage import sha256_of, storage_errors
+from bench.records.journal import Capture
+from bench.records.run_folder import JOURNAL, MANIFEST, PLAN, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
+from bench.records.storage import read_bounded, read_json, sha256_of, storage_errors
 
 # Verify the listed files of a sealed folder: its kind, exactly these files, unchanged, and each in its one
 # form.
@@ -155,7 +144,7 @@ def verify_folder(
 ) -> Verification:
     """Check a sealed folder: a run, a certificate, recalculated results, or any other.
 
-    The content of the folder tells its kind (`bench.evidence.instructions.kind_of`). ``derivations`` gives for each
+    The content of the folder tells its kind (`bench.evidence.seal.kind_of`). ``derivations`` gives for each
     kind further checks: ``{"run": [...], "certificate": [check_certificate], ...}``. Each is called with the folder
     alone, and returns `Findings`; further arguments are bound beforehand, for example with `functools.partial`. They
     are called in their order, and only while no check has found a fault, so they may rely on the list of files.

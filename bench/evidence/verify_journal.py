@@ -17,11 +17,17 @@ from typing import Any
 from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
 from bench.evidence.findings import Findings
-from bench.records.captures import CAPTURES, Capture, stored_captures
 from bench.records.events import Event
 from bench.records.history import History, replay
-from bench.records.journal import CLOCK_JUMP_S, CLOCK_JUMPED, read_journal
-from bench.records.journal_entry import Entry
+from bench.records.journal import (
+    CAPTURES,
+    CLOCK_JUMP_S,
+    CLOCK_JUMPED,
+    Capture,
+    Entry,
+    read_journal,
+    stored_captures,
+)
 from bench.records.run_folder import (
     JOURNAL,
     PASSPORT_COPY,

@@ -5,29 +5,328 @@ The result is one object as JSON holds it; `bench.report.chart_page` draws it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Literal, NamedTuple
 
 from scipy import stats
 
-from bench.history.chart_groups import ChartGroup, ChartRun
-from bench.history.control_limits import (
+from bench.history.merged_runs import RunPlace
+from bench.history.statistics import (
+    LEVEL,
     SHEWHART_CHANCE,
+    Drift,
     Ewma,
     Individuals,
     ewma,
+    find_drift,
+    holm,
     individuals,
 )
-from bench.history.drift import LEVEL, Drift, find_drift, holm
-from bench.history.table_schema import parameter_unit
-from bench.history.verdict_words import (
-    group_place,
-    group_title,
-    group_verdict,
-    name_slopes,
-    parameter_verdict,
-)
-from bench.report.text import meaning_of
+from bench.history.table import kind_of, parameter_unit
+from bench.records.run_facts import Estimate
+from bench.records.run_index import IndexedRun
+from bench.report.text import meaning_of, number, with_uncertainty
+
+Level = Literal["camera", "type"]
+
+
+class ChartKey(NamedTuple):
+    """What all runs of a group have in common; ``serial`` is empty for a camera type."""
+
+    level: Level
+    kind: str
+    bench: str
+    station: str
+    camera_type: str
+    serial: str
+    collimator: str
+    target: str
+    model: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ChartRun:
+    """One run in a chart."""
+
+    run: str
+    folder: str
+    serial: str
+    begun: datetime
+    temperature_c: float | None  # Temperature of the camera, degrees Celsius; None if it is not known
+    parameters: Mapping[str, Estimate]  # By name
+
+
+@dataclass
+class ChartGroup:
+    """The runs of a chart."""
+
+    key: ChartKey
+    runs: list[ChartRun] = field(default_factory=list)  # Oldest first
+
+
+@dataclass
+class Grouped:
+    """Runs in groups."""
+
+    groups: list[ChartGroup]  # Types first, then cameras, each in the order of their keys
+    left_out: list[str]  # One sentence for each reason why runs are in no chart
+
+
+def group_runs(
+    found: Iterable[tuple[IndexedRun, Mapping[str, Any], RunPlace]], by: Level | None = None
+) -> Grouped:
+    """Put runs into groups that can be in one chart.
+
+    found: Runs with their details from the index and their places in the ledgers, in any order.
+    by: ``camera`` or ``type``; both where None. Types have a group of their own if they have several cameras.
+    """
+    by_key: dict[ChartKey, ChartGroup] = {}
+    without: dict[str, list[str]] = {}
+    for run, details, place in found:
+        point = _point(run)
+        if isinstance(point, str):
+            without.setdefault(point, []).append(run.id)
+            continue
+        key = _key(run, details, place)
+        for level in ("camera", "type"):
+            one = key if level == "camera" else key._replace(level="type", serial="")
+            by_key.setdefault(one, ChartGroup(one)).runs.append(point)
+    groups = [by_key[key] for key in sorted(by_key, key=lambda key: (key.level == "camera", key))]
+    for group in groups:
+        group.runs.sort(key=lambda point: (point.begun, point.folder))
+    chosen = [group for group in groups if _wanted(group, by)]
+    return Grouped(chosen, [_left_out(why, names) for why, names in without.items()])
+
+
+def _wanted(group: ChartGroup, by: Level | None) -> bool:
+    if group.key.level == "type" and by is None:
+        return len({point.serial for point in group.runs}) > 1
+    return by in {None, group.key.level}
+
+
+def _key(run: IndexedRun, details: Mapping[str, Any], place: RunPlace) -> ChartKey:
+    bench = f"{place.bench}, ledger {place.ledger}" if place.ledger else ""
+    return ChartKey(
+        "camera",
+        kind_of(run),
+        bench,
+        run.station,
+        str(details.get("camera_type") or "camera type not known"),
+        run.camera,
+        str(details.get("collimator_serial") or ""),
+        str(details.get("target_serial") or ""),
+        str(run.model),
+        tuple(run.parameters),
+    )
+
+
+def _point(run: IndexedRun) -> ChartRun | str:
+    """Return a run as a chart has it, or why it is in none."""
+    if not run.parameters:
+        return "have no result"
+    if any(
+        not (math.isfinite(value) and 0 < sigma < math.inf) for value, sigma, *_ in run.parameters.values()
+    ):
+        return "have a value or an uncertainty that is no usable number"
+    try:
+        begun = datetime.fromisoformat(run.begun_utc)
+    except ValueError:
+        return "have no time of their begin"
+    if begun.tzinfo is None:
+        begun = begun.replace(tzinfo=UTC)
+    return ChartRun(run.id, run.folder, run.camera, begun, run.temperature_c, run.parameters)
+
+
+def _left_out(why: str, names: Sequence[str]) -> str:
+    shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+    if len(names) == 1:
+        return f"1 run is in no chart: it {why.replace('have', 'has', 1).replace('their', 'its')} ({shown})."
+    return f"{len(names)} runs are in no chart: they {why} ({shown})."
+
+
+# The verdict in plain words.
+
+_DAYS_A_YEAR = 365.25
+_NAMED = 3
+_SCATTER_SIGMAS = 3.5
+
+Finding = Mapping[str, Any]
+
+
+def slope_text(slope: Finding, unit: str, per: str) -> str:
+    """Return a slope with its expanded uncertainty.
+
+    slope: ``value`` and ``expanded``.
+    unit: Unit of the parameter; empty for a pure number.
+    per: ``day``, ``hour``, ``year`` or ``°C``.
+
+    Examples
+    --------
+    >>> slope_text({"value": 0.5, "expanded": 0.1}, "px", "day")
+    '+0.50 ± 0.10 px per day'
+    """
+    factor = {"hour": 1.0 / 24.0, "year": _DAYS_A_YEAR}.get(per, 1.0)
+    value, expanded = with_uncertainty(slope["value"] * factor, slope["expanded"] * factor)
+    sign = "+" if slope["value"] > 0 else ""
+    return f"{sign}{value} ± {expanded}{' ' if unit else ''}{unit} per {per}"
+
+
+def time_unit(span_days: float) -> str:
+    """Return the unit of time in which to state a slope.
+
+    span_days: Time between the first and the last run, days.
+    Returns: ``hour``, ``day`` or ``year``.
+    """
+    return "hour" if span_days < 2.0 else "day" if span_days < 120.0 else "year"
+
+
+def name_slopes(chart: dict[str, Any], group: Finding) -> None:
+    """Add ``text`` to the slopes of a chart: the value with its uncertainty, in a unit of time that suits the runs."""
+    per = time_unit(_span_days(group))
+    for name, unit in (("per_day", per), ("per_c", "°C")):
+        if chart["drift"][name] is not None:
+            slope = chart["drift"][name]
+            slope |= {"text": slope_text(slope, chart["unit"], unit), "per": unit}
+
+
+def parameter_verdict(chart: Finding, group: Finding) -> str:
+    """Say what a chart shows.
+
+    chart: The parameter, with its ``state``.
+    group: Its group, with ``runs``.
+    """
+    runs = len(chart["values"])
+    if chart["state"] == "too few":
+        return f"{_counted(runs, 'run')}: too few for limits (at least 5 are needed)."
+    sentences = [_control(chart, group, runs), *_drifts(chart)]
+    if group["level"] == "camera" and (ratio := excess_scatter(chart, runs)):
+        sentences.append(
+            f"The runs scatter {number(ratio, 2)} times as much as their stated uncertainties predict."
+        )
+    if chart["provisional"]:
+        sentences.append(f"The limits come from {chart['baseline']} runs: provisional until there are 20.")
+    return " ".join(sentences)
+
+
+def excess_scatter(chart: Finding, runs: int) -> float | None:
+    """Return the Birge ratio of a chart if it is significantly above 1.
+
+    If the uncertainties are right, its standard deviation is about 1 / sqrt(2 n) (Birge, Phys. Rev. 40 (1932) 207).
+
+    Returns: The ratio; None if it exceeds 1 by less than 3.5 of its standard deviations.
+    """
+    ratio = chart["drift"]["scatter"]
+    least = 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * max(runs - 2, 1))
+    return float(ratio) if ratio is not None and ratio > least else None
+
+
+def _control(chart: Finding, group: Finding, runs: int) -> str:
+    beyond, averages = chart["beyond"], chart["ewma"]["beyond"]
+    low, high = (
+        with_uncertainty(chart["lower"], chart["sigma"])[0],
+        with_uncertainty(chart["upper"], chart["sigma"])[0],
+    )
+    within = f"{low} to {high}{' ' if chart['unit'] else ''}{chart['unit']}"
+    if chart["state"] == "in control":
+        return f"In control: all {runs} runs lie within {within}."
+    parts = []
+    if beyond:
+        expected = number(SHEWHART_CHANCE * runs, 2)
+        parts.append(
+            f"{_counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
+            f" ({_named(beyond, group)}); about {expected} by chance"
+        )
+    if averages:
+        place = averages[0]
+        parts.append(
+            f"the moving average (EWMA) left its limits at {_named([place], group)}: the mean may have shifted"
+        )
+    lead = "Out of control" if chart["state"] == "out of control" else "Check, it may be chance"
+    return f"{lead}: {'; '.join(parts)}."  # fmt: skip
+
+
+def _drifts(chart: Finding) -> list[str]:
+    drift = chart["drift"]
+    found = []
+    for name, what in (("per_day", "time"), ("per_c", "temperature")):
+        slope = drift[name]
+        if slope is not None and slope["seen"]:
+            chance = (
+                f"p = {number(slope['p_adjusted'], 1)}" if slope["p_adjusted"] >= 1e-6 else "p < 0.000001"
+            )
+            found.append(f"It drifts with {what}: {slope['text']} ({chance}).")
+    if found and not drift["separable"]:
+        found.append(
+            "Time and temperature changed together, so the runs do not show which of them is the cause."
+        )
+    tested = [
+        what for name, what in (("per_day", "time"), ("per_c", "temperature")) if drift[name] is not None
+    ]
+    return found or ([f"No significant drift with {' or '.join(tested)}."] if tested else [])
+
+
+def _span_days(group: Finding) -> float:
+    first, last = (datetime.fromisoformat(group["runs"][place]["begun_utc"]) for place in (0, -1))
+    return (last - first).total_seconds() / 86400.0
+
+
+def _named(places: Sequence[int], group: Finding) -> str:
+    names = [group["runs"][place]["run"] for place in places[:_NAMED]]
+    return ", ".join(names) + (", ..." if len(places) > _NAMED else "")
+
+
+def group_title(group: Finding) -> str:
+    """Return the heading of a group."""
+    camera = f"Camera {group['serial'] or 'without a serial number'}, {group['camera_type']}"
+    if group["level"] == "type":
+        camera = f"Camera type {group['camera_type']}, {_counted(group['cameras'], 'camera')}"
+    kind = "" if group["kind"] == "measured" else f"{group['kind'].upper()}: "
+    return f"{kind}{camera}: {_counted(len(group['runs']), 'run')}"
+
+
+def group_place(group: Finding) -> str:
+    """Return where and how the runs of a group were made."""
+    parts = [f"Station {group['station'] or 'without a name'}"]
+    parts += [group["bench"]] if group["bench"] else []
+    parts += [f"collimator {group['collimator']}"] if group["collimator"] else []
+    parts += [f"target {group['target']}"] if group["target"] else []
+    return ", ".join([*parts, f"model {group['model']}"])
+
+
+def group_verdict(group: Finding) -> str:
+    """Say in one or two sentences what the charts of a group show.
+
+    group: The group, with the ``state`` of each parameter.
+    """
+    charts = group["parameters"]
+    if group["state"] == "too few":
+        return f"{_counted(len(group['runs']), 'run')}: too few for a verdict (at least 5 are needed)."
+    wrong = [c["name"] for c in charts if c["state"] == "out of control"]
+    check = [c["name"] for c in charts if c["state"] == "check"]
+    drifting = [
+        c["name"] for c in charts if any((c["drift"][s] or {}).get("seen") for s in ("per_day", "per_c"))
+    ]
+    sentences = []
+    if wrong:
+        sentences.append(f"Out of control: {', '.join(wrong)}.")
+    if check:
+        sentences.append(f"Beyond a limit, perhaps by chance: {', '.join(check)}.")
+    if drifting:
+        sentences.append(f"Significant drift: {', '.join(drifting)}.")
+    if not wrong and not check:
+        sentences.insert(0, "In control.")
+    if not drifting:
+        sentences.append("No significant drift.")
+    return " ".join(sentences)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
 
 SCHEMA = "starbench/charts/1"
 LEAST_RUNS = 5
@@ -44,7 +343,7 @@ def find_charts(
 ) -> Json:
     """Compute all charts, and judge them together.
 
-    groups: The groups, from `bench.history.chart_groups.group_runs`.
+    groups: The groups, from `bench.history.chart_findings.group_runs`.
     parameter: Only this parameter; all where None.
     baseline: Number of first runs of each group from which the limits come; all where None.
     Returns: ``schema level groups``. Each group has its ``runs``, its ``parameters``, its ``verdict`` and its

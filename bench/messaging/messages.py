@@ -30,7 +30,7 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.messaging.outbox import DeliveryFailed, Message, Outbox
-from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
+from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 TIMEOUT_S = 10.0
 """Longest silence of a server, s."""

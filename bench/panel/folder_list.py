@@ -17,14 +17,12 @@ from typing import Any
 from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.failure import Failure
-from bench.panel.process_state import look_at_process
-from bench.panel.run_head import head_of
+from bench.panel.run_head import head_of, look_at_process
 from bench.panel.run_model import RunModel
 from bench.records.journal import MOST_LINE_BYTES
-from bench.records.reading import open_to_read
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
-from bench.records.storage import storage_errors
+from bench.records.storage import open_to_read, storage_errors
 
 Json = dict[str, Any]
 Stamp = tuple[int, int]
@@ -164,8 +162,8 @@ class FolderList:
         return known.row
 
     def _batch(self, folder: Path) -> Json:
-        from bench.batch.batch_status import read_batch_status
-        from bench.records.folder_lock import is_locked
+        from bench.batch.batch_summary import read_batch_status
+        from bench.records.storage import is_locked
 
         now = self._utc_now()
         running = is_locked(folder)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
@@ -16,21 +18,104 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from bench.base.errors import RunFolderError, UsageError
+from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.base.failure import Failure
-from bench.panel.extras import Extras
+from bench.batch.batch_summary import RUNS, read_batch, read_batch_status, summarise
+from bench.panel.extras import Answer, Extras, Helper
 from bench.panel.folder_list import FolderList
-from bench.panel.helper import Answer, Helper
 from bench.panel.watching import MOST_LOG_LINES, RunWatch, Watcher
-from bench.records.run_folder import REPORT
+from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
+from bench.records.storage import is_locked, storage_errors
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
-from bench.web.pages import page_app, read_object, whole_number
-from bench.web.stream import EventStream, Message, last_id
+from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
 
-if TYPE_CHECKING:
-    from bench.panel.batch_view import BatchView
+# A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
+# parameter.
+#
+# The summary is read again only when the batch's journal has grown; what comes next is told every few
+# seconds.
+
+Json = dict[str, Any]
+
+LOOK_S = 0.5
+AGAIN_S = 3.0
+_FAILURES = frozenset({"failed", "died", "hung", "cut off"})
+_NOT_BEGUN = frozenset({"not begun", "withdrawn"})
+
+
+class BatchView:
+    """One batch, for all its pages."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._lock = threading.Lock()
+        self._stamp: tuple[Any, ...] = ()
+        self._summary: Json = {}
+        self._lines = 0
+        self._text = ""
+        self._made_at_s = float("-inf")
+
+    def text(self) -> tuple[str, int]:
+        """Return the batch as JSON. May read many files, so not for the server's own thread."""
+        with self._lock:
+            try:
+                self._look()
+            except BenchError as error:
+                self._text = json.dumps({"fault": str(error), "line": self._lines})
+            return self._text, self._lines
+
+    def _look(self) -> None:
+        running = is_locked(self.folder)
+        with storage_errors(self.folder):
+            found = (self.folder / JOURNAL).stat()
+        stamp = found.st_size, found.st_mtime_ns, running
+        now_s = time.monotonic()
+        is_new = stamp != self._stamp
+        if not is_new and (not running or now_s - self._made_at_s < AGAIN_S):
+            return
+        if is_new:
+            record = read_batch(self.folder)
+            self._summary = summarise(self.folder, record)
+            self._lines = _line_count(self.folder / JOURNAL)
+        status = read_batch_status(self.folder).to_dict()
+        shown = {name: value for name, value in self._summary.items() if name != "items"}
+        body = {
+            **shown,
+            "fault": "",
+            "line": self._lines,
+            "status": status,
+            "items": _failures_first(self._summary["items"]),
+            "runs_folder": RUNS,
+        }
+        self._text = json.dumps(body, separators=(",", ":"), allow_nan=False)
+        self._stamp, self._made_at_s = stamp, now_s
+
+    async def messages(self) -> AsyncIterator[Message]:
+        """Tell the batch, and again whenever something has changed."""
+        told = ""
+        while True:
+            text, lines = await asyncio.to_thread(self.text)
+            if text != told:
+                told = text
+                yield Message(text, "update", str(lines))
+            await asyncio.sleep(LOOK_S)
+
+
+def _failures_first(items: list[Json]) -> list[Json]:
+    """Return the runs of a batch: failures, then those with a result and others, then those that have not begun."""
+
+    def place(item: Json) -> int:
+        return 0 if item["how"] in _FAILURES else 2 if item["how"] in _NOT_BEGUN else 1
+
+    return sorted(items, key=place)
+
+
+def _line_count(path: Path) -> int:
+    with storage_errors(path), path.open("rb") as stream:
+        return sum(line.endswith(b"\n") for line in stream)
+
 
 ASSETS = Path(__file__).parent / "assets"
 LIST_S = 1.0
@@ -222,7 +307,7 @@ class Panel:
         return Response(png, media_type="image/png")
 
     def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> Answer:
-        from bench.panel.pictures import picture_of_view
+        from bench.panel.helper_process import picture_of_view
 
         watch = self._watcher.open(folder)
         try:
@@ -278,7 +363,6 @@ class Panel:
             raise RunFolderError(
                 "This is a run, not a batch.", where=str(folder), remedy="Open it from the list."
             )
-        from bench.panel.batch_view import BatchView
 
         return self._batches.setdefault(folder, BatchView(folder))
 

@@ -6,19 +6,184 @@ numbers. It reads the run's folder and writes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from bench.panel.journal_tail import JournalTail
-from bench.panel.run_plan import RunPlan, read_plan
+from bench.base.errors import BenchError, StorageError
 from bench.records.events import Event
 from bench.records.history import History, apply_entry
-from bench.records.journal_entry import Entry
-from bench.records.run_folder import JOURNAL
-from bench.run.journal_text import line_text
+from bench.records.journal import FIRST_PREV, Entry, decode_line, read_journal
+from bench.records.run_facts import coverage_factor
+from bench.records.run_folder import JOURNAL, PLAN, RESULTS
+from bench.records.storage import read_json, storage_errors
+from bench.run.status import line_text
 from bench.run.time_left import TimeLeft
+
+# Reads what is new in a journal, by its offset, and verifies each line as `bench.records.journal` does.
+#
+# A complete line that is not valid ends the reading: what stands before it is kept. If a file becomes
+# shorter, or another file takes its name, it is read again from its beginning. This module writes nothing.
+
+MOST_BYTES = 1 << 21
+"""Most bytes that one call reads, so that a long journal does not stop the others."""
+
+
+class JournalTail:
+    """The end of a journal that another process writes.
+
+    begin_again: Called before lines are read again from the first.
+    """
+
+    def __init__(self, path: Path, begin_again: Callable[[], None]) -> None:
+        self.path = path
+        self.fault = ""
+        """Why the journal cannot be read further; empty while it can."""
+        self.size = 0
+        """Size of the file at the last look, bytes."""
+        self.incomplete = False
+        """Whether the file ends within a line."""
+        self._begin_again = begin_again
+        self._file = (-1, -1)
+        self._seen: tuple[int, int] = (-1, -1)
+        self._offset = 0
+        self._lines = 0
+        self._prev = FIRST_PREV
+
+    @property
+    def read_share(self) -> float:
+        """How much of the file is read, 0 to 1."""
+        return 1.0 if self.size <= 0 else min(1.0, self._offset / self.size)
+
+    @property
+    def more(self) -> bool:
+        """Whether the next call may have lines at once."""
+        return not self.fault and not self.incomplete and self._offset < self.size
+
+    def has_changed(self) -> bool:
+        """Return whether the file is another one than at the last reading, or there is more to read."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            return not self.fault
+        return (found.st_size, found.st_mtime_ns) != self._seen or self.more
+
+    def read(self) -> list[Entry]:
+        """Read further lines, at most ``MOST_BYTES``.
+
+        Returns: Complete, valid lines; empty also if the file cannot be read, then ``fault`` states why.
+        """
+        try:
+            with storage_errors(self.path):
+                return self._read()
+        except BenchError as error:
+            self.fault = str(error)
+            self._seen = (-1, -1)
+            return []
+
+    def _read(self) -> list[Entry]:
+        with self.path.open("rb") as stream:
+            found = os.fstat(stream.fileno())
+            file = found.st_dev, found.st_ino
+            if file != self._file or found.st_size < self._offset:
+                self._restart(file)
+            self.size, self._seen = found.st_size, (found.st_size, found.st_mtime_ns)
+            self.fault = ""
+            stream.seek(self._offset)
+            data = stream.read(MOST_BYTES)
+            if data and b"\n" not in data:  # one line that is longer than a part
+                data += stream.readline()
+        entries: list[Entry] = []
+        for line in data.splitlines(keepends=True):
+            if not line.endswith(b"\n"):
+                break
+            try:
+                entry = decode_line(line[:-1], self._lines, self._prev)
+            except ValueError as error:
+                self.fault = self._why_not(error)
+                break
+            entries.append(entry)
+            self._offset += len(line)
+            self._lines, self._prev = self._lines + 1, entry.hash
+        self.incomplete = not self.fault and not entries and self._offset < self.size
+        return entries
+
+    def _restart(self, file: tuple[int, int]) -> None:
+        self._file, self._offset, self._lines, self._prev = file, 0, 0, FIRST_PREV
+        self._begin_again()
+
+    def _why_not(self, error: ValueError) -> str:
+        """Return why a complete line is not valid; empty if a power cut explains it, which a resume repairs."""
+        try:
+            read_journal(self.path)
+        except BenchError as broken:
+            return str(broken)
+        return (
+            f"{self.path}:{self._lines + 1}: A power cut has damaged the end of the journal ({error})."
+            " What stands before is complete. `starbench resume` removes the damaged end."
+        )
+
+
+# What a page needs of a run's ``plan.json`` and ``results.json``. Reads these two files, and writes
+# nothing.
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """The plan of a run."""
+
+    poses: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    most_poses: int = 0  # How many poses there are at most, with those that the run may still choose
+    untils: Sequence[Mapping[str, Any]] = ()  # ``untils`` of the plan
+    steps: Sequence[Mapping[str, Any]] = ()  # ``steps`` of the plan, in order
+    prompts: Sequence[int] = ()
+    duration_s: float = 0.0  # Planned time, s
+    most_bytes: int = 0  # Disk space that the run may need, bytes
+    fault: str = ""  # Why there is no plan; empty if there is one
+
+
+def read_plan(folder: Path) -> RunPlan:
+    """Read the plan of a run.
+
+    Returns: Also if there is none, or it is damaged: then with ``fault``.
+    """
+    path = folder / PLAN
+    try:
+        plan = read_json(path)
+        poses = {int(pose["index"]): pose for pose in plan["poses"]}
+        return RunPlan(
+            poses,
+            max(len(poses), int(plan.get("most_poses", 0))),
+            plan.get("untils", ()),
+            plan["steps"],
+            [int(step["number"]) for step in plan["steps"] if step["what"] == "prompt"],
+            float(plan["duration_s"]),
+            int(plan.get("most_bytes", 0)),
+        )
+    except StorageError as error:
+        return RunPlan(fault=f"{PLAN} cannot be read: {error.what}")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return RunPlan(fault=f"{PLAN} is damaged, or another version wrote it ({error}).")
+
+
+def read_final(folder: Path) -> dict[str, float]:
+    """Read the uncertainties that a run has reached in the end.
+
+    Returns: ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as
+      the results state them. Empty if there are no results.
+    """
+    try:
+        results = read_json(folder / RESULTS)
+        calibration = results["calibration"]
+        k = coverage_factor(calibration, "fx")
+        found = {"coverage_factor": k, "expanded_fx_px": k * float(calibration["sigma"]["fx"])}
+        corner = results.get("projection", {}).get("worst_corner", {}).get("expanded_px")
+        return found if corner is None else {**found, "worst_corner_px": float(corner)}
+    except (StorageError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
 
 Json = dict[str, Any]
 

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.failure import Failure
-from bench.panel.process_state import ProcessState, look_at_process
-from bench.panel.run_head import head_of
-from bench.panel.run_model import RunModel
-from bench.panel.run_plan import read_final
-from bench.run.last_view import LastView, read_last_view
-from bench.web.stream import Changes
+from bench.panel.run_head import ProcessState, head_of, look_at_process
+from bench.panel.run_model import RunModel, read_final
+from bench.run.heartbeat import LastView, read_last_view
+from bench.web.pages import Changes
 
 LOOK_S = 0.02
 """Time between two looks at a journal, s."""

@@ -5,22 +5,20 @@ A job holds the content of both files. It holds neither the history of the run n
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
-from bench.plan.script_steps import PoseStep, ScriptStep, with_parking
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
-from bench.views.camera_kinds import CameraKind
+from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.gates import Gate, at_most
-from bench.views.station_camera_kind import camera_kind
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
@@ -28,7 +26,34 @@ from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.script import ChooseStep, Flicker, LightStep, RecordStep, SolveStep
+from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
+
+# The steps of a script with parking after the last step that needs devices.
+
+
+@dataclass(frozen=True)
+class ParkStep:
+    """Light off and stage to zero, after the last step that needs devices. No script contains this step."""
+
+    number: int = 0  # Number of the step; 0, because it is not in the script
+    where: str = "after the last recording"
+
+
+ScriptStep = Step | ParkStep
+PoseStep = TypeVar("PoseStep", bound=MoveStep | RecordStep)
+DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkStep)
+
+
+def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
+    """Insert a park step after the last step that needs devices.
+
+    Returns: Steps with the park step; unchanged if no step needs devices.
+    """
+    last = max((i for i, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)), default=-1)
+    if last < 0:
+        return tuple(steps)
+    return (*steps[: last + 1], ParkStep(), *steps[last + 1 :])
+
 
 # The options of the calibration engine for a solve step of a sequence.
 

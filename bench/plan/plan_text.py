@@ -7,16 +7,8 @@ from collections.abc import Mapping
 
 from bench.plan.passports import PassportInUse
 from bench.plan.plan import Plan, PlannedStep
-from bench.report.until_text import meaning_of_goal
-from sequences.script import (
-    Flicker,
-    LightStep,
-    MoveStep,
-    PromptStep,
-    RecordStep,
-    SolveStep,
-    Step,
-)
+from bench.report.text import meaning_of_goal
+from sequences.script import Flicker, LightStep, MoveStep, PromptStep, RecordStep, SolveStep, Step
 
 MOST_LINES = 120
 """In a longer plan the steps in the middle are left out."""

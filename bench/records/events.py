@@ -10,7 +10,25 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any, Literal, NotRequired, TypedDict
 
-from bench.records.captures import CAPTURE_STORED
+from bench.records.journal import CAPTURE_STORED
+
+# What a run's journal states about the devices: who they are, and how they were left. Types only.
+
+
+class DevicesFound(TypedDict):
+    """Payload of ``devices``: identities, and the camera's settings as read back."""
+
+    camera: Mapping[str, Any]
+    stage: Sequence[Mapping[str, Any]]
+    light: Mapping[str, Any]
+    camera_settings: Mapping[str, Any]
+    connections: NotRequired[Mapping[str, str]]
+
+
+class DevicesLeft(TypedDict):
+    """Payload of ``devices_left``: each device as in `RunEnded`, asked after the last step that needs devices."""
+
+    devices: Sequence[Mapping[str, str]]
 
 
 class Event(StrEnum):
@@ -320,7 +338,7 @@ class UntilDecided(TypedDict):
 
 
 class Recovered(TypedDict):
-    """Payload of ``recovered``: files by what recovery found or did (`bench.records.recovery.RecoveryNotes`)."""
+    """Payload of ``recovered``: files by what recovery found or did (`bench.records.run_folder.RecoveryNotes`)."""
 
     intact: Sequence[str]
     missing: Sequence[str]
@@ -394,7 +412,7 @@ class Deviation(TypedDict):
 
 
 class FailureData(TypedDict):
-    """An error as JSON holds it (`bench.base.errors.Failure`)."""
+    """An error as JSON holds it (`bench.base.failure.Failure`)."""
 
     kind: str
     what: str

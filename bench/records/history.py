@@ -5,28 +5,47 @@ This module reads journal lines only; it uses no device and no other file.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, Literal, Unpack, cast, overload
 
+import calib.errors
 from bench.base.errors import JournalBroken
-from bench.records.device_events import DevicesFound
 from bench.records.events import (
+    Answered,
+    Asked,
     AttemptChecked,
+    AttemptLost,
     CaptureStored,
     Commanded,
+    ComputerBusy,
+    Deviation,
+    DevicesFound,
+    DevicesLeft,
+    Entering,
     Event,
     FailureData,
     GateData,
+    InterlockReleased,
     LedgerPlace,
+    LeftOff,
     MeasuredFacts,
+    PoseSkipped,
+    Recovered,
+    RunEnded,
+    RunResumed,
     RunStarted,
     Solved,
+    StepDone,
+    SupervisorLost,
     UntilDecided,
+    Written,
 )
-from bench.records.journal import CLOCK_JUMPED
-from bench.records.journal_entry import Entry
+from bench.records.journal import CLOCK_JUMPED, Entry, Journal
 from bench.records.results import StateEntered
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
@@ -333,3 +352,139 @@ def _apply_command(history: History, data: Commanded) -> None:
             history.answer = str(data["answer"]), str(data["by"])
         case "skip":
             history.to_skip[int(data["pose"])] = str(data["by"])
+
+
+# The journal of a run open for writing, together with the history that it amounts to.
+#
+# The type of each event's payload is fixed in `bench.records.events`; a type checker refuses a line that
+# lacks something.
+
+_WITHOUT_HARDWARE = frozenset({"settling", "checking"})
+"""States in which nothing moves, is switched or is stored."""
+
+
+class RunLog:
+    """A run's journal and history; the history follows the journal line by line. Safe to use from several threads."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+        self.history = replay(journal.entries)
+        self._lock = threading.RLock()
+
+    @contextmanager
+    def held(self) -> Iterator[History]:
+        """Keep other threads from writing inside the block, to decide by the history and write the decision.
+
+        Yields: The history, which does not change but by this thread.
+        """
+        with self._lock:
+            yield self.history
+
+    @overload
+    def write(self, event: Literal[Event.RUN_STARTED], **data: Unpack[RunStarted]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.RUN_RESUMED], **data: Unpack[RunResumed]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.DEVICES], **data: Unpack[DevicesFound]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.CAPTURE_STORED], **data: Unpack[CaptureStored]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.STEP_DONE], **data: Unpack[StepDone]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.ATTEMPT_CHECKED], **data: Unpack[AttemptChecked]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.ATTEMPT_LOST], **data: Unpack[AttemptLost]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.SOLVED], **data: Unpack[Solved]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.WRITTEN], **data: Unpack[Written]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.UNTIL_DECIDED], **data: Unpack[UntilDecided]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.RECOVERED], **data: Unpack[Recovered]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.ASKED], **data: Unpack[Asked]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.ANSWERED], **data: Unpack[Answered]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.COMMANDED], **data: Unpack[Commanded]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.POSE_SKIPPED], **data: Unpack[PoseSkipped]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.INTERLOCK_RELEASED], **data: Unpack[InterlockReleased]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.SUPERVISOR_LOST], **data: Unpack[SupervisorLost]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.COMPUTER_BUSY], **data: Unpack[ComputerBusy]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.DEVIATION], **data: Unpack[Deviation]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.RUN_ENDED], **data: Unpack[RunEnded]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.DEVICES_LEFT], **data: Unpack[DevicesLeft]) -> None: ...
+    def write(self, event: Event, **data: Any) -> None:
+        """Write one line and update the history.
+
+        The line survives a power cut when this returns, except a line that is repeated or found again after a restart
+        with the same result: such a line is synced together with the next one.
+
+        data: Its payload (`bench.records.events`).
+        Raises StorageError: When the journal cannot be written.
+        """
+        self._write(event, data)
+
+    def write_entering(self, data: Entering) -> None:
+        """Write that the machine is about to enter a state. Otherwise as ``write``."""
+        self._write(Event.ENTERING, data)
+
+    def write_left_off(self, data: LeftOff) -> None:
+        """Write that the work of a state ended. Otherwise as ``write``.
+
+        data: The state, and the error where the work failed.
+        """
+        self._write(Event.LEFT_OFF, data)
+
+    def _write(self, event: Event, data: Mapping[str, Any]) -> None:
+        write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
+        with self._lock:
+            apply_entry(self.history, write(event, **data))
+
+
+def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:
+    """Return whether a line may be lost with the power, because a restart does or finds the same again.
+
+    Before anything moves, is switched or is asked, a line that lasts is written, and these with it.
+    """
+    match event:
+        case Event.LEFT_OFF:
+            return "error" not in data
+        case Event.ENTERING:
+            return data["state"] in _WITHOUT_HARDWARE
+        case Event.ATTEMPT_CHECKED | Event.STEP_DONE:
+            return True
+    return False
+
+
+# What helps after a run that did not finish: the command for terminal, messages, panel and the report of
+# the run.
+
+
+def way_on(history: History, folder: Path) -> tuple[str, str]:
+    """Return what there is to know, as a sentence, and the command that can work.
+
+    A resumed run uses the copies of its files in the run folder and the recordings that it has. It ends in the same
+    way if a file was wrong, or if the recordings do not determine the camera.
+    """
+    kind = history.failures[-1]["kind"] if history.ended == "failed" and history.failures else ""
+    if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):
+        return (
+            "All recordings are kept. With the same model they are refused again. To let the data choose the model:",
+            f"starbench calibrate {folder} --model auto",
+        )
+    if kind and not history.attempts:
+        copies = f"a resumed run would use the copies of its files in {folder}"
+        return (
+            f"Nothing was recorded. Remove the cause; {copies}. To begin again, with corrected files:",
+            "starbench run SEQUENCE --station STATION",
+        )
+    return "All recordings are kept. To continue:", f"starbench resume {folder}"

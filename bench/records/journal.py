@@ -1,24 +1,117 @@
 """The journal of a run: it is written line by line, and verified when it is read.
 
-`bench.records.journal_entry` describes the form of a line, `bench.records.events` the meaning of the events. A line is
+`bench.records.journal` describes the form of a line, `bench.records.events` the meaning of the events. A line is
 written when what it states has happened and is on the disk. What is not in the journal has not happened. A line of
 lesser importance (`Journal.append_unsynced`) is synced together with the next line that counts.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import datetime
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.journal_entry import FIRST_PREV, OWN_KEYS, Entry, decode_line, encode_line
-from bench.records.reading import open_to_read
-from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all
+from bench.records.storage import O_BINARY, open_to_read, storage_errors, sync_folder, write_all
+
+# One line of a journal: a JSON object that is chained to the line before by its hash.
+#
+# A line is ``{"seq", "utc", "mono_s", "event", ..., "prev", "hash"}`` in this order, in ASCII without
+# spaces. The data of the event stand between ``event`` and ``prev``. ``hash`` is the SHA-256 of the line
+# without its ``hash``, so that no canonical form of JSON is needed and a shell can check it::
+#
+#     sed 's/,"hash":"[0-9a-f]*"}$/}/' | head -n 1 | tr -d '\n' | sha256sum
+#
+# ``prev`` is the hash of the line before; in the first line it is 64 zeros.
+
+FIRST_PREV = "0" * 64
+OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
+"""Keys of a line that the data of an event must not use."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of a journal."""
+
+    seq: int  # Number of the line, from 0
+    utc: str  # System time, ISO 8601 with microseconds and ``Z``
+    mono_s: float  # Monotonic clock of the process that wrote it, s; comparable within one process only
+    event: str
+    data: Mapping[str, Any]
+    # prev, hash: SHA-256 of the line before, and of this line.
+    prev: str
+    hash: str
+
+
+def encode_line(
+    seq: int, now: datetime, mono_s: float, event: str, data: Mapping[str, Any], prev: str
+) -> bytes:
+    """Write a line.
+
+    seq: Number of the line, from 0.
+    now: System time, with its time zone.
+    mono_s: Monotonic time, s.
+    prev: Hash of the line before.
+    Returns: The line, without a line feed.
+    Raises ValueError: When the data use one of the journal's own keys, or cannot be written as JSON.
+    """
+    clash = sorted(set(data) & set(OWN_KEYS))
+    if clash:
+        raise ValueError(f"event {event!r} uses the journal's own keys {clash}")
+    utc = now.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+    head = {"seq": seq, "utc": utc, "mono_s": round(mono_s, 6), "event": event}
+    try:
+        text = json.dumps(
+            {**head, **data, "prev": prev}, separators=(",", ":"), allow_nan=False, default=_plain
+        )
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"event {event!r} cannot be written as JSON: {error}") from error
+    own_hash = hashlib.sha256(text.encode()).hexdigest()
+    return f'{text[:-1]},"hash":"{own_hash}"}}'.encode()
+
+
+def _plain(value: Any) -> Any:
+    """Convert a NumPy value, a path or a date to something that JSON can represent."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, datetime):
+        return value.isoformat()
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def decode_line(line: bytes, seq: int, prev: str) -> Entry:
+    """Read a line, and check its hash, its chain and its number.
+
+    line: The line, without a line feed.
+    seq: Number that it must have.
+    prev: Hash of the line before.
+    Raises ValueError: When the line is not valid, with the fault.
+    """
+    try:
+        record = parse_json(line.decode("ascii"))
+        own = {key: record.pop(key) for key in OWN_KEYS}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError("this line is not an entry") from error
+    tail = f',"hash":"{own["hash"]}"}}'.encode()
+    if not line.endswith(tail) or hashlib.sha256(line[: -len(tail)] + b"}").hexdigest() != own["hash"]:
+        raise ValueError("this line does not match its hash")
+    if not (isinstance(own["utc"], str) and isinstance(own["event"], str)):
+        raise ValueError("this line is not an entry")  # noqa: TRY004 - a fault of the file, not of an argument
+    if own["prev"] != prev:
+        raise ValueError("this line is not chained to the one before it")
+    if own["seq"] != seq:
+        raise ValueError(f"this is line {own['seq']} in place of line {seq} (counted from 0)")
+    return Entry(data=record, **own)
+
 
 CLOCK_JUMP_S = 2.0
 """The system time is said to have jumped if it moved by more than this against the monotonic clock."""
@@ -286,3 +379,76 @@ def _was_cut_off(rest: bytes, begin: int) -> bool:
     last = len(rest) - len(rest[first:].lstrip(b"\0"))
     from_block = first == 0 or (begin + first) % _BLOCK_BYTES == 0
     return from_block and (last == len(rest) or (begin + last) % _BLOCK_BYTES == 0)
+
+
+# A journal that is not synced line by line, for rehearsals: one that is lost in a power cut can be
+# repeated.
+
+
+class UnsyncedJournal(Journal):
+    """A journal whose lines are written to the disk when the operating system chooses."""
+
+    def _sync(self) -> None:
+        """Do nothing."""
+
+
+# The recordings of a run as its journal lists them: names, sizes and hashes.
+#
+# This module uses journal lines only; it touches no file.
+
+CAPTURES = "captures"
+CAPTURE_STORED = "capture_stored"
+"""Event of a journal line about a capture; the line holds ``Capture.as_data``."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A recording in the run folder."""
+
+    name: str
+    size: int  # Size, bytes
+    sha256: str  # SHA-256, hexadecimal
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what the journal's ``capture_stored`` holds about this recording.
+
+        Returns: ``capture``, ``size`` and ``sha256``.
+        """
+        return {"capture": self.name, "size": self.size, "sha256": self.sha256}
+
+
+def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
+    """Return the name of a pose's recording within the run folder.
+
+    pose_index: Number of the pose, from 1.
+    attempt: Number of the attempt, from 1.
+
+    Examples
+    --------
+    >>> capture_name(1, 2)
+    'captures/pose-001-attempt-2.raw'
+    """
+    return f"{CAPTURES}/pose-{pose_index:03d}-attempt-{attempt}{ending}"
+
+
+def stored_captures(entries: Iterable[Entry]) -> dict[str, Capture]:
+    """Return the captures that a journal lists; the last entry of a name counts.
+
+    Raises RunFolderError: If a line about a capture is incomplete.
+    """
+    captures = {}
+    for entry in entries:
+        if entry.event == CAPTURE_STORED:
+            capture = _capture_of(entry.data)
+            captures[capture.name] = capture
+    return captures
+
+
+def _capture_of(data: Mapping[str, Any]) -> Capture:
+    try:
+        return Capture(str(data["capture"]), int(data["size"]), str(data["sha256"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(
+            "The journal lists a capture without its name, size or hash.",
+            remedy="This journal was not written by this program; the run cannot be resumed.",
+        ) from error

@@ -19,9 +19,8 @@ from typing import Any, TypeVar
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
-from bench.records.journal_entry import Entry
-from bench.records.reading import read_bounded
-from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all, write_atomic
+from bench.records.journal import Entry
+from bench.records.storage import O_BINARY, read_bounded, storage_errors, sync_folder, write_all, write_atomic
 
 MARK = "ledger_high"
 ANCHOR_PATIENCE_S = 10.0

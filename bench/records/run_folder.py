@@ -2,25 +2,28 @@
 
 The folder is the complete record of the run. A recording or other file receives its name only when it is complete and
 synced (``write_atomic``, ``commit``). The journal names it after that, so that a name in the journal is a file on the
-disk. One process at a time works in the folder (`bench.records.folder_lock`). A sealed folder is never opened for
+disk. One process at a time works in the folder (`bench.records.storage`). A sealed folder is never opened for
 writing again.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Self
+from typing import Any, Self, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.captures import CAPTURES, Capture, capture_name
-from bench.records.folder_lock import lock_folder
+from bench.records.events import WireLogState
+from bench.records.journal import CAPTURES, Capture, Journal, capture_name, stored_captures
 from bench.records.storage import (
     is_temporary,
+    lock_folder,
     make_folder,
     move_into_place,
     sha256_of,
@@ -299,3 +302,105 @@ def _refuse_full(path: Path, bytes_needed: int) -> None:
 def _keep_reserve(path: Path) -> None:
     # Random bytes: a file system that compresses, or stores holes, would not reserve space for zeros.
     write_atomic(path / _RESERVE, os.urandom(_RESERVE_BYTES))
+
+
+# Recovery of a run folder after a crash: what is complete and named in the journal stays, the rest is set
+# aside.
+
+
+@dataclass(frozen=True)
+class RecoveryNotes:
+    """What a restart has found in a run folder."""
+
+    intact: tuple[Capture, ...] = ()
+    missing: tuple[str, ...] = ()  # Recordings that the journal names and that do not exist
+    changed: tuple[str, ...] = ()  # Recordings that differ from the journal; now in ``quarantine/``
+    interrupted: tuple[str, ...] = ()  # Incomplete recordings; now in ``quarantine/``
+    # Complete recordings that the journal does not name, because the run was cut off before that; now in
+    # ``quarantine/``.
+    unnamed: tuple[str, ...] = ()
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the notes as data of a journal line."""
+        return {
+            "intact": [capture.name for capture in self.intact],
+            "missing": list(self.missing),
+            "changed": list(self.changed),
+            "interrupted": list(self.interrupted),
+            "unnamed": list(self.unnamed),
+        }
+
+
+def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
+    """Put a run folder in order after a crash.
+
+    No recording is deleted. Recordings that are incomplete, changed, or not named in the journal are moved to
+    ``quarantine/``. Temporary files of reports and similar files, which can be written again, are deleted.
+
+    folder: The folder, locked by this process.
+    Raises StorageError: When a file cannot be read or moved.
+    """
+    stored = stored_captures(journal.entries)
+    found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}
+    make_folder(folder.path / CAPTURES)
+    with storage_errors(folder.path):
+        for path in [p for p in folder.path.rglob("*") if is_temporary(p)]:
+            path.unlink()
+        for path in sorted((folder.path / CAPTURES).iterdir()):
+            name = f"{CAPTURES}/{path.name}"
+            state = _state_of(path, stored.get(name))
+            found[state].append(name)
+            if state != "intact":
+                folder.quarantine(path)
+    return RecoveryNotes(
+        intact=tuple(stored[name] for name in found["intact"]),
+        missing=tuple(sorted(set(stored) - set(found["intact"]) - set(found["changed"]))),
+        changed=tuple(found["changed"]),
+        interrupted=tuple(found["interrupted"]),
+        unnamed=tuple(found["unnamed"]),
+    )
+
+
+def _state_of(path: Path, capture: Capture | None) -> str:
+    """Return the state of a recording after a crash: a field of `RecoveryNotes`."""
+    if path.name.endswith(PART):
+        return "interrupted"
+    if capture is None:
+        return "unnamed"
+    whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
+    return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
+
+
+# Hashes of the files that the report step of a run has written, for its line of the journal.
+
+EXPORTS = "exports"
+VIEWS = "views.h5"
+WIRE_LOG = "wire.jsonl"
+
+
+class WrittenFiles(TypedDict):
+    """Files and wire logs, as `bench.records.events.Written` holds them."""
+
+    files: dict[str, str]
+    wire: dict[str, WireLogState]
+
+
+def written_files(folder: Path) -> WrittenFiles:
+    """Hash the results of a run, and what its wire logs hold so far.
+
+    Returns: ``files``: SHA-256 by name; ``wire``: size and SHA-256 by name.
+    Raises StorageError: When a file cannot be read.
+    """
+    with storage_errors(folder):
+        exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))
+        names = [RESULTS, VIEWS, REPORT, *(f"{EXPORTS}/{name}" for name in exported)]
+        logs = sorted(path.name for path in folder.glob(f"{WIRE_LOG}*"))
+        return {
+            "files": {name: sha256_of(folder / name) for name in names if (folder / name).is_file()},
+            "wire": {name: _wire_state(folder / name) for name in logs},
+        }
+
+
+def _wire_state(path: Path) -> WireLogState:
+    data = path.read_bytes()  # at most 8 MB: full logs are rotated
+    return {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()}

@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
-from bench.records.estimates import Estimate, estimates, parameters_data
-from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
 from bench.records.ledger_breaks import KnownRun
-from bench.records.run_facts import run_details, run_facts
+from bench.records.run_facts import Estimate, estimates, parameters_data, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
-from bench.records.storage import make_folder, storage_errors
+from bench.records.storage import is_locked, make_folder, storage_errors
 
 # One run as the index lists it.
 

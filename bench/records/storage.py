@@ -11,11 +11,16 @@ import errno
 import hashlib
 import os
 import shutil
+import stat
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, BinaryIO
 
-from bench.base.errors import StorageError
+from bench.base.bounded_json import parse_json
+from bench.base.errors import RunFolderError, StorageError
+from drivers import file_lock
 
 HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"
@@ -195,3 +200,116 @@ def _write_new(path: Path, data: bytes, mode: int) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+# Read files that somebody may have changed: ordinary ones only, and never more than they may hold.
+#
+# A pipe would keep the reader for ever, and a file that states ten gigabytes would fill the memory. Nothing
+# is written.
+
+MOST_BYTES = 100_000_000
+"""Largest JSON file that is read: the results of ten thousand poses have 70 MB."""
+MOST_TABLE_BYTES = 1 << 30
+"""Largest table of rows, a line of JSON each, that is read."""
+_RESTORE = "Restore the file from a copy."
+
+
+@contextmanager
+def open_to_read(path: Path) -> Iterator[BinaryIO]:
+    """Open an ordinary file for reading. A pipe or a device, which might never answer, is refused.
+
+    Raises StorageError: If it cannot be opened or read, or is no ordinary file.
+    """
+    with storage_errors(path):
+        descriptor = os.open(path, os.O_RDONLY | O_BINARY | getattr(os, "O_NONBLOCK", 0))
+        mode = os.fstat(descriptor).st_mode
+        if not stat.S_ISREG(mode):
+            os.close(descriptor)
+            what = "a folder" if stat.S_ISDIR(mode) else "a pipe, a socket or a device"
+            raise StorageError(f"This is {what}, not a file.", where=str(path), remedy=_RESTORE)
+        with os.fdopen(descriptor, "rb") as stream:
+            yield stream
+
+
+def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """Read an ordinary file of a bounded size.
+
+    Raises StorageError: If it cannot be read, is no ordinary file, or is larger.
+    """
+    with open_to_read(path) as stream:
+        is_larger = os.fstat(stream.fileno()).st_size > most_bytes
+        data = b"" if is_larger else stream.read(most_bytes + 1)  # the file may grow meanwhile
+    if is_larger or len(data) > most_bytes:
+        raise StorageError(
+            f"The file has more than {most_bytes} bytes.",
+            where=str(path),
+            remedy=_RESTORE,
+        )
+    return data
+
+
+def read_json(path: Path, most_bytes: int = MOST_BYTES) -> Any:
+    """Read a JSON file of a bounded size.
+
+    Raises StorageError: As `read_bounded`.
+    Raises ValueError: If it is not JSON, is nested too deeply, or has too many values.
+    """
+    return parse_json(read_bounded(path, most_bytes))
+
+
+# A lock on a folder, so that one process at a time works in it.
+#
+# The lock is held by the kernel (flock(2), `drivers.file_lock`) and ends with its process: a process that
+# died leaves no lock behind. To ask whether a folder is locked writes nothing.
+
+_LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
+
+
+def lock_folder(path: Path) -> int:
+    """Lock a folder against other processes.
+
+    Returns: File descriptor; the folder is locked until it is closed.
+    Raises RunFolderError: When another process has locked it.
+    Raises StorageError: When it cannot be locked.
+    """
+    with storage_errors(path):
+        lock = open_to_lock(path)
+    try:
+        _lock_exclusively(lock)
+    except OSError as error:
+        os.close(lock)
+        if error.errno not in {errno.EWOULDBLOCK, errno.EACCES}:
+            raise StorageError(f"The folder cannot be locked: {error.strerror}.", where=str(path)) from error
+        raise RunFolderError(
+            f"Another process is working on this run: {error.strerror}.",
+            where=str(path),
+            remedy="Wait until that process ends, or stop it.",
+        ) from error
+    return lock
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a process has locked a folder at this moment. Writes nothing.
+
+    Returns: True if a process works in the folder.
+    Raises StorageError: When the folder cannot be read.
+    """
+    with storage_errors(path):
+        probe = open_to_lock(path)
+        try:
+            file_lock.lock(probe, shared=True)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(probe)
+    return False
+
+
+def _lock_exclusively(descriptor: int) -> None:
+    """Take the lock. Try again for a moment, because `is_locked` of another process takes it for an instant."""
+    for _ in range(_LOCK_TRIES - 1):
+        with suppress(BlockingIOError):
+            file_lock.lock(descriptor)
+            return
+        time.sleep(_LOCK_PAUSE_S)
+    file_lock.lock(descriptor)

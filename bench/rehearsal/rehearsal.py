@@ -16,24 +16,19 @@ from typing import Any, cast
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
-from bench.plan.estimate import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S
 from bench.plan.job import Job, documents_of
-from bench.plan.plan import Plan, load_documents, make_plan
+from bench.plan.plan import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
 from bench.records.events import Event, MeasuredFacts, Solved, UntilDecided
-from bench.records.history import History, replay
-from bench.records.journal import Journal
+from bench.records.history import History, RunLog, replay
+from bench.records.journal import Journal, UnsyncedJournal
 from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
-from bench.records.run_log import RunLog
-from bench.records.unsynced_journal import UnsyncedJournal
 from bench.rehearsal.virtual_devices import VirtualDevices, read_view
-from bench.results.comparison import compare_with_truth
 from bench.results.interim import Decisions
-from bench.results.measure_again import measure_again
 from bench.results.result import Outcome, ResultWriter
-from bench.results.solution import main_numbers
+from bench.results.results_content import plugins_of_run, run_software
+from bench.results.solution import compare_with_truth, main_numbers, measure_again
 from bench.results.solve_options import solve_options
-from bench.results.station_software import plugins_of_run, run_software
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress

@@ -17,15 +17,8 @@ import numpy as np
 
 from bench.base.bounded_json import parse_json
 from bench.base.clock import BenchClock
-from bench.plan.estimate import (
-    HOMING_EXTRA_S,
-    LIGHT_OFF_S,
-    LIGHT_ON_S,
-    MOVE_EXTRA_S,
-    RECORD_EXTRA_S,
-    travel_s,
-)
-from bench.records.reading import read_bounded
+from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.records.storage import read_bounded
 from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
 from bench.stations.station import Station

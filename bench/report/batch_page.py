@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 from markupsafe import Markup
 
-from bench.records.estimates import REPEATS_TEXT, factors_text
+from bench.records.run_facts import REPEATS_TEXT, factors_text
 from bench.report.chart_page import chart_section, choose_drawn
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, meaning_of, number, unit_of, with_uncertainty

@@ -1,18 +1,170 @@
 """The course of an ``until``: the expanded uncertainty after each pose, as a table and a plot, and how the step ended.
 
 The data are the decisions of the journal, as results.json holds them under ``untils``. The plot is drawn by
-`bench.report.course_plot`, so that text alone needs no arrays.
+`bench.report.course`, so that text alone needs no arrays.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from html import escape
+from itertools import pairwise
 from typing import Any
 
 from bench.records.events import UntilDecided
-from bench.report.text import NOTHING, fixed, number
-from bench.report.until_text import goals_text, meaning_of_goal
+from bench.report.plot_frame import Words, axes_in
+from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale
+from bench.report.text import NOTHING, duration, fixed, goals_text, meaning_of_goal, number
+
+# Plot of the course of an ``until``: the expanded uncertainty against the number of poses, with its goals.
+
+_COLOURS = ("#0072b2", "#d55e00")
+_HEIGHT, _GAP = 195.0, 12.0
+_MOST_POSES = 8
+
+
+def course_plot(decisions: Sequence[Mapping[str, Any]]) -> str:
+    """Draw the expanded uncertainties against the number of poses, with their goals.
+
+    decisions: Decisions of one ``until``, in order; at least one has reached an uncertainty.
+    """
+    wanted = decisions[-1]["wanted"]
+    reached = [decided for decided in decisions if decided["now"]]
+    width = WIDE / len(wanted)
+    label, about = "Expanded uncertainty after each pose", _about(reached[-1], wanted)
+    picture = Picture(WIDE, _HEIGHT, f"course-{decisions[-1]['until']}", label, about)
+    for place, (name, colour) in enumerate(zip(wanted, _COLOURS, strict=False)):
+        _panel(picture, (place * width, 0.0, width - _GAP, _HEIGHT), reached, name, colour)
+    return picture.svg()
+
+
+def _panel(
+    picture: Picture,
+    place: tuple[float, float, float, float],
+    reached: Sequence[Mapping[str, Any]],
+    name: str,
+    colour: str,
+) -> None:
+    """Draw one expanded uncertainty with its goal, and with the part that poses do not lower."""
+    goal = reached[-1]["wanted"][name]
+    points = [(decided["poses"], decided["now"][name]) for decided in reached]
+    fixed_px = sum(part**2 for part in reached[-1]["fixed"].get(name, {}).values()) ** 0.5
+    heights = [height for _, height in points] + [goal] + ([fixed_px] if fixed_px > 0 else [])
+    words = Words((f"{meaning_of_goal(name)}, px",), "poses")
+    up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
+    axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
+    _goal_line(axes, goal, "goal", INK)
+    if fixed_px > 0:
+        _goal_line(axes, fixed_px, "does not depend on the poses", MUTED)
+    axes.line(points, colour, 1.2)
+    axes.dots(points, colour, 4.5)
+
+
+def _poses_scale(poses: Sequence[int]) -> Scale:
+    """Return the axis of the numbers of poses, with ticks at whole numbers."""
+    first, last = poses[0], poses[-1]
+    beside = 0.04 * (last - first) or 0.5
+    step = max(1, -(-(last - first) // _MOST_POSES))
+    return Scale(first - beside, last + beside, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
+
+
+def _goal_line(axes: Axes, height: float, name: str, colour: str) -> None:
+    axes.level(height, colour, 0.9, "4 2.5")
+    axes.text((axes.x.high, height), name, by=(-2.0, -3.0), colour=colour, anchor="end", size=8.5)
+
+
+def _about(last: Mapping[str, Any], wanted: Mapping[str, float]) -> str:
+    parts = [
+        f"{meaning_of_goal(name)} {last['now'][name]:.3g} px, wanted {goal:g} px"
+        for name, goal in wanted.items()
+    ]
+    return f"After {last['poses']} poses: {'; '.join(parts)}."
+
+
+# Diagram of a run's states: a box for each state in order of first entry, an arrow for each transition.
+#
+# Uses the names and times of the states alone. Transitions to the right are drawn above the boxes,
+# transitions back below them. A number beside an arrow is the number of times that the transition happened.
+
+_STEP, _WIDE, _TALL = 92.0, 76.0, 26.0
+_MARGIN = 10.0
+_TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
+    """Draw the states of a run and the transitions between them.
+
+    states: Entries ``{"state", "utc"}`` in the order in which the states were entered.
+    """
+    names = [str(entry["state"]) for entry in states]
+    places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}
+    edges = Counter(pairwise(names))
+    rise = max((_reach(a, b, places) for a, b in edges if places[b] > places[a]), default=0.0)
+    fall = max((_reach(a, b, places) for a, b in edges if places[b] <= places[a]), default=0.0)
+    middle = _MARGIN + rise + _TALL / 2 + 12
+    width = 2 * _MARGIN + _STEP * len(places) - (_STEP - _WIDE)
+    height = middle + _TALL / 2 + 20 + max(fall + 14, 14) + _MARGIN
+    parts = [_arc(a, b, count, places, middle) for (a, b), count in edges.items()]
+    parts += [
+        _box(name, x, middle, names.count(name), _seconds_in(name, states)) for name, x in places.items()
+    ]
+    return (
+        f'<svg class="walk" role="img" aria-label="States of the run" viewBox="0 0 {width:g} {height:g}" '
+        f'style="max-width:{1.15 * width:.0f}px" xmlns="http://www.w3.org/2000/svg">'
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" '
+        'orient="auto-start-reverse"><path d="M0 0 8 4 0 8z"/></marker></defs>' + "".join(parts) + "</svg>"
+    )
+
+
+def _seconds_in(name: str, states: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the time spent in a state, s; None if the run ended in it."""
+    moments = [datetime.fromisoformat(str(entry["utc"])) for entry in states]
+    spans = [
+        (later - earlier).total_seconds()
+        for entry, earlier, later in zip(states, moments, moments[1:], strict=False)
+        if entry["state"] == name
+    ]
+    return sum(spans) if spans else None
+
+
+def _reach(a: str, b: str, places: Mapping[str, float]) -> float:
+    """Return the height of an arrow: larger if it passes more boxes, 0 from a box to its right neighbour."""
+    boxes = round((places[b] - places[a]) / _STEP)
+    return 0.0 if boxes == 1 else 16.0 + 9.0 * abs(boxes)
+
+
+def _arc(a: str, b: str, count: int, places: Mapping[str, float], middle: float) -> str:
+    reach = _reach(a, b, places)
+    label = f"{_TIMES}{count}" if count > 1 else ""
+    if reach == 0.0:
+        x0, x1 = places[a] + _WIDE, places[b]
+        text = f'<text class="count" x="{(x0 + x1) / 2:g}" y="{middle - _TALL / 2 - 4:g}">{label}</text>'
+        return f'<path class="edge" marker-end="url(#tip)" d="M{x0:g} {middle:g}H{x1:g}"/>{text}'
+    forward = places[b] > places[a]
+    side = -1.0 if forward else 1.0
+    y = middle + side * _TALL / 2 + (0.0 if forward else 20.0)
+    x0 = places[a] + _WIDE / 2 + (8 if forward else -8)
+    x1 = places[b] + _WIDE / 2 + (-8 if forward else 8)
+    top = y + side * reach * 4 / 3
+    beyond = y + side * reach + (-4 if forward else 11)
+    text = f'<text class="count" x="{(x0 + x1) / 2:g}" y="{beyond:g}">{label}</text>'
+    curve = f"M{x0:g} {y:g}C{x0:g} {top:g} {x1:g} {top:g} {x1:g} {y:g}"
+    return f'<path class="edge" marker-end="url(#tip)" d="{curve}"/>{text}'
+
+
+def _box(name: str, x: float, middle: float, entered: int, seconds: float | None) -> str:
+    notes = [f"{_TIMES}{entered}"] if entered > 1 else []
+    notes += [duration(seconds)] if seconds is not None else []
+    centre = x + _WIDE / 2
+    return (
+        f'<rect class="state" x="{x:g}" y="{middle - _TALL / 2:g}" width="{_WIDE:g}" height="{_TALL:g}" rx="5"/>'
+        f'<text class="name" x="{centre:g}" y="{middle + 4:g}">{escape(name)}</text>'
+        f'<text class="note" x="{centre:g}" y="{middle + _TALL / 2 + 14:g}">{", ".join(notes)}</text>'
+    )
+
 
 _ENDS = {
     "met": "The goals are met",
@@ -70,8 +222,6 @@ def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> Course:
     end = last.get("ended")
     plot = ""
     if draw and any(decided["now"] for decided in decisions):
-        from bench.report.course_plot import course_plot
-
         plot = course_plot(decisions)
     return Course(
         goals_text(wanted),

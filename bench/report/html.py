@@ -11,23 +11,21 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 from markupsafe import Markup
 
-from bench.records.estimates import coverage_factor
+from bench.records.history import Attempt, History
 from bench.records.results import Results
-from bench.report import budget_tables, calibration_tables, device_tables, pose_tables, run_tables, text
-from bench.report.bench_knowledge import source_rows
+from bench.records.run_facts import coverage_factor
+from bench.report import calibration_tables, pose_tables, run_tables, text
 from bench.report.calibration_tables import amplitude_rows, witness_rows
-from bench.report.change_rows import change
-from bench.report.choice import PLOTS, pictured_poses
-from bench.report.course import courses
-from bench.report.target_words import TargetWords, words_of
-from bench.report.verdict import verdict
-from bench.report.view_picture import ViewPicture, thinned
-from bench.report.walk import state_diagram
+from bench.report.course import courses, state_diagram
+from bench.report.run_tables import left, source_rows
+from bench.report.text import NOTHING, TargetWords, moment, number, value_text, words_of
+from bench.report.verdict import change, verdict
+from bench.report.view_picture import PLOTS, ViewPicture, pictured_poses, thinned
 
 _GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
 """Elements whose text belongs to images and plots; in the template, sections contain nothing else."""
@@ -84,13 +82,13 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "planar": calibration_tables.planar_comparison(calibration, results.get("planar")),
         "candidates": calibration_tables.candidates(calibration),
         "budget": calibration_tables.budget(calibration, words),
-        "budget_rows": budget_tables.budget_rows(calibration, words),
-        "combined": budget_tables.combined(calibration),
-        "overlap": budget_tables.overlap(calibration),
+        "budget_rows": calibration_tables.budget_rows(calibration, words),
+        "combined": calibration_tables.combined(calibration),
+        "overlap": calibration_tables.overlap(calibration),
         "own_factors": bool(calibration.get("coverage_factors")),
         "witnesses": witness_rows(calibration),
         "amplitudes": amplitude_rows(calibration),
-        "not_included": budget_tables.not_included(calibration),
+        "not_included": calibration_tables.not_included(calibration),
         "checks": calibration_tables.checks(results),
         "halves": bool(halves and halves.get("cameras")),
         "comparison": calibration_tables.comparison(results.get("comparison") or [], calibration),
@@ -103,10 +101,10 @@ def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     return {
         "identification": run_tables.identification(results),
         "software": run_tables.software(results),
-        "conditions": device_tables.conditions(results.get("conditions") or {}),
-        "devices": device_tables.devices(devices),
-        "connections": device_tables.connections(devices),
-        "devices_left": device_tables.left(results.get("devices_left") or []),
+        "conditions": run_tables.conditions(results.get("conditions") or {}),
+        "devices": run_tables.devices(devices),
+        "connections": run_tables.connections(devices),
+        "devices_left": run_tables.left(results.get("devices_left") or []),
         "poses": pose_tables.poses(poses),
         "recordings": pose_tables.recordings(poses, words),
         "gates": pose_tables.gates(results.get("gates") or [], words),
@@ -123,8 +121,8 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
     plots: dict[str, str] = dict.fromkeys(PLOTS, "")
     pictures: list[tuple[str, str]] = []
     if draw:
-        from bench.report.figures import report_plots
         from bench.report.pictures import pose_pictures
+        from bench.report.plots import report_plots
 
         plots = report_plots(data.results, data.views)
         pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)
@@ -208,3 +206,84 @@ def _markup(svg: str) -> Markup:
 def _css_text(value: object) -> str:
     """Replace every character that has a meaning in a CSS string."""
     return re.sub(r"[^A-Za-z0-9 ._-]", "?", str(value))
+
+
+# The page of a run that failed or was aborted: why it ended, what to do, what was recorded.
+#
+# Text from the journal alone, so that a run without results has its page too.
+
+
+class RecordedRow(NamedTuple):
+    """A recording, as printed."""
+
+    pose: str
+    attempt: int
+    verdict: str  # ``pass``, ``fail``, or ``marginal`` if it was not measured
+    label: str
+    stars: str
+    events: str
+    reasons: str
+    capture: str
+
+
+def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
+    """Render the page of a run that did not finish.
+
+    way_on: What there is to know and the command that can work (`bench.records.history`).
+    journal_head: Hash of the journal's last line; it identifies the whole journal.
+    namespace: Namespace of the bench's signatures.
+    """
+    failure = history.failures[-1] if history.ended == "failed" and history.failures else None
+    return (
+        environment()
+        .get_template("ended.html.j2")
+        .render(
+            run=history.started,
+            how="failed" if history.ended == "failed" else "was aborted",
+            what=failure["what"] if failure else history.why,
+            where=failure["where"] if failure else "",
+            remedy=failure["remedy"] if failure else "",
+            way_on=way_on,
+            identification=_identification(history),
+            recordings=[_row(attempt) for attempt in history.attempts],
+            accepted=len(history.accepted()),
+            lost=sum(history.lost.values()),
+            deviations=[*history.deviations, *history.holds],
+            devices_left=left(history.devices_at_end),
+            journal_head=journal_head,
+            namespace=namespace,
+        )
+    )
+
+
+def _identification(history: History) -> list[tuple[str, str]]:
+    started, camera = history.started, history.devices.get("camera", {})
+    place: Any = history.ledger
+    return [
+        ("Sequence", value_text(started.get("sequence"))),
+        ("Station", value_text(started.get("station"))),
+        ("Operator", value_text(started.get("operator"))),
+        ("Camera", value_text(camera.get("serial"))),
+        ("Begun", moment(history.started_utc)),
+        ("Number of the run", value_text(place.get("number"))),
+        ("Times resumed", number(history.resumed)),
+    ]
+
+
+def _row(attempt: Attempt) -> RecordedRow:
+    checked, facts = attempt.checked, attempt.stored["facts"]
+    verdict, label = ("marginal", "not measured") if checked is None else ("fail", "refused")
+    if attempt.accepted:
+        verdict, label = "pass", "accepted"
+    return RecordedRow(
+        attempt.pose_name or str(attempt.pose_index),
+        attempt.attempt,
+        verdict,
+        label,
+        NOTHING if checked is None else number(checked["stars"]),
+        number(facts.get("events")),
+        NOTHING
+        if checked is None or not checked["reasons"]
+        else "; ".join(why.removesuffix(".") for why in checked["reasons"]),
+        attempt.stored["capture"],
+    )

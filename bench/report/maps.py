@@ -4,18 +4,218 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.contours import Outline, outlines
-from bench.report.drawing import INK, POSE_COLOURS, shade
-from bench.report.scales import text_width
-from bench.report.sensor_plot import sensor_axes, shade_unsupported, supported_share
-from bench.report.svg_plot import Axes
+from bench.report.plot_frame import Key, Words, axes_in, height_for
+from bench.report.svg_plot import INK, PANEL, POSE_COLOURS, Axes, Picture, Scale, shade, text_width
 from calib.uncertainty.projection_uncertainty import CameraDifference
 
+# Contours of a map on a grid: closed outlines of the part that reaches a level, by marching squares. Pure.
+#
+# The outlines are interpolated linearly between grid points and follow the edge of the grid where the map
+# reaches the level there. Where the map is not known, nothing is inside.
+
 Array = NDArray[np.float64]
+
+_NOWHERE = -1e30
+"""Value around the map and where it is not known: an outline beside it lies at the last known point."""
+_TOP, _RIGHT, _BOTTOM, _LEFT = range(4)
+# Sides of a cell between which an outline runs, with the inside on its left hand. The key states which corners are
+# inside: 8 upper left, 4 upper right, 2 lower right, 1 lower left.
+_RUNS = {
+    8: ((_LEFT, _TOP),), 4: ((_TOP, _RIGHT),), 2: ((_RIGHT, _BOTTOM),), 1: ((_BOTTOM, _LEFT),),
+    12: ((_LEFT, _RIGHT),), 6: ((_TOP, _BOTTOM),), 3: ((_RIGHT, _LEFT),), 9: ((_BOTTOM, _TOP),),
+    7: ((_TOP, _LEFT),), 11: ((_RIGHT, _TOP),), 13: ((_BOTTOM, _RIGHT),), 14: ((_LEFT, _BOTTOM),),
+}  # fmt: skip
+_SADDLES = {
+    10: (((_LEFT, _TOP), (_RIGHT, _BOTTOM)), ((_RIGHT, _TOP), (_LEFT, _BOTTOM))),
+    5: (((_TOP, _RIGHT), (_BOTTOM, _LEFT)), ((_TOP, _LEFT), (_BOTTOM, _RIGHT))),
+}
+"""Runs if the middle of the cell is outside, and if it is inside."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A closed outline."""
+
+    points: Array  # (N, 2) float64, in the units of the grid; the last point joins the first one
+    at_edge: NDArray[np.bool_]  # (N,) bool: whether the point lies at the edge of the known map
+
+    def lines(self) -> list[Array]:
+        """Return the parts of the outline that are contours, without those along the edge of the map.
+
+        Returns: (N, 2) float64 each: the points of an open line; a closed one repeats its first point at its
+          end.
+        """
+        if not self.at_edge.any():
+            return [np.vstack([self.points, self.points[:1]])]
+        first = int(np.argmax(self.at_edge))
+        points, at_edge = np.roll(self.points, -first, axis=0), np.roll(self.at_edge, -first)
+        points, at_edge = np.vstack([points, points[:1]]), np.append(at_edge, at_edge[0])
+        ends = np.flatnonzero(at_edge)
+        return [points[a + 1 : b] for a, b in pairwise(ends.tolist()) if b > a + 2]
+
+
+def outlines(x: Array, y: Array, values: Array, level: float) -> list[Outline]:
+    """Return the outlines of the part of a map that reaches a level; holes are outlines of their own.
+
+    W. E. Lorensen and H. E. Cline, Marching cubes, SIGGRAPH 1987, in two dimensions.
+
+    x: (W,) float64, positions of the columns of the grid.
+    y: (H,) float64, positions of its rows.
+    values: (H, W) float64, the map; NaN where it is not known.
+    """
+    shown = np.pad(np.where(np.isfinite(values), values, _NOWHERE), 1, constant_values=_NOWHERE)
+    begins, ends = _runs(shown, level)
+    places, at_edge = _crossings(np.pad(x, 1, "edge"), np.pad(y, 1, "edge"), shown, level, begins)
+    place_of = dict(zip(begins.tolist(), range(len(begins)), strict=True))
+    after = dict(zip(begins.tolist(), ends.tolist(), strict=True))
+    found = []
+    while after:
+        side, chain = next(iter(after)), []
+        while side in after:
+            chain.append(place_of[side])
+            side = after.pop(side)
+        found.append(Outline(places[chain], at_edge[chain]))
+    return found
+
+
+def _runs(shown: Array, level: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sides of the grid where each run through a cell begins and ends; each side begins at most one run."""
+    inside = shown >= level
+    codes = 8 * inside[:-1, :-1] + 4 * inside[:-1, 1:] + 2 * inside[1:, 1:] + inside[1:, :-1]
+    width, count = shown.shape[1], shown.size
+    steps = (0, count + 1, width, count)  # from a cell's number to its upper, right, lower and left side
+    begins, ends = [], []
+
+    def add(cells: NDArray[np.bool_], runs: tuple[tuple[int, int], ...]) -> None:
+        row, column = np.nonzero(cells)
+        number = row * width + column
+        for begin, end in runs:
+            begins.append(number + steps[begin])
+            ends.append(number + steps[end])
+
+    for code, runs in _RUNS.items():
+        add(codes == code, runs)
+    middle = (shown[:-1, :-1] + shown[:-1, 1:] + shown[1:, 1:] + shown[1:, :-1]) / 4 >= level
+    for code, (outer, inner) in _SADDLES.items():
+        add((codes == code) & ~middle, outer)
+        add((codes == code) & middle, inner)
+    return np.concatenate(begins), np.concatenate(ends)
+
+
+def _crossings(
+    x: Array, y: Array, shown: Array, level: float, sides: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return where the level crosses sides of the grid, and whether the map ends there."""
+    width, count = shown.shape[1], shown.size
+    upright = sides >= count
+    row, column = np.divmod(sides % count, width)
+    other_row, other_column = row + upright, column + ~upright
+    here, there = shown[row, column], shown[other_row, other_column]
+    share = (level - here) / (there - here)
+    places = np.column_stack(
+        [x[column] + share * (x[other_column] - x[column]), y[row] + share * (y[other_row] - y[row])]
+    )
+    return places, (here == _NOWHERE) | (there == _NOWHERE)
+
+
+# The part of the sensor that stars support: every point near a star. Outside of it, a calibration
+# extrapolates.
+
+REACH = 0.05
+"""A star supports its surroundings up to this share of the diagonal of the sensor."""
+
+
+def reach_px(image_size: Sequence[int]) -> float:
+    """Return how far from a star a point of the sensor is supported.
+
+    image_size: Width and height, px.
+    Returns: The distance, px.
+    """
+    return REACH * math.hypot(*image_size)
+
+
+def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float32]:
+    """Return the distance of each pixel from the nearest star.
+
+    points: (N, 2) float64, px: stars of all poses, N > 0.
+    image_size: Width and height, px.
+    Returns: (H, W) float32, px. Stars count at the nearest pixel.
+    """
+    width, height = image_size
+    free = np.full((height, width), 255, np.uint8)
+    at = np.clip(np.rint(points).astype(int), 0, [width - 1, height - 1])
+    free[at[:, 1], at[:, 0]] = 0
+    distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(distance, np.float32)
+
+
+# Plots over the sensor: their frame, and the part of the sensor that stars support. Pure; reads no file.
+
+GROUND = "#eef3f8"
+"""Colour of the sensor where a plot shows what stars support."""
+_COARSE = 8
+"""The part that stars support is drawn from every n-th pixel."""
+_UNSUPPORTED, _EDGE = "#f2dcc9", "#9a5b00"
+
+
+def sensor_axes(
+    image_size: Sequence[int],
+    title: Sequence[str],
+    identifier: str,
+    label: str,
+    about: str,
+    *,
+    width: float = PANEL[0],
+    keys: Sequence[Key] = (),
+) -> Axes:
+    """Return the axes of a sensor in a picture of its own, whose height follows from the sensor's shape.
+
+    image_size: Width and height of the sensor, px.
+    identifier, label, about: As for `bench.report.svg_plot.Picture`.
+    Returns: Axes in px, rows downwards; pixel centres are at integers.
+    """
+    words = Words(title, "column, px", "row, px", keys)
+    picture = Picture(width, height_for(image_size, width, words), identifier, label, about)
+    across, down = Scale(-0.5, image_size[0] - 0.5), Scale(image_size[1] - 0.5, -0.5)
+    return axes_in(picture, across, down, words, equal="shrink", whole=True)
+
+
+def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Sequence[int]) -> None:
+    """Shade the part of the sensor that no star supports, with a dashed line around it.
+
+    distance: (H, W) float32, px: distance of each pixel from the nearest star.
+    image_size: Width and height, px.
+    """
+    reach = reach_px(image_size)
+    rows, columns = (np.unique([*range(0, n, _COARSE), n - 1]) for n in distance.shape)
+    found = outlines(
+        columns.astype(float), rows.astype(float), distance[np.ix_(rows, columns)].astype(float), reach
+    )
+    if not found:
+        return
+    axes.shapes([one.points for one in found], _UNSUPPORTED, 0.75)
+    for one in found:
+        for line in one.lines():
+            axes.line(line, _EDGE, 0.9, dash="3.5 1.8")
+
+
+def supported_share(points: Array, image_size: Sequence[int]) -> tuple[NDArray[np.float32], float]:
+    """Return how far each pixel is from the nearest star, and the share of the sensor that stars support.
+
+    points: (N, 2) float64, px: stars of all poses, N > 0.
+    image_size: Width and height, px.
+    Returns: (H, W) float32, px, and the share, 0 to 1.
+    """
+    distance = star_distance(points, image_size)
+    return distance, float(np.mean(distance <= reach_px(image_size)))
+
 
 _MOST_LINES = 7
 _LARGE_RANGE = 6.0

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.target_words import STARS, TargetWords
+from bench.report.text import STARS, TargetWords
 from bench.report.view_picture import ViewPicture
 
 _ALL_PICTURES_BYTES = 1_050_000

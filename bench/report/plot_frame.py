@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bench.report.drawing import INK, LINE, MUTED
-from bench.report.scales import Scale, text_width
-from bench.report.svg_plot import FONT, TITLE, Axes, Picture, painted
+from bench.report.svg_plot import FONT, INK, LINE, MUTED, TITLE, Axes, Picture, Scale, painted, text_width
 
 _LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
 _BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0

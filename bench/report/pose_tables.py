@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from bench.records.events import GateData, ImageFacts
 from bench.records.results import Numbers, PoseData
-from bench.report.target_words import STARS, TargetWords
-from bench.report.text import NOTHING, duration, fixed, number, value_text
+from bench.report.text import NOTHING, STARS, TargetWords, duration, fixed, number, value_text
 
 _POSE_PREFIX = re.compile(r"pose \d+: ")
 _VERDICTS = ("pass", "marginal", "fail")

@@ -6,15 +6,257 @@ the page then omits the table.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from bench.base.device_ends import DeviceEnd
 from bench.records.events import FailureData, LedgerPlace
-from bench.records.results import Results, RunData
-from bench.report.bench_knowledge import passport_rows, readings_rows
+from bench.records.results import (
+    GimbalEstimateData,
+    GimbalReadingsData,
+    ParallaxBound,
+    ParallaxData,
+    PassportData,
+    Results,
+    RunData,
+    SourceData,
+)
 from bench.report.pose_tables import gates
-from bench.report.target_words import words_of
-from bench.report.text import NOTHING, moment, value_text
+from bench.report.text import NOTHING, exact, moment, number, value_text, with_uncertainty, words_of
+
+# Rows of the report about what a calibration used: passport of the collimator, readings and parallax, input
+# files.
+#
+# The functions take the parts of results.json as plain mappings, also of results that older versions wrote
+# without them.
+
+Rows = list[tuple[str, str]]
+
+
+_ORIGINS = {
+    "sequence": "file named by the sequence",
+    "station": "file named by the station",
+    "station certificate": "stated in the station file",
+    "command line": "file named on the command line",
+}
+
+
+def passport_rows(passport: PassportData | None) -> Rows:
+    """List what the results state about the collimator's passport.
+
+    passport: ``passport`` of results.json; None if no passport was used.
+    Returns: Name and value; none without a passport.
+    """
+    if not passport:
+        return []
+    sigma = passport["sigma"]
+    kept = ("x", "y", "r") if len(passport["values"]) > 1 else tuple(passport["values"])
+    values = [
+        f"{name} = {exact(value)} mm, standard uncertainty {sigma[name]:.2g} mm"
+        for name, value in passport["values"].items()
+        if name in kept
+    ]
+    if others := [name for name in passport["values"] if name not in kept]:
+        values.append(f"and {', '.join(others)}")
+    stated = [
+        f"number {passport['number']}" if passport["number"] else "",
+        f"of the collimator {passport['collimator']}" if passport["collimator"] else "",
+        f"dated {passport['date']}" if passport["date"] else "",
+        f"valid until {passport['valid_until']}" if passport["valid_until"] else "",
+        f"at {passport['temperature_c']:g} °C" if passport["temperature_c"] is not None else "",
+        f"{_ORIGINS.get(passport['source'], passport['source'])} ({passport['name']})",
+    ]
+    return [
+        ("Collimator passport", ", ".join(part for part in stated if part)),
+        ("Values of the passport", "; ".join(values)),
+        ("SHA-256 of the passport", str(passport["sha256"])),
+        *_seal_rows(passport),
+    ]
+
+
+def _seal_rows(passport: PassportData) -> Rows:
+    """Return the seal of a passport; no row for the values of a station's certificate and of an earlier version."""
+    if passport["source"] == "station certificate" or "sealed_by" not in passport:
+        return []
+    return [("Seal of the passport", str(passport["sealed_by"] or "none: the file is not sealed"))]
+
+
+def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
+    """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
+
+    readings: ``gimbal_readings`` of results.json; None if the calibration had no readings.
+    estimate: ``calibration.gimbal`` of results.json; None if the readings took no part.
+    Returns: Name and value; one row, or two if the station states the uncertainty of the readings.
+    """
+    if not readings:
+        return []
+    rows: Rows = []
+    if readings["entered"]:
+        rows.append(("Gimbal readings", f"entered the adjustment as measurements{_agreement(estimate)}"))
+    else:
+        rows.append(("Gimbal readings", f"compared with the result only. {readings['why_not']}"))
+    stated, bound = readings["statement"], readings["bound"]
+    if stated:
+        text = (
+            f"reading {stated['reading_sigma_deg']:g}°, scale {stated['scale_sigma']:g}, "
+            f"eccentricity {stated['eccentricity_deg']:g}° (standard uncertainties; source: {stated['source']})"
+        )
+        rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
+    return rows
+
+
+def parallax_rows(parallax: ParallaxData | None) -> Rows:
+    """List where the entrance pupil is, and the parallax that follows, or why the parallax test has no result.
+
+    parallax: ``parallax`` of results.json; None if the rims in view do not determine it.
+    Returns: Name and value; none without a result.
+    """
+    if not parallax:
+        return []
+    if "why_not" in parallax:
+        return [("Parallax test: no result", str(parallax["why_not"]))]
+    says = [str(sentence).replace(" +- ", " \N{PLUS-MINUS SIGN} ") for sentence in parallax["says"]]
+    off = parallax["pupil_off_pivot_mm"]
+    value, expanded = with_uncertainty(off["value"], 2 * off["sigma"])
+    rows = [
+        ("Entrance pupil in front of the pivot", f"{value} \N{PLUS-MINUS SIGN} {expanded} mm (k = 2)"),
+        ("Parallax: how the beam moves when the camera turns", " ".join(says)),
+    ]
+    if without := parallax["without_rim"]:
+        rows.append(("Poses with the rim out of view", ", ".join(without)))
+    return rows
+
+
+def source_rows(sources: Sequence[SourceData]) -> list[tuple[str, str, str, str]]:
+    """List the input files of a calibration without devices.
+
+    sources: ``sources`` of results.json.
+    Returns: View, size in bytes, path and SHA-256 of each file.
+    """
+    return [
+        (str(one["view"]), number(one["size_bytes"], 12), str(one["path"]), str(one["sha256"]))
+        for one in sources
+    ]
+
+
+def _agreement(estimate: GimbalEstimateData | None) -> str:
+    """Return how the readings agree with the stars."""
+    if not estimate:
+        return ""
+    enlarged = (
+        f"; entered with a standard uncertainty of {estimate['reading_sigma_deg']:.3g}°, because they scatter more "
+        "than stated"
+        if estimate["scatter"] > 1
+        else ""
+    )
+    return (
+        f"; chi-square {estimate['chi_square']:.3g} with {estimate['degrees_of_freedom']} degrees of freedom, "
+        f"{3600 * estimate['rms_deg']:.2g} arc seconds RMS{enlarged}"
+    )
+
+
+def _bound(bound: ParallaxBound) -> str:
+    text = (
+        f"parallax bounded by a defocus of {bound['defocus']:g}, standard uncertainty {bound['defocus_sigma']:g}, "
+        f"and a pupil {bound['pupil_off_pivot_mm']:g} mm off the pivot, standard uncertainty "
+        f"{bound['pupil_off_pivot_sigma_mm']:g} mm"
+    )
+    if "parallax" not in bound:
+        return text
+    share, sigma = 100 * bound["parallax"], 100 * bound["parallax_sigma"]
+    shown = number(share, 2)
+    return f"{text}: {shown} % of the focal length, standard uncertainty {sigma:.2g} %"
+
+
+# Rows of the report's tables about the devices: identities, connections, settings, and how each was left.
+#
+# Each function takes a part of results.json and returns rows of printed text. The rows are empty if the
+# part is missing; the page then omits the table.
+
+_UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
+
+
+@dataclass(frozen=True)
+class DeviceRow:
+    """The identity that one device reported, as printed."""
+
+    name: str
+    model: str
+    serial: str
+    firmware: str
+    details: str
+
+
+def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """List the settings of light and camera, and the temperature.
+
+    found: ``conditions`` of results.json.
+    """
+    rows = []
+    for part, settings in found.items():
+        if isinstance(settings, Mapping):
+            rows += [(f"{part}: {_readable(key)}", _with_unit(key, value)) for key, value in settings.items()]
+        else:
+            rows.append((_readable(part), _with_unit(part, settings)))
+    return rows
+
+
+def devices(found: Mapping[str, Any]) -> list[DeviceRow]:
+    """List the identities that the devices reported.
+
+    found: ``devices`` of results.json.
+    """
+    rows = []
+    for part, identities in found.items():
+        for identity in identities if isinstance(identities, list) else [identities]:
+            if "serial" not in identity:  # settings, not a device
+                continue
+            facts = dict(identity)
+            name = f"{part}: {facts.pop('name')}" if "name" in facts else part
+            model = " ".join(str(facts.pop(key)) for key in ("maker", "model") if facts.get(key))
+            serial, firmware = value_text(facts.pop("serial")), value_text(facts.pop("firmware", None))
+            details = ", ".join(
+                f"{_readable(key)} {value_text(value)}" for key, value in facts.items() if value is not None
+            )
+            rows.append(DeviceRow(name, model or NOTHING, serial, firmware, details))
+    return rows
+
+
+def connections(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """List what the devices answered about the cables between them and to the computer.
+
+    found: ``devices`` of results.json.
+    Returns: Name and value; empty if the run did not ask.
+    """
+    return [(_readable(name), str(value)) for name, value in (found.get("connections") or {}).items()]
+
+
+def left(found: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
+    """List how each device was left after the last step that needs devices.
+
+    found: ``devices_left`` of results.json.
+    Returns: Device, state, and what it answered, or what may be the case.
+    """
+    ends = [DeviceEnd.from_dict(end) for end in found]
+    return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]
+
+
+def _readable(key: str) -> str:
+    for ending in _UNIT_ENDINGS:
+        key = key.removesuffix(ending)
+    return key.replace("_", " ")
+
+
+def _with_unit(key: str, value: Any) -> str:
+    printed = value_text(value)
+    if printed == NOTHING:
+        return printed
+    for ending, unit in _UNIT_ENDINGS.items():
+        if key.endswith(ending):
+            return f"{printed} {unit}"
+    return printed
+
 
 _ENDS = {"open": "without an end"}
 """Words for the ends of runs in the ledger."""

@@ -7,16 +7,189 @@ alone suffice where there is no page, as in a certificate. The same data give th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bench.report.drawing import INK, LINE, MUTED
-from bench.report.scales import Scale
+# Colours and sizes that all plots share.
+
+POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours of the poses, repeated after six: the palette of Okabe and Ito (2008), safe for colour-blind readers."""
+INK, MUTED, LINE = "#17212b", "#5c6874", "#d5dbe1"
+"""Colours of text, of pale text and of lines on a light page. A dark page replaces them by its style sheet."""
+PANEL = (281.0, 191.0)
+"""Width and height of one of several plots beside each other, points."""
+WIDE = 605.0
+"""Width of a plot alone, points."""
+_PALE, _DEEP = (244, 248, 252), (106, 172, 214)
+
+
+def shade(share: float) -> str:
+    """Return a shade of blue on which dark text can be read.
+
+    share: 0 for the palest one, 1 for the deepest one.
+    """
+    part = min(max(share, 0.0), 1.0)
+    return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(_PALE, _DEEP, strict=True))
+
+
+# Scales of plots: where a value stands along an axis, round numbers for ticks, and their labels. Pure.
 
 Array = NDArray[np.float64]
+
+_STEPS = (1.0, 2.0, 5.0, 10.0)
+_LABELLED = ((1, 2, 5), (1,))
+"""Digits of logarithmic ticks: the first that are few enough."""
+_NARROW, _WIDE_LETTERS = frozenset(" .,:;|!'()[]fijlrtI\N{PRIME}"), frozenset("mwMW@%\N{HORIZONTAL ELLIPSIS}")
+_EM = {"narrow": 0.37, "wide": 0.96, "capital": 0.7, "other": 0.63}
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The range of an axis, and how its values are spread."""
+
+    # low, high: Value at the left or lower end, and at the right or upper end; ``low`` may be the larger one.
+    low: float
+    high: float
+    # ``linear``; ``log``; or ``symlog``: linear within ``linear_within`` of zero, logarithmic beyond.
+    kind: str = "linear"
+    linear_within: float = 1.0  # Range of the linear part of ``symlog``, in the unit of the axis
+    # Positions of the ticks and their labels; None for round numbers.
+    ticks: Sequence[tuple[float, str]] | None = None
+
+    def share(self, values: ArrayLike) -> Array:
+        """Return where values stand.
+
+        Returns: Of the shape of ``values``: 0 at ``low``, 1 at ``high``.
+        """
+        low, high = (float(self._spread(np.asarray(end, float))) for end in (self.low, self.high))
+        return np.asarray((self._spread(np.asarray(values, float)) - low) / (high - low))
+
+    def chosen_ticks(self, most: int) -> list[tuple[float, str]]:
+        """Return the ticks within the range, with their labels."""
+        if self.ticks is not None:
+            return list(self.ticks)
+        low, high = sorted((self.low, self.high))
+        if self.kind == "log":
+            return [(value, plain(value)) for value in log_ticks(low, high, most)]
+        found = ticks(low, high, most)
+        return list(zip(found, tick_labels(found), strict=True))
+
+    def _spread(self, values: Array) -> Array:
+        if self.kind == "log":
+            return np.log10(values)
+        if self.kind == "symlog":
+            size = np.abs(values) / self.linear_within
+            return np.asarray(np.sign(values) * np.where(size <= 1, size, 1 + np.log10(np.maximum(size, 1))))
+        return values
+
+
+def ticks(low: float, high: float, most: int = 5) -> list[float]:
+    """Return round numbers in a range.
+
+    Returns: The ticks, in rising order; ``low`` alone if the range is empty.
+
+    Examples
+    --------
+    >>> ticks(0.0, 9.7)
+    [0.0, 2.0, 4.0, 6.0, 8.0]
+    """
+    if not high > low:
+        return [low]
+    rough = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(rough))
+    wide = next(i for i, s in enumerate(_STEPS) if s * power >= rough * (1 - 1e-9))
+    return _multiples(low, high, _STEPS[wide] * power) or _multiples(low, high, _STEPS[wide - 1] * power)
+
+
+def _multiples(low: float, high: float, step: float) -> list[float]:
+    """Return the multiples of a step in a range. A range of more than half a step may hold none."""
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)]
+
+
+def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
+    """Return round numbers of a logarithmic axis.
+
+    Returns: 1, 2 and 5 times powers of ten, or powers of ten if those are too many; round numbers of a linear
+      axis if the range has less than two of them.
+
+    Examples
+    --------
+    >>> log_ticks(0.3, 7.0)
+    [0.5, 1.0, 2.0, 5.0]
+    """
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    found: list[float] = []
+    for digits in _LABELLED:
+        found = [v for p in powers for d in digits if low <= (v := float(f"{d}e{p}")) <= high]
+        if len(found) <= most + 1:
+            break
+    return found if len(found) > 1 else [value for value in ticks(low, high, most) if value > 0]
+
+
+def tick_label(value: float, span: float) -> str:
+    """Return the label of a tick.
+
+    Returns: The number with a true minus sign.
+
+    Examples
+    --------
+    >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
+    ('3345.0', '−0.05')
+    """
+    return _decimal(value, max(0, 1 - math.floor(math.log10(span))) if span > 0 else 3)
+
+
+def tick_labels(values: Sequence[float]) -> list[str]:
+    """Return the labels of evenly spaced ticks, all with the decimals that their distance needs.
+
+    values: Positions of the ticks, in rising order.
+    Returns: The numbers with a true minus sign.
+
+    Examples
+    --------
+    >>> tick_labels([-0.5, 0.0, 0.5]), tick_labels([0.0, 200.0])
+    (['−0.5', '0.0', '0.5'], ['0', '200'])
+    """
+    if len(values) < 2:
+        return [plain(value) for value in values]
+    decimals = max(0, -math.floor(math.log10(values[1] - values[0]) + 1e-9))
+    return [_decimal(value, decimals) for value in values]
+
+
+def plain(value: float) -> str:
+    """Return a round number as text.
+
+    Returns: The number with a true minus sign and without zeros at its end.
+    """
+    return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
+
+
+def text_width(text: str, size: float) -> float:
+    """Estimate how wide a text is in a common sans-serif typeface.
+
+    Returns: The width, in the unit of ``size``; that of DejaVu Sans, and most typefaces are narrower.
+    """
+    return size * sum(_EM[_kind(letter)] for letter in text)
+
+
+def _kind(letter: str) -> str:
+    if letter in _NARROW:
+        return "narrow"
+    if letter in _WIDE_LETTERS or ord(letter) > 0x2E80:  # ideographs are as wide as high
+        return "wide"
+    return "capital" if letter.isupper() else "other"
+
+
+def _decimal(value: float, decimals: int) -> str:
+    text = f"{value:.{min(decimals, 9)}f}"
+    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+
 
 FONT, TITLE = 9.0, 9.5
 """Sizes of type: labels, and titles."""

@@ -7,10 +7,138 @@ ILAC-P14). Independent of any report and any markup.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from datetime import datetime
 from decimal import ROUND_HALF_EVEN, Decimal
-from typing import Any
+from typing import Any, NamedTuple
+
+from bench.records.results import Results
+
+# An ``until`` in words: its goals, what it has reached, and how it ended.
+
+_GOALS = {"expanded_fx_px": "U(fx)", "worst_corner_px": "U at the corners"}
+
+
+def meaning_of_goal(name: str) -> str:
+    """Return a goal as people read it.
+
+    name: Name of the goal: ``expanded_fx_px`` or ``worst_corner_px``.
+    """
+    return _GOALS.get(name, name)
+
+
+def goals_text(wanted: Mapping[str, float]) -> str:
+    """Return goals as text.
+
+    wanted: Largest expanded uncertainties allowed, px, by name.
+    Returns: For example ``U(fx) is at most 2 px``.
+
+    Examples
+    --------
+    >>> goals_text({"expanded_fx_px": 2.0, "worst_corner_px": 0.3})
+    'U(fx) is at most 2 px and U at the corners at most 0.3 px'
+    """
+    parts = [f"{meaning_of_goal(name)} at most {goal:.3g} px" for name, goal in wanted.items()]
+    return " and ".join(parts).replace(" at most", " is at most", 1)
+
+
+def reached_text(decided: Mapping[str, Any]) -> str:
+    """Return what an ``until`` has reached.
+
+    decided: Payload of the journal line ``until_decided``.
+    Returns: For example ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``.
+    """
+    now = decided["now"]
+    poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
+    if now and decided.get("coverage_factor"):
+        poses += f" (k = {decided['coverage_factor']:.3g})"
+    if not now:
+        return f"{poses}: no calibration yet. {decided.get('problem', '')}".strip()
+    parts = [
+        f"{meaning_of_goal(name)} {now[name]:.3g} px (wanted {goal:.3g})"
+        for name, goal in decided["wanted"].items()
+    ]
+    return f"{poses}: {', '.join(parts)}"
+
+
+def decision_text(decided: Mapping[str, Any]) -> str:
+    """Return a decision of an ``until`` as one line.
+
+    decided: Payload of the journal line ``until_decided``.
+    """
+    reached = reached_text(decided)
+    chosen = decided.get("chosen")
+    if chosen is None:
+        return f"{reached}. {decided.get('why', '')}".strip()
+    angles = ", ".join(f"{axis} {angle:g}" for axis, angle in chosen["angles_deg"].items())
+    return f"{reached}; next: pose {chosen['pose']} at {angles} deg"
+
+
+# What a report calls what the camera saw: the stars of the target, or the points of a board at finite
+# distance.
+
+_BOARD_WORDS = {
+    "star": "point",
+    "stars": "points",
+    "Star": "Point",
+    "Stars": "Points",
+    "reticle": "board",
+    "target": "board",
+    "target's": "board's",
+}
+_WORD = re.compile(r"\b(?:target's|[Ss]tars?|reticle|target)\b")
+
+
+class TargetWords(NamedTuple):
+    """The words for one kind of target."""
+
+    point: str
+    points: str
+    target: str
+
+    @property
+    def capital(self) -> str:
+        """``points`` at the begin of a sentence."""
+        return self.points.capitalize()
+
+    @property
+    def is_board(self) -> bool:
+        """Whether they are words for a board."""
+        return self == BOARD
+
+    def fitting(self, text: str) -> str:
+        """Return a sentence of this program, which speaks of stars, in these words.
+
+        text: The sentence; never one that a person wrote.
+
+        Examples
+        --------
+        >>> BOARD.fitting("as a bow of the reticle: the star noise, the stars' edges")
+        "as a bow of the board: the point noise, the points' edges"
+        """
+        return _WORD.sub(lambda found: _BOARD_WORDS[found[0]], text) if self.is_board else text
+
+
+STARS = TargetWords("star", "stars", "target")
+BOARD = TargetWords("point", "points", "board")
+
+
+def words_for(board: object) -> TargetWords:
+    """Return the words for a target.
+
+    board: The board at finite distance, or its description; None or empty for the star target.
+    """
+    return BOARD if board else STARS
+
+
+def words_of(results: Results) -> TargetWords:
+    """Return the words for what a run recorded.
+
+    Returns: Those of a board if ``run`` names one.
+    """
+    return words_for((results.get("run") or {}).get("board"))
+
 
 NOTHING = "\N{EN DASH}"
 """Printed in place of a missing value."""

@@ -2,13 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from bench.records.results import Results
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+# Selects the poses that a report shows as images, because a page cannot show thousands.
+#
+# Uses results.json alone, no images. A report that is rendered again from the same results selects the same
+# poses.
+
+MOST_PICTURES = 24
+"""Largest number of poses shown as images."""
+_WORST = 3
+_NOT_PASSED = ("fail", "marginal")
+_POSE_OF_GATE = re.compile(r"pose (\d+): ")
+
+PLOTS = (
+    "truth", "uncertainty", "direction", "halves", "distortion", "poses", "frames", "vectors", "cloud", "radial",
+    "coverage", "regions", "change", "change_ratio",
+)  # fmt: skip
+"""Names of the plots in the template."""
+
+
+@dataclass(frozen=True)
+class PictureSelection:
+    """Poses that a report shows as images."""
+
+    names: frozenset[str]
+    shown: int
+    total: int
+
+
+def pictured_poses(results: Results) -> PictureSelection:
+    """Select the poses that a report shows as images: all if they are few, otherwise `MOST_PICTURES`.
+
+    The three poses with the largest RMS residual come first, then poses with a failed gate, then poses with a marginal
+    gate, then the others. If a group does not fit completely, poses evenly spread over the run are selected from it.
+
+    results: Content of results.json. Poses without stars in the calibration have no image.
+    """
+    poses = [pose for pose in results.get("poses") or [] if pose.get("rms_px") is not None]
+    judged = _indices_by_verdict(results.get("gates") or [])
+    worst_first = sorted(range(len(poses)), key=lambda place: (-(poses[place]["rms_px"] or 0.0), place))
+    groups = [
+        worst_first[:_WORST],
+        *([p for p, pose in enumerate(poses) if pose["index"] in judged[verdict]] for verdict in _NOT_PASSED),
+        list(range(len(poses))),
+    ]
+    chosen: set[int] = set()
+    for group in groups:
+        chosen.update(_evenly_spread([p for p in group if p not in chosen], MOST_PICTURES - len(chosen)))
+    return PictureSelection(frozenset(str(poses[place]["name"]) for place in chosen), len(chosen), len(poses))
+
+
+def _indices_by_verdict(gates: Sequence[Mapping[str, Any]]) -> dict[str, set[int]]:
+    """Return the indices of the poses that have a gate with this verdict; gates of the whole run belong to no pose."""
+    found: dict[str, set[int]] = {verdict: set() for verdict in _NOT_PASSED}
+    for gate in gates:
+        of_pose = _POSE_OF_GATE.match(str(gate["name"]))
+        if of_pose and gate["verdict"] in found:
+            found[gate["verdict"]].add(int(of_pose[1]))
+    return found
+
+
+def _evenly_spread(places: Sequence[int], most: int) -> Sequence[int]:
+    """Select at most ``most`` places, evenly spread, with the first and the last."""
+    if len(places) <= most:
+        return places
+    return [places[k * (len(places) - 1) // max(1, most - 1)] for k in range(most)]
+
 
 MOST_STARS = 12_000
 """Approximate largest number of stars in a plot."""

@@ -14,15 +14,12 @@ from typing import Any
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.findings import Findings
-from bench.evidence.passport_seal import read_passport_seal
-from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import read_signature
-from bench.plan.passport_file import read_passport_file
-from bench.plan.passports import PassportInUse
-from bench.records.reading import read_json
+from bench.evidence.seal import read_passport_seal
+from bench.evidence.sshsig import fingerprint, read_signature
+from bench.plan.passports import PassportInUse, read_passport_file
 from bench.records.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE
-from bench.records.storage import sha256_of
-from bench.results.compare_json import differences
+from bench.records.storage import read_json, sha256_of
+from bench.results.compare_numbers import differences
 from bench.results.compare_trees import (
     UNREADABLE,
     MadeAgain,
@@ -32,9 +29,8 @@ from bench.results.compare_trees import (
 )
 from bench.results.offline import OfflineResult, calibrate_paths
 from bench.results.offline_folder import SOURCES, Stars, offline_files, source_data
-from bench.results.offline_options import StationFile
+from bench.results.offline_options import StationFile, options_of_data
 from bench.results.results_content import other_engine, other_software
-from bench.results.stored_options import options_of_data
 from bench.stations.station import load_station
 from calib.errors import CalibrationError
 from calib.target import StarTarget

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
-from bench.records.reading import read_bounded
-from bench.report.camera_values import camera_covariance, camera_of
+from bench.records.storage import read_bounded
+from bench.report.pose_plot import camera_covariance, camera_of
 from calib.model.camera import BROWN, FISHEYE, CameraModel
 from sequences.yaml_text import parse
 

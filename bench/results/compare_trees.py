@@ -19,21 +19,23 @@ from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, EvidenceError, RunFolderError, StorageError
 from bench.evidence.findings import Findings
-from bench.evidence.instructions import instructions, kind_of
-from bench.evidence.seal import INSTRUCTIONS
-from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import read_signature
-from bench.records.reading import read_json
+from bench.evidence.seal import INSTRUCTIONS, instructions, kind_of
+from bench.evidence.sshsig import fingerprint, read_signature
 from bench.records.results import Results
-from bench.records.run_folder import PLAN, REPORT, RESULTS, SIGNATURE
-from bench.records.written import EXPORTS
-from bench.report.choice import pictured_poses
-from bench.report.view_picture import ViewPicture
-from bench.results.compare_json import differences
-from bench.results.compare_numbers import TOLERANCE_SHARE, add_faults, check_numbers, same_stars, tolerance
+from bench.records.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
+from bench.records.storage import read_json
+from bench.report.view_picture import ViewPicture, pictured_poses
+from bench.results.compare_numbers import (
+    TOLERANCE_SHARE,
+    add_faults,
+    check_numbers,
+    differences,
+    same_stars,
+    tolerance,
+)
 from bench.results.result import shown_files
 from bench.results.results_content import other_software
-from bench.results.stored_calibration import stored_calibration
+from bench.results.run_reader import stored_calibration
 from bench.views.views_file import (
     VIEWS,
     Measured,

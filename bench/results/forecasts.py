@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.base.errors import UsageError
 from bench.plan.plan import Plan
-from bench.report.until_text import meaning_of_goal
+from bench.report.text import meaning_of_goal
 from bench.results.solve_options import gimbal_readings, stated_radial_sigma
 from bench.stations.station import Station
 from calib.errors import DegenerateViews, TooFewStars

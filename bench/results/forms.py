@@ -20,7 +20,6 @@ _DRAWN_WITH = (
 )
 """Modules of the engine that the plots use."""
 _EXPORTED_WITH = (
-    "bench/results/export_parts.py",
     "bench/results/exports.py",
     "calib/model/camera.py",
     "calib/model/lens.py",

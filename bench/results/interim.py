@@ -15,10 +15,9 @@ import numpy as np
 from bench.plan.job import Job
 from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import Attempt, History
-from bench.report.until_text import meaning_of_goal
-from bench.results.fixed_parts import fixed_parts
-from bench.results.measure_again import measure_again
-from bench.results.next_pose import Choice, Wish, choose_pose
+from bench.report.text import meaning_of_goal
+from bench.results.next_pose import Choice, Wish, choose_pose, fixed_parts
+from bench.results.solution import measure_again
 from bench.results.solve_options import limited_numbers, solve_options
 from bench.views.expected_grid import best_angles_deg
 from bench.views.measure import Measurement, aligned_poses

@@ -7,32 +7,39 @@ and a finer grid around its best pose. The choice uses no chance, so the same po
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.until_text import meaning_of_goal
-from bench.results.forecasts import expected_bench
+from bench.plan.plan import Plan
+from bench.report.text import goals_text, meaning_of_goal
+from bench.results.forecasts import expected_bench, forecast_bench
 from bench.results.solve_options import stated_radial_sigma
 from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
 from calib.engine import Calibration
+from calib.errors import DegenerateViews, TooFewStars
+from calib.model.budget_row import (
+    COMMON_FIELD,
+    GIMBAL_SCALE,
+    PARALLAX,
+    READINGS,
+    UNBOUNDED_PARALLAX,
+    WORST_CORNER,
+    BudgetRow,
+)
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.studies.pose_choice import (
-    Angles,
-    GimbalModel,
-    PoseWeigher,
-    WeighedPose,
-    fit_gimbal_model,
-)
+from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
+from calib.studies.pose_choice import Angles, GimbalModel, PoseWeigher, WeighedPose, fit_gimbal_model
 from calib.studies.pose_gains import Sigmas
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
+from sequences.script import RecordStep, Until
 
 Array = NDArray[np.float64]
 
@@ -269,3 +276,151 @@ def _reason(wish: Wish, lacks: str) -> str:
     missed = [name for name, goal in wish.wanted.items() if wish.now.get(name, np.inf) > goal]
     widest = max(missed, key=lambda name: wish.now.get(name, np.inf) / wish.wanted[name])
     return f"it lowers {meaning_of_goal(widest)} most"
+
+
+# Forecast of an ``until`` before anything moves: how many poses it will need, and what it will reach.
+#
+# The poses are chosen as in a run, on the bench that the station expects.
+
+# The parts of the expanded uncertainties that further poses do not lower, from the uncertainty budget.
+#
+# Plans and decisions of an ``until`` use them. The module loads nothing that measures images, so that a
+# plan is quick.
+
+REDUCED_SLOWLY = frozenset({PARALLAX, UNBOUNDED_PARALLAX, GIMBAL_SCALE, COMMON_FIELD})
+"""Sources that the stars of further poses lower too, by what they say of the same quantity."""
+
+_QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
+"""Column of the budget for each goal."""
+SMALLEST_COVERAGE_FACTOR = 2.0
+"""The k of the expanded uncertainty if many poses determine it."""
+
+
+def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:
+    """Return the parts of the expanded uncertainties that further poses do not lower, by source.
+
+    They are expanded by k = 2. What competes with the stars or the readings for the focal length counts as far as it
+    would remain after all poses: with q, the ratio of the variances of these rows and of those that poses lower, the
+    information of `more` times as many poses leaves (1 + q) / (`more` + q) of it (own derivation for one parameter: a
+    prior of information b contributes sqrt(b) / (a + b) if the poses have the information a). A passport competes with
+    readings only.
+
+    more: How many times as many poses can be recorded in all, at least 1.
+    Returns: Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for goal, quantity in _QUANTITIES.items():
+        parts = {row.name: row.contribution.get(quantity, 0.0) for row in rows}
+        kept = {name: part for name, part in parts.items() if name not in REDUCED_BY_POSES and part > 0}
+        slow = kept if parts.get(READINGS, 0.0) > 0 else kept.keys() & REDUCED_SLOWLY
+        left = _remaining(sum(kept[name] ** 2 for name in slow), _of_poses(parts), more)
+        found[goal] = {
+            name: SMALLEST_COVERAGE_FACTOR * (left if name in slow else 1.0) * part
+            for name, part in kept.items()
+        }
+    return found
+
+
+def _of_poses(parts: Mapping[str, float]) -> float:
+    """Return the variance of the rows that further poses lower."""
+    return sum(part**2 for name, part in parts.items() if name in REDUCED_BY_POSES)
+
+
+def _remaining(beforehand: float, poses: float, more: float) -> float:
+    """Return the share that remains of a variance that is known beforehand, beside that of the poses."""
+    return 1.0 if poses <= 0 else (1.0 + beforehand / poses) / (more + beforehand / poses)
+
+
+HOPELESS = 4.0
+"""The forecast ends when it expects this many times more poses than are allowed."""
+
+
+@dataclass(frozen=True)
+class ExpectedCourse:
+    """What an ``until`` is expected to do."""
+
+    until: int  # Number of its first step
+    # Expected number of accepted recordings of the step; None if it will not meet its goals.
+    poses: int | None
+    reached: Mapping[str, float]  # Expanded uncertainties expected at its end, px, by name of the goal
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the expectation for JSON output."""
+        return asdict(self)
+
+
+def expected_courses(planned: Plan) -> list[ExpectedCourse]:
+    """Predict what each ``until`` of a plan will do.
+
+    planned: A plan without faults.
+    Returns: One for each ``until``; empty if the station expects nothing.
+    """
+    if planned.station.value.expected is None:
+        return []
+    return [_course(planned, until) for until in planned.untils]
+
+
+def _course(planned: Plan, until: Until) -> ExpectedCourse:
+    before = [
+        step.pose
+        for step in planned.script
+        if isinstance(step, RecordStep) and not step.pose.chosen_in_run and step.pose.index < until.poses.stop
+    ]
+    record = next(
+        s for s in planned.script if isinstance(s, RecordStep) and s.pose.index == until.poses.start
+    )
+    taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in before]
+    earlier, bench = len(taken) - until.starts, forecast_bench(planned)
+    wish = Wish(until.goals, {}, roll=False, needs_tag=True, min_stars=record.gates.min_stars)
+    while True:
+        recorded = len(taken) - earlier
+        found = _forecast(bench, taken)
+        reached = {name: found.limited[name.removesuffix("_px")] for name in until.goals} if found else {}
+        if reached and all(reached[name] <= goal for name, goal in until.goals.items()):
+            text = f"about {recorded} poses until {goals_text(until.goals)}"
+            return ExpectedCourse(until.first, recorded, reached, f"Expected: {text}.")
+        if why := _why_not(until, found, reached, recorded, len(taken)):
+            return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
+        choice = choose_pose(
+            planned.station,
+            None,
+            bench.passport,
+            taken_deg=taken,
+            refused_deg=[],
+            wish=wish,
+            readings=bench.readings,
+        )
+        if not isinstance(choice, Choice):
+            return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
+        taken.append(dict(choice.angles_deg))
+
+
+def _forecast(bench: ExpectedBench, taken: list[dict[str, float]]) -> Forecast | None:
+    """Return the forecast for these poses; None if they do not suffice."""
+    try:
+        return forecast(bench, taken) if taken else None
+    except (TooFewStars, DegenerateViews):
+        return None
+
+
+def _why_not(
+    until: Until, found: Forecast | None, reached: Mapping[str, float], recorded: int, poses: int
+) -> str:
+    """Return why the goals will not be met; empty if further poses can still help."""
+    if found is None or not reached:
+        return "" if recorded < until.at_most else "the poses will not determine the camera."
+    goals = until.goals
+    parts = fixed_parts(found.budget_rows, max(1.0, (poses + until.at_most - recorded) / poses))
+    for name, goal in goals.items():
+        sources = parts.get(name, {})
+        if np.sqrt(sum(part**2 for part in sources.values())) > goal:
+            largest = max(sources, key=lambda source: sources[source])
+            return (
+                f"the goal of {goal:g} px for {meaning_of_goal(name)} cannot be reached. More poses do not reduce "
+                f"all parts of U. The largest of these parts: {largest}, {sources[largest]:.2g} px (k = 2)."
+            )
+    share = max(reached[name] / goal for name, goal in goals.items())
+    if recorded >= until.at_most or recorded * share**2 > HOPELESS * until.at_most:
+        return f"{until.at_most} poses do not suffice until {goals_text(goals)}."
+    return ""

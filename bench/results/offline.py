@@ -13,13 +13,12 @@ from typing import Any
 
 from bench.base.errors import BenchError, UsageError
 from bench.plan.passports import PassportInUse
-from bench.report.target_words import words_for
-from bench.results.board_words import errors_in
-from bench.results.comparison import planar_calibration
+from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
+from bench.results.solution import errors_in, planar_calibration
 from bench.results.solve_options import readings_result, require_enough_views
 from bench.results.view_sources import ViewSource, view_sources
-from bench.stations.station_collimator import CollimatorConfig
+from bench.stations.station_budget import CollimatorConfig
 from bench.views.kept_views import KeptViews
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions

@@ -19,16 +19,13 @@ from bench.evidence.seal import seal_folder
 from bench.plan.job import Job
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.records.run_folder import JOURNAL, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
+from bench.records.run_folder import EXPORTS, JOURNAL, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, write_atomic
-from bench.records.written import EXPORTS
 from bench.report.view_picture import ViewPicture
 from bench.results.offline import OfflineResult
-from bench.results.projection_facts import projection_facts
+from bench.results.offline_options import options_data
 from bench.results.result import json_bytes, shown_files
-from bench.results.results_content import collimator_data, target_data
-from bench.results.station_software import files_software
-from bench.results.stored_options import options_data
+from bench.results.results_content import collimator_data, files_software, projection_facts, target_data
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 from bench.views.views_file import VIEWS, views_file
 from calib.view import View

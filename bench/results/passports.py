@@ -1,7 +1,7 @@
 """Passport files: what is known of a collimator from one calibration or certificate, for use in later calibrations.
 
 A passport is one JSON object. It is written atomically and never overwrites a file. `calib.model.passport` defines its
-content; this module adds the conditions under which the passport was made. `bench.plan.passport_file` reads the file.
+content; this module adds the conditions under which the passport was made. `bench.plan.passports` reads the file.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
-from bench.evidence.passport_seal import read_passport_seal, seal_passport
-from bench.plan.passport_file import passport_bytes, read_passport_file
+from bench.evidence.seal import read_passport_seal, seal_passport
+from bench.plan.passports import passport_bytes, read_passport_file
 from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import sha256_of, storage_errors, write_atomic
 from calib.engine import Calibration

@@ -19,9 +19,8 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.evidence.seal import read_manifest
-from bench.records.estimates import coverage_factor
 from bench.records.ledger import Ledger
-from bench.records.ledger_runs import LedgerRun
+from bench.records.ledger_breaks import LedgerRun
 from bench.records.results import (
     CalibrationData,
     CameraData,
@@ -30,8 +29,9 @@ from bench.records.results import (
     PreviousData,
     Results,
 )
+from bench.records.run_facts import coverage_factor
 from bench.records.run_folder import MANIFEST, RESULTS
-from bench.report.camera_values import camera_covariance, change_maps
+from bench.report.pose_plot import camera_covariance, change_maps
 from calib.model.lens import is_fisheye
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from bench.evidence.findings import Findings
 from bench.records.events import Event
 from bench.records.history import replay
-from bench.records.journal import read_journal
-from bench.records.journal_entry import Entry
+from bench.records.journal import Entry, read_journal
 from bench.records.run_folder import JOURNAL
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import DriverError

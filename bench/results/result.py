@@ -15,19 +15,15 @@ from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError
 from bench.plan.job import Job
 from bench.records.events import Solved
-from bench.records.history import History
+from bench.records.history import History, RunLog
 from bench.records.results import Results
-from bench.records.run_folder import REPORT, RESULTS, RunFolder
-from bench.records.run_log import RunLog
-from bench.records.written import EXPORTS
-from bench.report.choice import pictured_poses
+from bench.records.run_folder import EXPORTS, REPORT, RESULTS, RunFolder
 from bench.report.html import ReportData, render_report
-from bench.report.view_picture import ViewPicture
+from bench.report.view_picture import ViewPicture, pictured_poses
 from bench.results.exports import exports
 from bench.results.previous_calibration import bench_ledger, previous_calibration
-from bench.results.results_content import results_content
+from bench.results.results_content import results_content, run_software
 from bench.results.solution import Solution, main_numbers, solve_run
-from bench.results.station_software import run_software
 from bench.results.view_sources import decided_by_run
 from bench.views.camera_kinds import EventKind, FrameKind
 from bench.views.kept_views import KeptViews, view_key

@@ -6,21 +6,92 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
-from importlib.metadata import version
-from typing import Any, cast
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bench import __version__
 from bench.plan.job import Job
 from bench.records.history import Attempt, History
 from bench.records.results import Results
-from bench.results.comparison import compare_with_truth
+from bench.report.maps import reach_px, star_distance
 from bench.results.forms import forms
-from bench.results.projection_facts import projection_facts
-from bench.results.solution import Solution
+from bench.results.solution import Solution, compare_with_truth
+from bench.stations.sections import GROUPS, Plugin, plugins
+from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind
 from calib.calibration import ENGINES, Calibration, ViewSummary
+from calib.model.camera import CameraModel
+from calib.uncertainty.projection_uncertainty import ARCSEC, ProjectionMap, projection_uncertainty
 from calib.view import View
+
+# What the report says first: the uncertainty of a direction in the worst corner, and where stars support
+# it.
+
+Array = NDArray[np.float64]
+
+URAD_PER_ARCSEC = 1e6 / ARCSEC
+_CORNERS = {
+    "top left": (0, 0),
+    "top right": (0, -1),
+    "bottom left": (-1, 0),
+    "bottom right": (-1, -1),
+}
+
+
+def projection_facts(
+    camera: CameraModel, covariance: Array, k: float, points: Sequence[Array]
+) -> dict[str, Any] | None:
+    """Return the expanded uncertainty of a direction over the sensor, and the part that stars support.
+
+    Propagation of the camera's covariance (`calib.uncertainty.projection_uncertainty`), along the worse direction;
+    U = k u (JCGM 100:2008, 6.2.1).
+
+    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
+    points: For each view (N, 2) float64, px: its stars.
+    Returns: ``projection`` of results.json (docs/results.md); None if no corner of the sensor has an
+      uncertainty.
+    """
+    found, size = projection_uncertainty(camera, covariance), camera.image_size
+    corners = {name: float(found.sigma_px[at]) for name, at in _CORNERS.items()}
+    known = {name: sigma for name, sigma in corners.items() if np.isfinite(sigma)}
+    if not known:
+        return None
+    worst = max(known, key=lambda name: known[name])
+    middle_px, middle_arcsec = np.nanmedian(found.sigma_px), np.nanmedian(found.sigma_arcsec)
+    return {
+        "coverage_factor": k,
+        "worst_corner": {
+            "corner": worst,
+            "expanded_px": k * known[worst],
+            "expanded_urad": k * URAD_PER_ARCSEC * float(found.sigma_arcsec[_CORNERS[worst]]),
+        },
+        "median": {
+            "expanded_px": k * float(middle_px),
+            "expanded_urad": k * URAD_PER_ARCSEC * float(middle_arcsec),
+        },
+        "supported": _supported(found, np.concatenate(points), size, k) if points else None,
+    }
+
+
+def _supported(found: ProjectionMap, points: Array, size: tuple[int, int], k: float) -> dict[str, Any]:
+    """Return how much of the sensor the stars support, and the largest uncertainty there."""
+    distance, reach = star_distance(points, size), reach_px(size)
+    grid = np.rint(found.grid_px).astype(int)
+    near = (distance[grid[..., 1], grid[..., 0]] <= reach) & np.isfinite(found.sigma_px)
+    inside = [
+        float(np.max(values[near])) if near.any() else None for values in (found.sigma_px, found.sigma_arcsec)
+    ]
+    return {
+        "reach_px": reach,
+        "share": float(np.mean(distance <= reach)),
+        "expanded_px": None if inside[0] is None else k * inside[0],
+        "expanded_urad": None if inside[1] is None else k * URAD_PER_ARCSEC * inside[1],
+    }
+
 
 SCHEMA = "starbench/results/1"
 
@@ -234,3 +305,104 @@ def _pose_gates(history: History) -> list[dict[str, Any]]:
         for index, attempt in sorted(history.accepted().items())
         for gate in attempt.gates
     ]
+
+
+# Software that a station brings into a run, besides Starbench: packages of plug-ins, and libraries of its
+# drivers.
+#
+# A verification may run on a computer without these packages. So `results_content.other_software` does not
+# compare them, and a run that cannot be read without a plug-in is told as not compared.
+
+_LIBRARIES: Final = {"neuromorphic_evk4": "neuromorphic-drivers"}
+"""Package that a built-in driver needs, by the name of the driver."""
+_READERS: Final = {
+    ".aedat4": "aedat",
+    ".bag": "rosbags",
+    ".db3": "rosbags",
+    ".mcap": "rosbags",
+}
+"""Package that reads recordings of others, by the ending of the file."""
+_NOT_STATED: Final = "not stated"
+
+
+def run_software(station: Station) -> dict[str, str]:
+    """Return the versions of all software that contributes to a run on a station.
+
+    Returns: `software`, and the version of each package of a plug-in and of each optional library that the
+      station uses.
+    """
+    brought = {plugin.distribution: plugin.version for plugin in _used(station)}
+    library = _LIBRARIES.get(_driver(station.camera))
+    return _joined({**brought, **_versions([library] if library is not None else [])})
+
+
+def files_software(endings: Iterable[str]) -> dict[str, str]:
+    """Return the versions of all software that contributes to an offline calibration.
+
+    Returns: `software`, and the version of each optional library that reads such a file.
+    """
+    return _joined(_versions({_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}))
+
+
+def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
+    """Return the plug-ins that a station uses, as ``run_started`` states them.
+
+    Returns: ``plugins``: for each package the kinds and names of its drivers in this station, ``["stage
+      turntable"]``; empty if the station uses none.
+    """
+    found: dict[str, list[str]] = {}
+    for plugin in _used(station):
+        found.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
+    return {"plugins": found} if found else {}
+
+
+def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
+    """Return the plug-ins that a run used, by its journal.
+
+    started: First line of the journal, or ``run`` of results.json.
+    Returns: Package and version, and the drivers that it brought: ``{"starbench-turntable 1.0": "stage
+      turntable"}``.
+    """
+    versions = started.get("software") or {}
+    return {
+        f"{name} {versions.get(name, _NOT_STATED)}": ", ".join(drivers)
+        for name, drivers in (started.get("plugins") or {}).items()
+    }
+
+
+def plugins_missing(started: Mapping[str, Any]) -> list[str]:
+    """Return the plug-ins of a run that this computer does not have, or not in the version of the run.
+
+    started: First line of the journal.
+    """
+    here = {plugin.package for kind in GROUPS for plugin in plugins(kind) if not plugin.trouble}
+    return [package for package in plugins_stated(started) if package not in here]
+
+
+def _used(station: Station) -> Iterator[Plugin]:
+    for kind in GROUPS:
+        section = type(getattr(station, kind))
+        for plugin in plugins(kind):
+            if plugin.section is section and plugin.distribution:
+                yield plugin
+
+
+def _driver(section: object) -> str:
+    return str(getattr(section, "driver", ""))
+
+
+def _versions(packages: Iterable[str]) -> dict[str, str]:
+    """Return the versions of packages; one that is missing has taken no part."""
+    found = {}
+    for name in sorted(packages):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _joined(more: Mapping[str, str]) -> dict[str, str]:
+    """Return `software` with further packages, which never replace an entry of it."""
+    own = software()
+    return own | {name: stated for name, stated in more.items() if name not in own}

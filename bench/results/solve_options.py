@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.plan.passport_file import determines_one_view
+from bench.plan.passports import determines_one_view
 from bench.stations.station import Station
 from bench.views.expected_grid import best_angles_deg
 from calib.calibration import Calibration, CalibrationOptions

@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.plan.job import Job
-from bench.records.captures import stored_captures
 from bench.records.history import Attempt, replay
-from bench.records.journal import read_journal
+from bench.records.journal import read_journal, stored_captures
 from bench.records.run_folder import JOURNAL
-from bench.results.offline_options import OfflineOptions
-from bench.results.point_files import read_point_file
+from bench.results.offline_options import OfflineOptions, read_point_file
 from bench.views.expected_grid import grid_from_journal
 from calib.boards.board import Board
 from calib.errors import TargetNotFound, TooFewStars
@@ -34,7 +32,7 @@ from sequences.script import RecordStep
 
 if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may be kept from before
     from bench.views.measure import ExpectedGrid, Measurement
-    from bench.views.moving_recording import MovingRecording
+    from bench.views.measure_board import MovingRecording
 
 RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
@@ -184,7 +182,7 @@ def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: Expected
 
 def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the views of a file: several pictures of a moving camera's recording, one view of any other file."""
-    from bench.views.moving_recording import MovingRecording
+    from bench.views.measure_board import MovingRecording
     from drivers.camera.formats.prophesee_words import is_evt2_file
 
     ending = path.suffix.lower()
@@ -210,7 +208,7 @@ def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
 
 def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Board) -> View:
     """Reconstruct a picture and find the board in it."""
-    from bench.views.moving_recording import MOVING_REMEDY
+    from bench.views.measure_board import MOVING_REMEDY
     from calib.boards.detect import detect_board
 
     try:

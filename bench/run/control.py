@@ -22,15 +22,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.records.events import Event
-from bench.records.folder_lock import is_locked
-from bench.records.history import History
+from bench.records.history import History, RunLog
 from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import lines_after
 from bench.records.run_folder import JOURNAL
-from bench.records.run_log import RunLog
-from bench.records.storage import make_folder, storage_errors, sync_folder
-from bench.run.heartbeat import CONTROL, HEARTBEAT
-from bench.run.last_view import LAST_VIEW
+from bench.records.storage import is_locked, make_folder, storage_errors, sync_folder
+from bench.run.heartbeat import CONTROL, HEARTBEAT, LAST_VIEW
 from sequences.schema import Answer
 
 POLL_S = 0.1

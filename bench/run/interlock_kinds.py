@@ -17,7 +17,7 @@ from typing import Protocol
 
 from bench.records.storage import storage_errors
 from bench.run.interlocks import DEVICE_LOST, DOOR, Interlock
-from bench.stations.station_interlocks import (
+from bench.stations.station_fields import (
     CameraTemperatureConfig,
     DeviceLostConfig,
     DiskSpaceConfig,

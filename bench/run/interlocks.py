@@ -18,7 +18,7 @@ from bench.base.errors import InterlockHeld
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:
-    from bench.stations.station_interlocks import InterlockName
+    from bench.stations.station_fields import InterlockName
 
 DOOR: InterlockName = "door"
 DEVICE_LOST: InterlockName = "device_lost"

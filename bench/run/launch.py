@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -19,45 +20,163 @@ from typing import Any, TextIO, cast
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.base.home import home_folder
-from bench.evidence.keys import BenchKey, key_to_seal, usable_key
+from bench.evidence.keys import NAMESPACE, BenchKey, key_to_seal, usable_key
+from bench.evidence.ledger_check import sealed_strangers
 from bench.evidence.seal import seal
+from bench.evidence.sshsig import sign
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
-from bench.records.events import Event
-from bench.records.history import History, replay
-from bench.records.journal import Journal, read_journal
-from bench.records.journal_entry import Entry
-from bench.records.reading import read_json
+from bench.records.events import Event, LedgerPlace
+from bench.records.history import History, replay, way_on
+from bench.records.journal import Entry, Journal, read_journal
+from bench.records.ledger import Ledger
+from bench.records.ledger_breaks import EXPLAIN
 from bench.records.results import Results
-from bench.records.run_folder import (
-    JOURNAL,
-    PLAN,
-    REPORT,
-    RESULTS,
-    RunFolder,
-    require_resumable,
-)
+from bench.records.run_folder import JOURNAL, PLAN, REPORT, RESULTS, RunFolder, require_resumable
+from bench.records.run_index import RunIndex
+from bench.records.storage import read_json, storage_errors
 from bench.results.result import Outcome
-from bench.results.station_software import plugins_of_run, run_software
+from bench.results.results_content import plugins_of_run, run_software
 from bench.run.control import remove_inbox
-from bench.run.crash_log import archive_crash, crash_log, read_crash
-from bench.run.ended_page import remove_ended_page, write_ended_page
-from bench.run.ledger_entry import (
-    enter_in_ledger,
-    ledger_entry,
-    ledger_lines,
-    ledger_of,
-    refuse_broken_ledger,
-)
-from bench.run.resumption import intentions
+from bench.run.heartbeat import archive_crash, crash_log, read_crash
 from bench.run.run_messages import RunMessages
 from bench.run.runner import RunEnd, Runner
+from bench.run.steps import intentions
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from bench.terminal.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
+
+# The page of a run that failed or was aborted, with the bench's signature of it.
+#
+# The folder is not sealed, so that the run can be continued. A resumed run removes page and signature.
+
+PAGE_SIGNATURE = f"{REPORT}.sig"
+
+
+def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:
+    """Write and sign the page. A page that cannot be written is said; the run has ended in any case.
+
+    key: Returns the key to sign with.
+    """
+    from bench.report.html import render_ended
+
+    try:
+        entries = read_journal(folder.journal_path)[0]
+        history = replay(entries)
+        if not history.ended:
+            return
+        page = render_ended(history, way_on(history, folder.path), entries[-1].hash, NAMESPACE).encode()
+        signature = sign(key().private, page, NAMESPACE)
+        folder.write_atomic(REPORT, page)
+        folder.write_atomic(PAGE_SIGNATURE, signature)
+    except BenchError as error:
+        say(f"The page of the run could not be written: {error}")
+
+
+def remove_ended_page(folder: RunFolder) -> None:
+    """Remove the page that an earlier end of the run has left.
+
+    Raises StorageError: If it cannot be removed.
+    """
+    with storage_errors(folder.path):
+        if (folder.path / PAGE_SIGNATURE).exists():
+            (folder.path / REPORT).unlink(missing_ok=True)
+            (folder.path / PAGE_SIGNATURE).unlink()
+
+
+# The entry of a run in the bench's ledger: taken before the run does anything, completed however the run
+# ends.
+#
+# A break of the ledger is printed, journaled and reported. It stops a run only where the station says
+# ``ledger: strict``.
+
+
+def ledger_of(clock: BenchClock) -> Ledger:
+    """Return the ledger of this bench.
+
+    Returns: The ledger; its file may not exist.
+    """
+    return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
+
+
+def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
+    """Refuse a run if its station is strict and the ledger has a break that nobody has explained.
+
+    Raises EvidenceError: When it is refused; nothing was written.
+    Raises StorageError: When the ledger cannot be read.
+    """
+    if job.station.ledger.strict:
+        ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
+
+
+def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
+    """Enter a run in the ledger, or find it there.
+
+    known: Place of a run that began before; it is entered again if the ledger does not have it, because it
+      began on another bench, without a ledger, or in a ledger that was lost.
+    Raises EvidenceError: When the ledger has an unexplained break, and the station is strict.
+    Raises StorageError: When the ledger cannot be read or written.
+    """
+    station = job.station
+    anchor, strict = station.ledger.anchor, station.ledger.strict
+    strangers = sealed_strangers(ledger.home)
+    if known and ledger.contains(known):
+        refuse_broken_ledger(ledger, job)
+        faults, _ = ledger.breaks(anchor, strangers)
+        place: LedgerPlace = {
+            "number": known["number"],
+            "head": known["head"],
+            "of_camera": known["of_camera"],
+        }
+        if faults:
+            place["faults"] = [f"{fault} {EXPLAIN}" for fault in faults]
+    else:
+        place = ledger.begin(
+            run_id=folder.name,
+            folder=folder,
+            camera=station.camera.serial,
+            simulated=job.simulated,
+            anchor=anchor,
+            strict=strict,
+            strangers=strangers,
+        )
+    if ledger.warnings:
+        place["warnings"] = list(ledger.warnings)
+    return place
+
+
+def ledger_lines(place: LedgerPlace) -> list[str]:
+    """Return what the operator must know about the ledger before a run begins.
+
+    Returns: Lines of text; usually none.
+    """
+    faults = [f"FAULT OF THE LEDGER: {fault}" for fault in place.get("faults", ())]
+    return faults + [f"WARNING: {warning}" for warning in place.get("warnings", ())]
+
+
+@contextmanager
+def ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
+    """Write to the ledger how the run of the block ended; "failed" if the block raises.
+
+    Raises StorageError: When the ledger cannot be written.
+    """
+    how = "failed"
+
+    def ending(end: RunEnd) -> RunEnd:
+        nonlocal how
+        how = end.how
+        return end
+
+    try:
+        yield ending
+    finally:
+        ledger.end(place["number"], how=how, folder=folder)
+        with suppress(BenchError):  # the index is made from journals: it can be made again
+            RunIndex(ledger.home).runs([folder])
+
 
 WIRE_LOG = "wire.jsonl"
 

@@ -7,16 +7,19 @@ run.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any, cast
 
+from bench.base.clock import BenchClock
 from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.plan.job import Job
 from bench.records.events import Event
+from bench.records.history import RunLog
 from bench.records.run_folder import RunFolder
-from bench.records.run_log import RunLog
 from bench.records.storage import storage_errors
-from bench.run.interlocks import loss_text
+from bench.results.interim import Decisions
+from bench.results.result import ResultWriter
+from bench.run.interlocks import Interlocks, loss_text
 from bench.stations.devices import Devices, left_devices
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
@@ -209,3 +212,21 @@ class RunDevices:
 def _rate_mev_s(facts: Mapping[str, Any]) -> float:
     duration_s = facts.get("duration_s") or 0.0
     return facts.get("events", 0) / duration_s / 1e6 if duration_s else 0.0
+
+
+# What the parts of one run share: task, folder, journal, clock, devices, interlocks. Data only.
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """One run, as its states and steps see it."""
+
+    job: Job
+    folder: RunFolder  # Locked by this process
+    log: RunLog
+    clock: BenchClock  # A requested stop ends the run safely
+    devices: RunDevices
+    interlocks: Interlocks
+    results: ResultWriter
+    decisions: Decisions  # Decides for the ``until`` steps
+    say: Callable[[str], None]  # Shows a line to the operator

@@ -13,8 +13,7 @@ from bench.base.errors import BenchError
 from bench.messaging.messages import Courier
 from bench.records.events import Entering
 from bench.run.interlocks import interlock_text
-from bench.run.status import read_status
-from bench.run.status_text import status_text
+from bench.run.status import read_status, status_text
 
 HOLD_NOTIFY_INTERVAL_S = 600.0
 """Shortest time between two notifications about holds by the same interlock, s."""

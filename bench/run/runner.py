@@ -16,27 +16,23 @@ from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.device_ends import DeviceEnd
 from bench.base.errors import StorageError
 from bench.base.failure import FORESEEN, Failure
-from bench.plan.job import Job
-from bench.plan.script_steps import DEVICE_STEPS, ScriptStep
+from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.records.events import Entering, Event, FailureData, LeftOff
+from bench.records.history import RunLog, way_on
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
-from bench.records.run_log import RunLog
-from bench.records.way_on import way_on
-from bench.report.until_text import decision_text
+from bench.report.text import decision_text
 from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
-from bench.run.context import RunContext
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
 from bench.run.interlock_kinds import interlocks_of
 from bench.run.interlocks import Interlocks, Trip, loss_text
 from bench.run.machine import RunMachine
-from bench.run.resumption import pose_names, poses_crashed_too_often, steps_to_do
-from bench.run.run_devices import RunDevices
+from bench.run.run_devices import RunContext, RunDevices
 from bench.run.run_messages import HoldNotifier
 from bench.run.states import StateWork
-from bench.run.steps import Steps
+from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to_do
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
@@ -71,7 +67,7 @@ class RunEnd:
     failure: Failure | None = None
     opened: bool = False  # Whether the devices were open at some time
     devices: Sequence[DeviceEnd] = ()
-    way_on: tuple[str, str] = ("", "")  # What helps after a run that did not finish (`bench.records.way_on`)
+    way_on: tuple[str, str] = ("", "")  # What helps after a run that did not finish (`bench.records.history`)
 
 
 class Runner:

@@ -12,25 +12,128 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
-from bench.base.device_ends import NOT_ASKED, all_ends, lost_ends
+from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
-from bench.evidence.ledger_authorisation import known_authorisations
-from bench.evidence.shown_state import home_trust, shown_state
-from bench.records.estimates import estimates, factors_text
-from bench.records.folder_lock import is_locked
-from bench.records.history import History, replay
-from bench.records.journal import read_journal
-from bench.records.journal_entry import Entry
-from bench.records.reading import read_json
+from bench.evidence.authorisation import known_authorisations
+from bench.evidence.states import home_trust, shown_state
+from bench.records.events import (
+    Asked,
+    AttemptChecked,
+    Commanded,
+    ComputerBusy,
+    DevicesLeft,
+    Entering,
+    Event,
+    InterlockReleased,
+    LeftOff,
+    RunEnded,
+    RunResumed,
+)
+from bench.records.history import History, replay, way_on
+from bench.records.journal import Entry, read_journal
+from bench.records.run_facts import estimates, factors_text
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
-from bench.records.way_on import way_on
-from bench.report.text import with_uncertainty
-from bench.report.until_text import reached_text
+from bench.records.storage import is_locked, read_json
+from bench.report.text import decision_text, reached_text, with_uncertainty
 from bench.run.interlocks import interlock_text
-from bench.run.journal_text import line_text
 from bench.run.machine import END_STATES
 from bench.run.time_left import TimeLeft
+from bench.terminal.encoding import clock_text, counted, times
+
+# Journal lines as text for people: time and a short sentence. Lines that only programs need have no text.
+
+
+def line_text(entry: Entry) -> str:
+    """Return a journal line as text.
+
+    Returns: Time and text; empty for lines that only programs need.
+    """
+    make_text = _ENTRY_TEXTS.get(entry.event)
+    text = make_text(entry.data) if make_text is not None else ""
+    return f"{entry.utc[11:19]} UTC  {text}" if text else ""
+
+
+def _resumed_text(data: RunResumed) -> str:
+    crash = data.get("crash")
+    return f"the run was resumed{f' after a crash: {crash}' if crash else ''}"
+
+
+def _entering_text(data: Entering) -> str:
+    if "rule" in data:
+        return f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
+    # The line of the run's end states its end state already.
+    return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data.get('pose'))}"
+
+
+def _left_off_text(data: LeftOff) -> str:
+    return f"{data['state']} failed: {data['error']}" if "error" in data else ""
+
+
+def _attempt_text(data: AttemptChecked) -> str:
+    verdict = "accepted" if data["accepted"] else "; ".join(data["reasons"])
+    return f"attempt {data['attempt']}{_at_pose(data['pose'])}: {verdict}"
+
+
+def _command_text(data: Commanded) -> str:
+    refused = "" if data["taken"] else f", refused: {data['why']}"
+    typed = " (typed)" if data.get("known_by") == "typed" else ""
+    return f"{data['word']} by {data.get('by', 'an unknown person')}{typed}{refused}"
+
+
+def _end_text(data: RunEnded) -> str:
+    ends = [DeviceEnd.from_dict(end) for end in data.get("devices", ())]
+    used = any(end.state != "never opened" for end in ends)
+    unsure = "".join(f"; {end.text}" for end in ends if used and end.state != "confirmed safe")
+    return f"{data['how']}{': ' if data['why'] else ''}{data['why']}{unsure}"
+
+
+def _left_text(data: DevicesLeft) -> str:
+    ends = [DeviceEnd.from_dict(end) for end in data["devices"]]
+    unsure = [end.text for end in ends if end.state != "confirmed safe"]
+    return f"the devices after the last step that needs them: {'; '.join(unsure) or 'all confirmed safe'}"
+
+
+def _question_text(data: Asked) -> str:
+    return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
+
+
+def _interlock_released_text(data: InterlockReleased) -> str:
+    return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
+
+
+def _busy_text(data: ComputerBusy) -> str:
+    load = data["lateness"].get("load")
+    at_load = "" if load is None else f" (load {load:g})"
+    late = f"it was {data['late_s']:.1f} s late in {data['window_s']:.0f} s"
+    return f"this computer is too busy: {late}{at_load}; deadlines are stretched"
+
+
+def _at_pose(pose: int | None) -> str:
+    return f" at pose {pose}" if pose else ""
+
+
+_ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
+    Event.RUN_STARTED: lambda _data: "the run began",
+    Event.RUN_RESUMED: _resumed_text,
+    Event.ENTERING: _entering_text,
+    Event.LEFT_OFF: _left_off_text,
+    Event.CAPTURE_STORED: lambda data: f"stored {data['capture']}",
+    Event.ATTEMPT_CHECKED: _attempt_text,
+    Event.COMMANDED: _command_text,
+    Event.DEVIATION: lambda data: f"deviation: {data['what']}",
+    Event.POSE_SKIPPED: lambda data: f"deviation: {data['what']}",
+    Event.UNTIL_DECIDED: decision_text,
+    Event.RUN_ENDED: _end_text,
+    Event.DEVICES_LEFT: _left_text,
+    Event.ASKED: _question_text,
+    Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
+    Event.INTERLOCK_RELEASED: _interlock_released_text,
+    Event.COMPUTER_BUSY: _busy_text,
+    Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
+}
+"""Text of each kind of journal line that people read."""
+
 
 LAST_LINES = 5
 
@@ -275,3 +378,66 @@ def _is_over(history: History) -> bool:
 def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
     texts = (text for text in map(line_text, reversed(entries)) if text)
     return tuple(reversed(tuple(islice(texts, LAST_LINES))))
+
+
+# Status of a run as lines of text, for the terminal, messages and the panel.
+
+_WORTH_TELLING_S = 5.0
+"""A run that has ended tells how late the computer was if it lost more than this, s."""
+
+
+def status_text(status: Status) -> str:
+    """Return a status as text."""
+    return "\n".join([*head_lines(status), *(f"  {line}" for line in status.last), status.advice])
+
+
+def head_lines(status: Status) -> list[str]:
+    """Return the first part of a status as text: state, counts, uncertainty and deviations."""
+    poses = f"{'at most ' if status.most_poses > status.poses else ''}{status.most_poses}"
+    counts = f"{status.accepted} of {poses} poses recorded, {counted(status.attempts, 'recording')}"
+    counts += f", {status.skipped} skipped" if status.skipped else ""
+    counts += f", resumed {times(status.resumed)}" if status.resumed else ""
+    lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
+    told = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
+    lines += [f"{name} {text}" for name, text in told.items() if text]
+    lines += _unasked(status)
+    lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
+    return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
+
+
+def _state(status: Status, poses: str) -> str:
+    """Return the state of a run as one line."""
+    at = f", pose {status.pose} of {poses} ({status.pose_name})" if status.pose else ""
+    end = status.ended or (status.state if status.state in END_STATES else "")
+    if status.running and end:
+        why = f": {status.why}" if status.why else ""
+        being_sealed = end == "finished" and not status.sealed
+        return f"{end}{why}{'; the run folder is being sealed' if being_sealed else ''}"
+    if status.running:
+        held = f", HELD by {status.held_by}" if status.held_by else ""
+        held = held or (", WAITS FOR AN ANSWER" if status.question else "")
+        left = "" if status.left_s is None else f", about {clock_text(status.left_s)} left"
+        return f"running: {status.state}{at}{held}{left}"
+    if status.ended:
+        return f"{status.ended}{': ' if status.why else ''}{status.why}"
+    return f"interrupted (killed or power lost): {status.state}{at}"
+
+
+def _busy(status: Status) -> dict[str, str]:
+    """Return how late the computer is, or was if the run has ended."""
+    if not status.ended:
+        return {"Computer busy:": status.busy}
+    lost_s = status.lateness.get("lost_s", 0.0)
+    if lost_s < _WORTH_TELLING_S:
+        return {}
+    longest_s = status.lateness.get("longest_s", 0.0)
+    return {"The computer was busy:": f"{lost_s:.0f} s were lost in all, {longest_s:.1f} s at once at most"}
+
+
+def _unasked(status: Status) -> list[str]:
+    """Return what may be the case after a run whose process was killed. Other ends state it in their last line."""
+    ends = [] if status.ended else [DeviceEnd.from_dict(one) for one in status.devices]
+    advice = [end.advice for end in ends if end.state == "not confirmed" and end.advice]
+    if not advice:
+        return []
+    return [" ".join(["CHECK THE BENCH: the process ended before it could ask the devices.", *advice])]

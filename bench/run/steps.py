@@ -7,16 +7,19 @@ kept as evidence; the sequence step decides what follows the last one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Unpack
 
 from bench.base.errors import PoseFailed
-from bench.plan.script_steps import ParkStep, ScriptStep
+from bench.plan.job import Job, ParkStep, ScriptStep
 from bench.records.events import Circumstances, Event
-from bench.run.context import RunContext
+from bench.records.history import History, count_crash
+from bench.report.text import goals_text
 from bench.run.machine import RunMachine
-from bench.run.resumption import steps_of_pose, steps_to_repeat
-from bench.terminal.wording import counted
+from bench.run.run_devices import RunContext
+from bench.terminal.encoding import counted
 from drivers.errors import RecordingFailed
 from sequences.script import (
     ChooseStep,
@@ -29,6 +32,167 @@ from sequences.script import (
     SolveStep,
     WaitStep,
 )
+
+# Which steps of a script a run still has to do, and which steps these depend on. Uses steps and history, no
+# devices.
+#
+# A recording (or settling) depends on the move before it; a report depends on the solution before it. If
+# the one is still to be done, the other is repeated.
+
+CRASHES_ALLOWED = 1
+"""A pose at which the process crashed more often than this is not tried again."""
+
+
+def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
+    """Return the steps to do: those not done, and those done that the first of them depends on.
+
+    Returns: Steps to do, in the order of the script.
+    """
+    done = set(done)
+    undone = [i for i, step in enumerate(steps) if step.number not in done]
+    again: set[int] = set()
+    for wanted in ((MoveStep, SettleStep, RecordStep), (SolveStep, ReportStep)):
+        first = next((i for i in undone if isinstance(steps[i], wanted)), None)
+        if first is not None:
+            again |= set(_places_to_repeat(steps, first))
+    return [steps[i] for i in sorted({*again, *undone})]
+
+
+def steps_to_do(job: Job, history: History) -> list[ScriptStep]:
+    """Return the steps that a run still has to do.
+
+    Returns: Steps in the order of the script, without those that an ``until`` left out because it ended.
+    """
+    left_out = {step.number for step in job.steps if history.is_left_out(step.number)}
+    return remaining_steps(job.steps, history.done_steps | left_out)
+
+
+def pose_names(job: Job, history: History) -> dict[int, str]:
+    """Return the names of the poses that have angles: those of the sequence and those chosen so far."""
+    poses = [step.pose for step in job.steps if isinstance(step, RecordStep)]
+    chosen = history.chosen
+    return {pose.index: pose.name for pose in poses if not pose.chosen_in_run or pose.index in chosen}
+
+
+def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
+    """Return the steps before ``step`` that the next recording depends on: move and settling.
+
+    Returns: Steps to repeat; empty if a move comes before the next recording, or no recording follows.
+    """
+    here = next(i for i, candidate in enumerate(steps) if candidate.number == step.number)
+    coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
+    if not isinstance(next(coming, None), RecordStep):
+        return []
+    begin = max((i for i in range(here) if isinstance(steps[i], MoveStep)), default=here)
+    return [s for s in steps[begin:here] if isinstance(s, MoveStep | SettleStep)]
+
+
+def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptStep]:
+    """Return the steps that serve one recording only: it, and its move if no other recording depends on that.
+
+    If the run chooses the pose, the step that chooses it is one of them.
+
+    pose_index: Number of the pose, from 1.
+    Returns: Steps to leave out if the pose is skipped.
+    """
+    here = next(i for i, s in enumerate(steps) if isinstance(s, RecordStep) and s.pose.index == pose_index)
+    moves = [i for i, s in enumerate(steps) if isinstance(s, MoveStep)]
+    begin = max((i for i in moves if i < here), default=here)
+    end = min((i for i in moves if i > here), default=len(steps))
+    if sum(isinstance(s, RecordStep) for s in steps[begin:end]) > 1:
+        return [steps[here]]
+    own = [s for s in steps[begin : here + 1] if isinstance(s, MoveStep | SettleStep | RecordStep)]
+    choices = (s for s in steps[:begin] if isinstance(s, ChooseStep) and s.pose is not None)
+    return [*(s for s in choices if s.pose is not None and s.pose.index == pose_index), *own]
+
+
+def poses_crashed_too_often(history: History) -> dict[int, str]:
+    """Return the poses that must not be tried again because the process crashed there too often."""
+    accepted = history.accepted()
+    return {
+        pose: f"the process crashed {crashes} times at this pose"
+        for pose, crashes in history.crashes.items()
+        if crashes > CRASHES_ALLOWED and pose not in accepted and pose not in history.skipped
+    }
+
+
+def intentions(job: Job, history: History, crash: str | None) -> list[str]:
+    """Return what resuming a run will do, before it is done.
+
+    crash: How the process that worked on it crashed (`bench.run.heartbeat`); None if it did not.
+    """
+    if history.ended == "finished":
+        return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
+    history = replace(history, crashes=dict(history.crashes))
+    count_crash(history, crash)
+    names = pose_names(job, history)
+    how = f"{history.ended}: {history.why}" if history.ended else crash or "killed or power lost"
+    return [
+        f"The run was stopped ({how}). {len(history.accepted())} of {len(names)} poses are recorded and are kept.",
+        *_skip_texts(history, names),
+        *_step_texts(job, history),
+    ]
+
+
+def _skip_texts(history: History, names: Mapping[int, str]) -> list[str]:
+    """Return which poses will be skipped, and why."""
+    crashed = [
+        f"Skip pose {p} ({names[p]}), because {why}." for p, why in poses_crashed_too_often(history).items()
+    ]
+    asked = [f"Skip pose {p} ({names[p]}), because {who} asked for it." for p, who in history.to_skip.items()]
+    return crashed + asked
+
+
+def _step_texts(job: Job, history: History) -> list[str]:
+    """Return which poses will be recorded or moved to again, and what follows."""
+    skipped = {*history.skipped, *poses_crashed_too_often(history), *history.to_skip}
+    steps = steps_to_do(job, history)
+    known = pose_names(job, history)
+    recorded = [s.pose for s in steps if isinstance(s, RecordStep) and s.pose.index in known]
+    repeated = [s.pose for s in steps if isinstance(s, MoveStep) and s.number in history.done_steps]
+    last = [text for kind, text in ((SolveStep, "solve"), (ReportStep, "report")) if _has(steps, kind)]
+    return [
+        *(f"Record pose {pose.index} ({pose.name})." for pose in recorded if pose.index not in skipped),
+        *(f"Move to pose {pose.name} again." for pose in repeated if pose.index not in skipped),
+        *_until_texts(steps, history),
+        f"Then: {', '.join([*last, 'seal'])}.",
+    ]
+
+
+def _until_texts(steps: Sequence[ScriptStep], history: History) -> list[str]:
+    """Return for each ``until`` that has not ended what it will do."""
+    accepted = history.accepted()
+    found = {step.until.first: step.until for step in steps if isinstance(step, ChooseStep)}
+    return [
+        f"Choose poses until {goals_text(until.goals)}: at most "
+        f"{until.at_most - sum(pose in accepted for pose in until.poses)} further recordings."
+        for until in found.values()
+    ]
+
+
+def _has(steps: Sequence[ScriptStep], kind: type) -> bool:
+    return any(isinstance(step, kind) for step in steps)
+
+
+def _places_to_repeat(steps: Sequence[ScriptStep], first: int) -> list[int]:
+    """Return the places of the steps before ``first`` that the step at ``first`` depends on."""
+    solving = isinstance(steps[first], SolveStep | ReportStep)
+    prepares = partial(_is, SolveStep) if solving else _prepares_recordings
+    if prepares(steps[first]):
+        return []
+    kept = (SolveStep,) if solving else (MoveStep, SettleStep)
+    begin = max((i for i in range(first) if prepares(steps[i])), default=first)
+    return [i for i in range(begin, first) if isinstance(steps[i], kept) or prepares(steps[i])]
+
+
+def _is(kind: type, step: ScriptStep) -> bool:
+    return isinstance(step, kind)
+
+
+def _prepares_recordings(step: ScriptStep) -> bool:
+    """Return whether recordings depend on a step: a move, or a board that a person places."""
+    return isinstance(step, MoveStep) or (isinstance(step, PromptStep) and step.placement > 0)
+
 
 _TRIGGERS: Mapping[type, str] = {
     LightStep: "set_light",

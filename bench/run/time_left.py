@@ -8,7 +8,7 @@ from typing import Any
 
 from bench.records.events import Event
 from bench.records.history import History
-from bench.records.journal_entry import Entry
+from bench.records.journal import Entry
 
 _LEAST_STEPS = 3
 _SMALLEST, _LARGEST = 0.5, 50.0

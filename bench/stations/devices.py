@@ -6,17 +6,16 @@ simulated bench, which is then started first. Apart from that, simulated and rea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from types import MappingProxyType
 from typing import Any
 
 from bench.base.clock import BenchClock
-from bench.base.device_ends import DeviceEnd, DeviceName, lost_ends, unsafe_devices
+from bench.base.device_ends import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
-from bench.stations import station_cameras, station_lights, station_stages
-from bench.stations.device_identities import hold_serial_devices
+from bench.stations import stages_and_lights, station_cameras
 from bench.stations.sections import EventCameraSection, FrameCameraSection, LightSection, StageSection
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
@@ -27,6 +26,7 @@ from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.device_hold import DeviceHold
 from drivers.errors import DriverError
 from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
@@ -37,6 +37,69 @@ from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from drivers.wire_log import WireLog
+
+# Locks on the devices of a station by family and serial number, in addition to the locks on their ports.
+#
+# The same controller may be reachable through a second port (a network, a second cable, another name of the
+# same port). The lock on a port does not cover that.
+
+
+def serial_devices(station: Station) -> tuple[str, ...]:
+    """Name the stage and light devices whose serial numbers are in the station file, except simulated ones.
+
+    A strobe controller has no serial number, and that of a generator or a board is optional in the file.
+
+    Returns: Family and serial number of each device, such as ``Zaber 100101``, without repetition.
+    """
+    found: list[tuple[str, str, str | None]] = []
+    match station.stage:
+        case stages_and_lights.ZaberStageConfig() as config:
+            found += [(config.port, "Zaber", axis.serial) for axis in config.axes.values()]
+        case stages_and_lights.XimcStageConfig() as config:
+            found += [(axis.port, "Standa", axis.serial) for axis in config.axes.values()]
+        case stages_and_lights.EspStageConfig() as config:
+            found += [(config.port, "Newport", axis.serial) for axis in config.axes.values()]
+        case stages_and_lights.GrblStageConfig() as config:
+            found.append((config.port, "GRBL", config.serial))
+    if isinstance(station.light, stages_and_lights.ScpiLightConfig):
+        found.append((station.light.port, "generator", station.light.serial))
+    real = [
+        f"{family} {serial}"
+        for port, family, serial in found
+        if serial and not port.startswith(SIMULATED_PREFIX)
+    ]
+    for section in (station.stage, station.light):
+        if isinstance(section, StageSection | LightSection) and not any(
+            port.startswith(SIMULATED_PREFIX) for port in section.ports
+        ):
+            real += section.device_names
+    return tuple(dict.fromkeys(real))
+
+
+@contextmanager
+def hold_serial_devices(station: Station) -> Iterator[None]:
+    """Lock the serial devices of a station against other processes of this computer, for the duration of the block.
+
+    Yields: While the devices are locked.
+    Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
+    """
+    with hold_devices(serial_devices(station)):
+        yield
+
+
+@contextmanager
+def hold_devices(devices: Iterable[str]) -> Iterator[None]:
+    """Lock devices against other processes of this computer, for the duration of the block.
+
+    devices: Family and serial number of each, from `serial_devices`.
+    Yields: While the devices are locked.
+    Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
+    """
+    with ExitStack() as holds:
+        for device in devices:
+            holds.callback(DeviceHold(device).release)
+        yield
+
 
 Camera = EventCamera | FrameCamera
 
@@ -195,18 +258,18 @@ def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
     Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
     match station.stage:
-        case station_stages.ZaberStageConfig() as config:
+        case stages_and_lights.ZaberStageConfig() as config:
             zaber = [ZaberAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
             return ZaberStage.open(
                 port(config.port), zaber, baudrate=config.baudrate, clock=clock, wire_log=wire_log
             )
-        case station_stages.XimcStageConfig() as config:
+        case stages_and_lights.XimcStageConfig() as config:
             ximc = [
                 XimcAxis(name=n, limits=a.limits, **(a.driver_options() | {"port": port(a.port)}))
                 for n, a in config.axes.items()
             ]
             return XimcStage.open(ximc, clock=clock, wire_log=wire_log)
-        case station_stages.GrblStageConfig() as config:
+        case stages_and_lights.GrblStageConfig() as config:
             grbl = [GrblAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
             return GrblStage.open(
                 port(config.port),
@@ -216,7 +279,7 @@ def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
                 clock=clock,
                 wire_log=wire_log,
             )
-        case station_stages.EspStageConfig() as config:
+        case stages_and_lights.EspStageConfig() as config:
             esp = [EspAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
             return EspStage.open(
                 port(config.port), esp, baudrate=config.baudrate, clock=clock, wire_log=wire_log
@@ -233,7 +296,7 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
     Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
     match station.light:
-        case station_lights.ScpiLightConfig() as config:
+        case stages_and_lights.ScpiLightConfig() as config:
             return ScpiLight.open(
                 port(config.port),
                 serial=config.serial,
@@ -243,7 +306,7 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
                 clock=clock,
                 wire_log=wire_log,
             )
-        case station_lights.GardasoftLightConfig() as config:
+        case stages_and_lights.GardasoftLightConfig() as config:
             return GardasoftLight.open(
                 port(config.port),
                 model=config.model,
@@ -284,3 +347,44 @@ def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera: 
             return FolderFrameCamera.open(config.path, serial=config.serial, clock=clock)
         case EventCameraSection() | FrameCameraSection() as config:
             return config.open_device(port, clock=clock)
+
+
+# Devices that a dead process has left: they are opened anew, stopped and switched off, and asked how they
+# stand.
+#
+# Nothing else is moved or switched. Devices of a simulated bench have ended with the process.
+
+
+def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
+    """Stop the stage and switch the light off after the process that used them has died.
+
+    Each device is opened anew, even if the other one fails.
+
+    clock: Every wait of a driver goes through it.
+    Returns: What stage and light answered; the camera is not asked. Simulated devices are left out: none is
+      there to ask.
+    """
+    ends = []
+    asked: tuple[tuple[DeviceName, list[str], Callable[[Station, BenchClock], str]], ...] = (
+        ("stage", list(station.stage.ports), _stop_stage),
+        ("light", list(station.light.ports), _switch_off),
+    )
+    for name, ports, make_safe in asked:
+        if any(port.startswith(SIMULATED_PREFIX) for port in ports):
+            continue
+        try:
+            ends.append(DeviceEnd(name, "confirmed safe", make_safe(station, clock)))
+        except DriverError as error:
+            fault = f"the {name} of a dead process could not be made safe: {error}"
+            ends.append(DeviceEnd(name, "not confirmed", fault))
+    return [*ends, DeviceEnd("camera", "not confirmed", NOT_ASKED)] if ends else []
+
+
+def _stop_stage(station: Station, clock: BenchClock) -> str:
+    with closing(open_stage(station, str, clock, None)) as stage:
+        return stop_stage(stage)
+
+
+def _switch_off(station: Station, clock: BenchClock) -> str:
+    with closing(open_light(station, str, clock, None)) as light:
+        return switch_off(light)

@@ -14,8 +14,7 @@ from typing import Any, Final, Literal, cast
 
 from bench.base.clock import Aborted, BenchClock
 from bench.simulated import SimulatedBench
-from bench.stations.device_identities import hold_devices, serial_devices
-from bench.stations.devices import Devices, open_camera, open_light, open_stage
+from bench.stations.devices import Devices, hold_devices, open_camera, open_light, open_stage, serial_devices
 from bench.stations.station import Station
 from drivers.errors import DriverError, StillOpening
 from drivers.light import Light

@@ -18,15 +18,17 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.sections import AxisConfig
-from bench.stations.station_budget import BudgetConfig
+from bench.stations.stages_and_lights import LightConfig, StageConfig
+from bench.stations.station_budget import BudgetConfig, CollimatorConfig, GimbalConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
-from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
-from bench.stations.station_fields import SIMULATED_PREFIX, FocalLength, Text
-from bench.stations.station_interlocks import InterlocksConfig
-from bench.stations.station_lights import LightConfig
-from bench.stations.station_messages import MessagesConfig
-from bench.stations.station_stages import StageConfig
-from bench.stations.station_target import TargetConfig
+from bench.stations.station_fields import (
+    SIMULATED_PREFIX,
+    FocalLength,
+    InterlocksConfig,
+    MessagesConfig,
+    TargetConfig,
+    Text,
+)
 from bench.stations.station_text import use_descriptions
 from calib.boards.board import Board, Kind
 from calib.errors import InputMismatch

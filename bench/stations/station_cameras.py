@@ -11,13 +11,13 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.base.errors import UsageError
-from bench.stations.plugins import with_plugins
 from bench.stations.sections import (
     BiasesConfig,
     EventCameraConfig,
     EventCameraSection,
     FrameCameraConfig,
     FrameCameraSection,
+    with_plugins,
 )
 from bench.stations.station_fields import Port, Variable, VideoSource
 from drivers.camera.frames import FrameSettings

@@ -2,13 +2,71 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from calib.errors import InputMismatch
+from calib.target import StarTarget
 from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
 from sequences.plain_number import Within
+from sequences.strict_model import StrictModel
+from sequences.tree import DocumentPath, Fault, Tree, path_text
+
+# Placeholders in a drafted or example station file for values that a person must fill in.
+#
+# A file with placeholders is valid, so that `plan` can read it and name every value that is missing; but no
+# run starts.
+
+UNKNOWN_SERIAL = "ASK-THE-LABEL"
+UNKNOWN_NUMBER = "ASK-THE-DATA-SHEET"
+UNKNOWN_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
+UNKNOWN_ADDRESS = "socket://CHOOSE-AN-ADDRESS:5025"
+UNKNOWN_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
+UNKNOWN_BOARD = "NAME-THE-BOARD"
+UNKNOWN_LABORATORY = "YOUR-LABORATORY"
+_ALL = frozenset(
+    {
+        UNKNOWN_SERIAL,
+        UNKNOWN_NUMBER,
+        UNKNOWN_PORT,
+        UNKNOWN_ADDRESS,
+        UNKNOWN_SOURCE,
+        UNKNOWN_BOARD,
+        UNKNOWN_LABORATORY,
+    }
+)
+
+
+def _accept_placeholder(value: Any) -> Any:
+    """Replace the placeholder of a number by 1, so that the file can be read and what is missing named."""
+    return 1.0 if value == UNKNOWN_NUMBER else value
+
+
+ToFillIn = BeforeValidator(_accept_placeholder)
+"""Marks a number of a station file that a draft leaves open."""
+
+
+def find_placeholders(station: Tree) -> list[Fault]:
+    """Find the values of a drafted station file that are not filled in yet."""
+    return [
+        Fault(
+            station.file, *station.spot(path), path_text(path), f"this value is missing (placeholder {text})."
+        )
+        for path, text in _texts(station.value, ())
+        if text in _ALL
+    ]
+
+
+def _texts(value: Any, path: DocumentPath) -> Iterator[tuple[DocumentPath, str]]:
+    if isinstance(value, str):
+        yield path, value
+    elif isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _texts(inner, (*path, key))
+
 
 SIMULATED_PREFIX = "sim:"
 SIMULATED_PORTS = (
@@ -82,3 +140,283 @@ Positive = Annotated[float, Within(1e-6, 1e9)]
 
 
 FocalLength = Annotated[float, Within(1, 100_000, "mm")]
+
+
+# The target section of a station file: the printed star pattern, and the drawing of its reticle.
+#
+# The module holds keys, ranges and defaults. `bench.stations.target` draws the reticle; docs/target.md
+# shows every key.
+
+# The messages section of a station file: on which occasions messages are sent, and by mail, webhook or
+# other services.
+#
+# A station file has no secrets, because it is copied into every run folder. It names the environment
+# variables that hold passwords and secret addresses.
+
+Occasion = Literal["failure", "hold", "end"]
+Address = Annotated[str, Field(max_length=254, pattern=r"^[^\s@<>\"]+@[^\s@<>\"]+$")]
+Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
+
+
+class MailConfig(StrictModel):
+    """Mail, sent by SMTP."""
+
+    host: Text
+    port: Annotated[int, Field(ge=1, le=65535)] = 587
+    security: Literal["starttls", "tls", "none"] = "starttls"
+    sender: Address
+    to: Annotated[tuple[Address, ...], Field(min_length=1, max_length=50)]
+    user: Text | None = None
+    password_env: Variable | None = None
+
+    @model_validator(mode="after")
+    def _never_in_the_clear(self) -> MailConfig:
+        if (self.user is None) != (self.password_env is None):
+            raise PydanticCustomError("half_login", "user and password_env must be given together.")
+        if self.user is not None and self.security == "none":
+            raise PydanticCustomError("in_the_clear", "a password is sent only with starttls or tls.")
+        return self
+
+
+class WebhookConfig(StrictModel):
+    """A JSON object, sent to an address by POST: ``id occasion subject text run folder utc``."""
+
+    url: Url | None = None
+    url_env: Variable | None = None
+
+    @model_validator(mode="after")
+    def _one_address(self) -> WebhookConfig:
+        if (self.url is None) == (self.url_env is None):
+            raise PydanticCustomError("one_address", "give either url or url_env.")
+        return self
+
+
+class AppriseConfig(StrictModel):
+    """A service that the library apprise supports (chat, telephone, ...). Its address is a secret."""
+
+    url_env: Variable
+
+
+class MessagesConfig(StrictModel):
+    """Occasions of messages, and their channels."""
+
+    occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
+    mail: MailConfig | None = None
+    webhooks: Annotated[tuple[WebhookConfig, ...], Field(max_length=20)] = ()
+    apprise: Annotated[tuple[AppriseConfig, ...], Field(max_length=20)] = ()
+
+
+# The interlocks section of a station file: what makes a run hold, when the run continues, and the longest
+# hold.
+#
+# This module has the keys and their ranges; `bench.run.interlocks` has the interlocks.
+
+Hold = Annotated[
+    float,
+    Field(gt=0, le=86_400, description="Longest hold of this interlock in a run, all its holds together, s."),
+]
+
+
+class _InterlockConfig(StrictModel):
+    max_hold_s: Hold = 1800.0
+
+
+class DoorConfig(_InterlockConfig):
+    """A sensor of the enclosure: a file with one word, such as a GPIO file of the kernel. Any other word means open."""
+
+    path: Text
+    closed: Annotated[Text, Field(description="Word in the file while the door is closed.")] = "1"
+    max_age_s: Annotated[Positive | None, Field(description="A file older than this means open, s.")] = None
+
+
+class CameraTemperatureConfig(_InterlockConfig):
+    """The image sensor is too warm."""
+
+    max_c: Annotated[float, Field(ge=-50, le=150)]
+    release_c: Annotated[float, Field(ge=-50, le=150)]
+
+    @model_validator(mode="after")
+    def _cooler(self) -> CameraTemperatureConfig:
+        if self.release_c >= self.max_c:
+            raise PydanticCustomError(
+                "release", "release_c must be below max_c; otherwise the hold would switch on and off."
+            )
+        return self
+
+
+class EventRateConfig(_InterlockConfig):
+    """Ambient light: after a recording with too high an event rate, the rate in the dark must become low again."""
+
+    max_mev_s: Positive
+    release_mev_s: Positive
+    probe_ms: Annotated[
+        float, Field(ge=1, le=1000, description="Duration of a recording in the dark, ms.")
+    ] = 20.0
+
+    @model_validator(mode="after")
+    def _lower(self) -> EventRateConfig:
+        if self.release_mev_s >= self.max_mev_s:
+            raise PydanticCustomError(
+                "release",
+                "release_mev_s must be below max_mev_s; otherwise the hold would switch on and off.",
+            )
+        return self
+
+
+class DiskSpaceConfig(_InterlockConfig):
+    """Free space on the disk of the run folder."""
+
+    min_free_gb: Positive
+    release_gb: Positive
+
+    @model_validator(mode="after")
+    def _more(self) -> DiskSpaceConfig:
+        if self.release_gb < self.min_free_gb:
+            raise PydanticCustomError("release", "release_gb must not be below min_free_gb.")
+        return self
+
+
+class DeviceLostConfig(_InterlockConfig):
+    """A device was disconnected: the run waits, opens it again, checks its identity, and homes it if needed."""
+
+    retry_s: Annotated[float, Field(ge=0.1, le=600)] = 5.0
+
+
+class InterlocksConfig(StrictModel):
+    """Interlocks of a station; only those that are named are active."""
+
+    door: DoorConfig | None = None
+    camera_temperature: CameraTemperatureConfig | None = None
+    event_rate: EventRateConfig | None = None
+    disk_space: DiskSpaceConfig | None = None
+    device_lost: DeviceLostConfig | None = None
+
+
+InterlockName = Literal["door", "camera_temperature", "event_rate", "disk_space", "device_lost"]
+
+
+Units = Literal["mm", "um", "inch"]
+Polarity = Literal["positive", "negative"]
+Squares = Annotated[int, Within(2, 10_000)]
+_GlassSide = Annotated[float, Within(0.01, 100_000, "mm")]
+
+_FEWEST_PITCHES = 4.0
+"""Width of the margin around the pattern, pitches, if no size is given: it holds the text and the scale bars."""
+
+
+class DrawingConfig(StrictModel):
+    """The drawing of the reticle: its size, and what stands in the margin around the pattern."""
+
+    size_mm: Annotated[
+        tuple[_GlassSide, _GlassSide] | None,
+        Field(
+            description="Width and height of the glass or sheet. Default: the pattern and 4 pitches on each side."
+        ),
+    ] = None
+    units: Annotated[Units, Field(description="Unit of the coordinates in DXF, GDSII and SVG files.")] = "mm"
+    scale_bar_mm: Annotated[
+        float | None,
+        Field(ge=0, le=100_000, description="Length of the scale bars; 0: none. Default: a round length."),
+    ] = None
+    outline: Annotated[bool, Field(description="Whether the edge of the glass is drawn.")] = True
+    mirrored: Annotated[
+        bool,
+        Field(
+            description="Whether left and right change places: the camera sees the pattern through the glass."
+        ),
+    ] = False
+
+
+class TargetConfig(StrictModel):
+    """The printed star pattern."""
+
+    description: Annotated[
+        Text | None, Field(description="What the target is made of, its drawing, its maker.")
+    ] = None
+    serial: Annotated[
+        Serial | None, Field(description="Serial number of the target; the drawing shows it.")
+    ] = None
+    squares: tuple[Squares, Squares] = (50, 72)
+    pitch_mm: Annotated[float, Within(0.001, 1000, "mm")] = 144.5 / 36
+    segments: int = 16
+    tag_family: str = "36h11"
+    tag_id: int = 3
+    tag_square: tuple[int, int] = (23, 34)
+    tag_squares: int = 4
+    polarity: Annotated[
+        Polarity,
+        Field(
+            description="positive: the black parts of the pattern are opaque; negative: the white parts are."
+        ),
+    ] = "positive"
+    drawing: DrawingConfig = DrawingConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_sentence(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            raise PydanticCustomError(
+                "sentence",
+                "a sentence does not describe the pattern. Write it as a key of its own,"
+                " target: {description: ...}, beside squares, pitch_mm and the tag.",
+            )
+        return value
+
+    @field_validator("tag_family", mode="before")
+    @classmethod
+    def _family_name(cls, value: Any) -> Any:
+        """Accept the names of other programs: tag36h11, DICT_APRILTAG_36h11."""
+        if not isinstance(value, str):
+            return value
+        return value.removeprefix("DICT_APRILTAG_").removeprefix("tag").lower()
+
+    @model_validator(mode="after")
+    def _printable(self) -> TargetConfig:
+        try:
+            pattern = self.pattern()
+        except InputMismatch as error:
+            raise PydanticCustomError(
+                "not_printable", "{what}", {"what": f"no such target can be printed: {error.what}"}
+            ) from None
+        for given, needed in zip(self.drawing.size_mm or (), self._pattern_mm(pattern), strict=False):
+            if given < needed:
+                raise PydanticCustomError(
+                    "too_small",
+                    "the pattern does not fit: drawing.size_mm must be at least [{width}, {height}].",
+                    dict(
+                        zip(("width", "height"), (f"{n:.6g}" for n in self._pattern_mm(pattern)), strict=True)
+                    ),
+                )
+        return self
+
+    @staticmethod
+    def _pattern_mm(pattern: StarTarget) -> tuple[float, float]:
+        return pattern.squares_x * pattern.pitch_mm, pattern.squares_y * pattern.pitch_mm
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height of the glass or sheet, mm."""
+        margin = 2.0 * _FEWEST_PITCHES * self.pitch_mm
+        width, height = self._pattern_mm(self.pattern())
+        return self.drawing.size_mm or (width + margin, height + margin)
+
+    def pattern(self) -> StarTarget:
+        """Return the pattern for the calibration engine."""
+        return StarTarget(
+            squares_x=self.squares[0],
+            squares_y=self.squares[1],
+            pitch_mm=self.pitch_mm,
+            segments=self.segments,
+            tag_id=self.tag_id,
+            tag_square=self.tag_square,
+            tag_squares=self.tag_squares,
+            tag_family=self.tag_family,
+        )
+
+    def in_simulation(self) -> dict[str, Any]:
+        """Return the sections of the simulated world that describe this target.
+
+        Returns: Sections ``target`` and ``reticle``, as JSON has them.
+        """
+        keys = {"squares", "pitch_mm", "segments", "tag_family", "tag_id", "tag_square", "tag_squares"}
+        return {"target": self.model_dump(mode="json", include=keys), "reticle": {"polarity": self.polarity}}

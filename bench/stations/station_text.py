@@ -12,12 +12,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field, PrivateAttr
 from pydantic_core import PydanticCustomError
 
-from bench.stations.description_fields import Described
-from bench.stations.light_description import LightProtocol
-from bench.stations.placeholders import ToFillIn
 from bench.stations.sections import AxisConfig, LightSection, PortName, StageSection
-from bench.stations.stage_description import StageProtocol
-from bench.stations.station_fields import Port, Serial
+from bench.stations.station_fields import Port, Serial, ToFillIn
+from bench.stations.text_descriptions import Described, LightProtocol, StageProtocol
 from drivers.clock import Clock
 from drivers.light import Light
 from drivers.light.text import TextLight

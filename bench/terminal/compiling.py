@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from bench.base.kernel_cache import missing_parts
+from bench.base.home import missing_parts
 
 _SAID_EVERY_S = 20.0
 

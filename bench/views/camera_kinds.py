@@ -11,18 +11,55 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
-from bench.views.recording_window import periods_in_window, recording_duration_s
+from bench.stations.station import Station
+from bench.stations.station_cameras import FrameCameraConfig
+from bench.views.gates import FILTERS_TO_DISABLE, Gate, at_least, recording_gates, rejection_reasons
+from calib.boards.board import Board
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
 from sequences.script import Flicker, RecordStep
 
-if (
-    TYPE_CHECKING
-):  # what opens devices and finds stars is loaded where it is used: a calculation may need neither
+if TYPE_CHECKING:
     from bench.stations.devices import Camera
     from bench.views.measure import ExpectedGrid, Measurement
+
+# How long a recording must be to contain whole flicker periods.
+
+RECORDING_MARGIN_S = 1e-3
+"""Time recorded in addition to the whole periods and the one that is cut at the ends, s."""
+
+
+def periods_in_window(window_ms: float, frequency_hz: float) -> int:
+    """Return the number of whole flicker periods nearest to a window, at least one.
+
+    An image over a part of a period would favour one polarity, so windows are rounded to whole periods.
+
+    window_ms: Length of the window, ms.
+    frequency_hz: Frequency of the flicker, Hz.
+
+    Examples
+    --------
+    >>> periods_in_window(33, 60)
+    2
+    """
+    return max(1, round(window_ms * 1e-3 * frequency_hz))
+
+
+def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
+    """Return the recording time that contains the window's whole periods at any phase of the light.
+
+    window_ms: Length of the window, ms.
+    frequency_hz: Frequency of the flicker, Hz.
+    Returns: Duration, s.
+
+    Examples
+    --------
+    >>> round(recording_duration_s(33, 60), 4)
+    0.051
+    """
+    return (periods_in_window(window_ms, frequency_hz) + 1) / frequency_hz + RECORDING_MARGIN_S
+
 
 StoredFacts = Mapping[str, Any]
 """Facts that a driver states about a recording, by field, as the journal holds them."""
@@ -225,7 +262,7 @@ class FrameKind:
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the mean of the frames."""
-        from bench.views.frames import measure_frames
+        from bench.views.measure import measure_frames
 
         return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)
 
@@ -237,7 +274,7 @@ class FrameKind:
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
         """See `CameraKind.judge`. Judges stars, saturation and motion."""
-        from bench.views.frames import frame_gates, frame_rejection_reasons
+        from bench.views.measure import frame_gates, frame_rejection_reasons
 
         recorded = FrameFacts(**facts)
         return frame_gates(recorded, step.gates, found), frame_rejection_reasons(recorded)
@@ -256,3 +293,113 @@ class FrameKind:
         last = FrameFacts(**accepted[-1])
         asked = {name: value for name, value in asdict(self._settings).items() if value is not None}
         return {"pictures": last.frames, "bits": last.bits, **asked}
+
+
+# The two kinds of cameras in front of a board at finite distance: how a recording is measured and judged.
+#
+# Everything else is as in front of the collimator (`bench.views.camera_kinds`).
+
+_LEAST_SHARE = 0.5
+"""A recording needs this share of the board's points, at most; the detectors of printed boards need more."""
+
+
+class EventBoardKind(EventKind):
+    """An event camera in front of a board.
+
+    roi: Region of interest: the only part of the sensor that sends events; None for the whole sensor.
+    """
+
+    def __init__(
+        self,
+        biases: Mapping[str, int],
+        board: Board,
+        roi: tuple[int, int, int, int] | None = None,
+    ) -> None:
+        super().__init__(biases, roi)
+        self._board = board
+
+    def measure(
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,
+        target: StarTarget,  # noqa: ARG002
+        expected_grid: ExpectedGrid | None,  # noqa: ARG002
+        *,
+        motion: bool = True,  # noqa: ARG002
+    ) -> Measurement:
+        """See `CameraKind.measure`. Finds the board."""
+        from bench.views.measure_board import measure_board
+
+        return measure_board(
+            path,
+            name=step.pose.name,
+            board=self._board,
+            image=step.image,
+            periods=periods_in_window(step.window_ms, frequency_hz),
+            expected_hz=frequency_hz,
+        )
+
+    def judge(
+        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
+    ) -> tuple[list[Gate], list[str]]:
+        """See `CameraKind.judge`. Judges points, event rate, triggers, flicker and motion."""
+        gates, reasons = super().judge(facts, step, frequency_hz, found)
+        return _about_points(gates, self._board, step, found), reasons
+
+
+class FrameBoardKind(FrameKind):
+    """A frame camera in front of a board."""
+
+    def __init__(self, frames: int, settings: FrameSettings, board: Board) -> None:
+        super().__init__(frames, settings)
+        self._board = board
+
+    def measure(
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,  # noqa: ARG002
+        target: StarTarget,  # noqa: ARG002
+        expected_grid: ExpectedGrid | None,  # noqa: ARG002
+        *,
+        motion: bool = True,  # noqa: ARG002
+    ) -> Measurement:
+        """See `CameraKind.measure`. Finds the board in the mean of the frames."""
+        from bench.views.measure_board import measure_board_frames
+
+        return measure_board_frames(path, name=step.pose.name, board=self._board)
+
+    def judge(
+        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
+    ) -> tuple[list[Gate], list[str]]:
+        """See `CameraKind.judge`. Judges points, saturation and motion."""
+        gates, reasons = super().judge(facts, step, frequency_hz, found)
+        return _about_points(gates, self._board, step, found), reasons
+
+
+def _about_points(gates: list[Gate], board: Board, step: RecordStep, found: Measurement) -> list[Gate]:
+    """Return the gates with the points of a board in place of stars; a small board needs no 40 of them."""
+    least = min(step.gates.min_stars, _LEAST_SHARE * len(board.nodes))
+    judged = [] if found.view is None else [at_least("points", found.stars, least, "")]
+    others = (gate for gate in gates if gate.name != "stars")
+    return judged + [
+        replace(gate, name="board moved") if gate.name == "stars moved" else gate for gate in others
+    ]
+
+
+# Choose what a run does with a station's camera: by the kind of camera, and by whether it looks at a board.
+#
+# This module opens nothing. What each kind does is in `camera_kinds` and `board_kinds`.
+
+
+def camera_kind(station: Station) -> CameraKind:
+    """Return the kind of a station's camera."""
+    config, shown = station.camera, station.board
+    if shown is not None:
+        if isinstance(config, FrameCameraConfig):
+            return FrameBoardKind(config.pictures, config.settings(), shown.board())
+        return EventBoardKind(config.biases.model_dump(), shown.board(), config.roi)
+    if isinstance(config, FrameCameraConfig):
+        return FrameKind(config.pictures, config.settings())
+    return EventKind(config.biases.model_dump(), config.roi)

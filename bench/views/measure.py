@@ -10,15 +10,15 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
 from bench.views.event_window import read_events, recorded_image, whole_image
-from bench.views.no_light import without_light
-from bench.views.stored_image import StoredImage
+from bench.views.gates import Gate, at_least, at_most
 from calib.errors import (
     CalibrationError,
     DegenerateViews,
@@ -27,14 +27,72 @@ from calib.errors import (
     TooFewEvents,
     TooFewStars,
 )
-from calib.events.motion import motion_between
+from calib.events.grey_image import to_uint8
+from calib.events.motion import MOVING_PX, motion_between
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_stars, detect_view
 from calib.stars.rim import find_rim
 from calib.stars.vignetting import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
+from drivers.camera.frames import FrameFacts, read_frames
 from drivers.errors import RecordingFileError
+from sequences.script import Gates
+
+# A recording without a tag and without stars: whether it shows light at all.
+#
+# A dark lamp and a closed lens cap are no fault of the camera's direction. `bench.align.advice` tells the
+# same cases apart on the live picture.
+
+LEAST_LIT = 0.005
+"""Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot
+pixels alone do."""
+
+
+def without_light(error: TargetNotFound, facts: MeasuredFacts, pixels: int) -> TargetNotFound:
+    """Return the error of a recording that shows no target; if it shows no light either, one that says so.
+
+    pixels: Number of pixels of the sensor.
+    """
+    image = facts.get("image")
+    if image is None or image["lit_pixels"] >= LEAST_LIT * pixels:
+        return error
+    source = "the sync signal comes" if facts.get("flicker_source") == "triggers" else "some events flicker"
+    return TargetNotFound(
+        f"The picture is dark: {source}, but only {100 * image['lit_pixels'] / pixels:.2g} % of the pixels follow the "
+        "light.",
+        where=error.where,
+        remedy="Check first that the lamp is lit. Then remove the lens cap, open the aperture, raise the light's "
+        "level, or turn the camera towards the collimator.",
+    )
+
+
+# The image that a run keeps of each pose for people; calculations use the recording itself.
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An image for people, 8 bits per pixel, compressed without loss; a run keeps one for each of its poses."""
+
+    png: bytes
+
+    @classmethod
+    def from_image(cls, image: NDArray[Any]) -> StoredImage:
+        """Stretch the grey values of an image (`calib.events.grey_image.to_uint8`) and compress it.
+
+        image: (H, W), any numeric dtype, grey values.
+        """
+        return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+
+    def decoded(self) -> NDArray[np.uint8]:
+        """Return the image.
+
+        Returns: (H, W) uint8, grey values.
+        """
+        image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        return np.asarray(image, np.uint8)
+
 
 __all__ = [
     "ExpectedGrid",
@@ -218,3 +276,63 @@ def plain_facts(facts: Any) -> Any:
     if isinstance(facts, list):
         return [plain_facts(fact) for fact in facts]
     return None if isinstance(facts, float) and not math.isfinite(facts) else facts
+
+
+# From the frames of one pose to one view, and whether they are accepted: the recording of a frame camera.
+#
+# Stars are detected in the mean of all frames, and in the mean of each half to check that the camera stood
+# still. Every number is calculated from the file alone, so that it can be calculated again from the
+# evidence.
+
+MOST_SATURATED: Final = 0.001
+"""Largest share of pixels at the highest grey value. Some pixels are hot; but saturation displaces a star's edge."""
+
+
+def measure_frames(
+    path: Path, *, name: str, target: StarTarget, expected_grid: ExpectedGrid | None = None
+) -> Measurement:
+    """Read the frames of a pose and find the stars in them.
+
+    expected_grid: Predicts where the stars lie; used only if the tag does not label them.
+    Returns: Also if the file cannot be read or shows no stars; then it holds the fault. Its facts are
+      ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
+    """
+    facts: MeasuredFacts = {}
+    image: StoredImage | None = None
+    try:
+        frames = read_frames(path)
+        mean = _mean(frames)
+        image = StoredImage.from_image(mean)
+        kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
+        facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
+        view = downweight_vignetted(find_stars(mean, target, name, expected_grid, facts), target)
+        half = len(frames) // 2
+        halves = (_mean(part) for part in (frames[:half], frames[-half:]))
+        facts["motion_px"] = motion_px(halves, target, facts) if half else None
+    except (CalibrationError, RecordingFileError) as error:
+        return Measurement(None, image, facts, str(error))
+    return Measurement(view, image, facts)
+
+
+def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
+    """Judge the frames of a pose; of the sequence's gates, those about stars apply."""
+    judged = [
+        at_least("stars", found.stars, gates.min_stars, ""),
+        at_most("saturated pixels", 100 * facts.saturated_share, 100 * MOST_SATURATED, "%"),
+    ]
+    motion_px = found.facts.get("motion_px")
+    if motion_px is not None:
+        judged.append(at_most("stars moved", motion_px, gates.limits.get("max_motion_px", MOVING_PX), "px"))
+    return judged
+
+
+def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
+    """Return why frames are rejected, whatever they show.
+
+    Returns: Reasons; empty if there is none.
+    """
+    return [] if facts.complete else ["fewer frames were recorded than asked for"]
+
+
+def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:
+    return frames.mean(axis=0, dtype=np.float64).astype(np.float32)

@@ -5,26 +5,174 @@ Every number is calculated from the file alone, so that it can be calculated aga
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import UsageError
 from bench.records.events import MeasuredFacts
+from bench.records.history import Attempt, History
 from bench.views.event_window import EventData, read_events, whole_image
-from bench.views.measure import Measurement, plain_facts
-from bench.views.stored_image import StoredImage
+from bench.views.measure import Measurement, StoredImage, plain_facts
 from calib.boards.blinking_dots import detect_blinking_dots
 from calib.boards.board import Board
 from calib.boards.detect import detect_board, relocate_board
 from calib.errors import CalibrationError, FlickerNotFound, TargetNotFound, TooFewEvents, TooFewStars
 from calib.events.motion import motion_between
+from calib.events.reconstruction import ReconstructedPicture, reconstruct
 from calib.model.homography import fit_homography
 from calib.view import View
 from drivers.camera.frames import read_frames
+from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
+from sequences.script import PromptStep
+
+if TYPE_CHECKING:
+    from calib.boards.coverage import Seen
+
+# A recording of a moving camera before a still board: pictures at stated times, reconstructed from its RAW
+# file.
+#
+# The file is read in pieces, so its length does not matter. This module finds no board.
+
+MOVING_REMEDY = (
+    "Move the camera obliquely to the edges of the board, by more than two squares around the time of the picture; "
+    "for slow motion give a lower frequency to --reconstruct."
+)
+_MOST_PICTURES = 40
+_LEAST_APART_S = 0.1
+
+
+class MovingRecording:
+    """Pictures of one recording.
+
+    path: RAW file.
+    cutoff_hz: Cutoff frequency of the filter, Hz.
+    at_s: Times of the pictures after the first event, s, ascending; None for at most 40 times, spread evenly.
+    Raises UsageError: If a time lies after the end of the recording.
+    Raises calib.errors.TooFewEvents: If the recording holds no event.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read.
+    """
+
+    def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
+        self._path, self._cutoff_hz = path, cutoff_hz
+        self._first_us, last_us = _span_us(path)
+        length_s = 1e-6 * (last_us - self._first_us)
+        if at_s is not None and at_s[-1] > length_s:
+            raise UsageError(
+                f"There is no picture at {at_s[-1]:g} s: the recording is {length_s:.3f} s long.",
+                where=str(path),
+                remedy="Give earlier times to --pictures-at.",
+            )
+        self.at_s = _spread(length_s) if at_s is None else tuple(at_s)
+        self._next = 0
+        self._stream = self._reconstructed()
+
+    def picture(self, number: int) -> ReconstructedPicture:
+        """Return a picture; fastest in the order of their times.
+
+        number: Which one, from 0.
+        Raises drivers.errors.RecordingFileError: If the file cannot be read.
+        """
+        if number < self._next:
+            self._next, self._stream = 0, self._reconstructed()
+        while True:
+            found = next(self._stream)
+            self._next += 1
+            if self._next > number:
+                return found
+
+    def _reconstructed(self) -> Iterator[ReconstructedPicture]:
+        raw = RawFile.open(self._path)
+        pieces = ((one.t, one.x, one.y, one.p) for one in raw.chunks())
+        times_us = [self._first_us + 1e6 * at_s for at_s in self.at_s]
+        return reconstruct(pieces, (raw.width, raw.height), times_us, cutoff_hz=self._cutoff_hz)
+
+
+def _span_us(path: Path) -> tuple[int, int]:
+    """Return the times of the first and the last event, us."""
+    first, last = None, 0
+    for events in RawFile.open(path).chunks():
+        first = int(events.t[0]) if first is None else first
+        last = int(events.t[-1])
+    if first is None:
+        raise TooFewEvents("The recording holds no event.", where=str(path))
+    return first, last
+
+
+def _spread(length_s: float) -> tuple[float, ...]:
+    """Return the middles of equal parts of a recording, at most 40 and at least 0.1 s apart."""
+    count = max(1, min(_MOST_PICTURES, int(length_s / _LEAST_APART_S)))
+    return tuple(length_s * (number + 0.5) / count for number in range(count))
+
+
+# What the placements of a board have shown so far, for the question that asks for the next one.
+#
+# Everything follows from the journal: the grid of each accepted recording says where the board stood. No
+# image is read.
+
+
+def with_advice(step: PromptStep, history: History, board: Board) -> PromptStep:
+    """Add to a question what the last placement showed, and where the board is needed next.
+
+    Returns: The question; its text is unchanged if nothing has been recorded.
+    """
+    if not history.attempts:
+        return step
+    last, seen = history.attempts[-1], placements_seen(history, board)
+    return replace(step, text=f"{_last_text(last, seen, board)} {step.text}")
+
+
+def placements_seen(history: History, board: Board) -> Sequence[Seen]:
+    """Return where the board stood in the accepted recordings.
+
+    Returns: In the order of the recordings.
+    """
+    from calib.boards.coverage import Seen
+    from calib.model.homography import apply_homography
+
+    found = []
+    for attempt in history.accepted().values():
+        measured = attempt.measured
+        if "grid" not in measured:
+            continue
+        points = apply_homography(np.array(measured["grid"]), board.nodes.astype(np.float64))
+        facts = attempt.stored["facts"]
+        found.append(Seen(attempt.pose_name, (int(facts["width"]), int(facts["height"])), points))
+    return found
+
+
+def _last_text(last: Attempt, seen: Sequence[Seen], board: Board) -> str:
+    """Return what the last recording showed, and what to do next."""
+    from calib.boards.coverage import advice, is_cut, shift_px, turned_upside_down
+
+    name = f"{last.pose_name[:1].upper()}{last.pose_name[1:]}"
+    next_text = f"Next: {advice(seen, board)}" if seen else ""
+    if not last.accepted:
+        why = "; ".join(last.reasons).removesuffix(".")
+        return f"{name} was not accepted: {why}. {next_text}".strip()
+    count, stars = len(board.nodes), last.checked["stars"] if last.checked else 0
+    text = f"{name}: board found, {stars} of {count} points"
+    own, earlier = seen[-1], seen[:-1]
+    if is_cut(own.points_px, own.image_size):
+        text += ", the frame cuts the board"
+    if turned_upside_down(own.points_px, board):
+        text += ", upside down (this does no harm)"
+    nearest = min(earlier, key=lambda one: shift_px(own, one, board), default=None)
+    if nearest is not None:
+        moved = shift_px(own, nearest, board)
+        text += (
+            f", moved {moved:.0f} px"
+            if moved >= own.least_shift_px
+            else f"; NOT MOVED since {nearest.name} ({moved:.1f} px): it adds nothing"
+        )
+    return f"{text}. It covers {own.where}. {next_text}"
+
 
 _LEAST_LIT = 1e-3
 """Share of the pixels that fire at an edge of the light; below it, nothing in view flickers."""

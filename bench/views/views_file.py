@@ -40,7 +40,7 @@ class StoredView:
 
 
 class Pictured(Protocol):
-    """An image that can be decoded, as `bench.views.stored_image.StoredImage`."""
+    """An image that can be decoded, as `bench.views.measure.StoredImage`."""
 
     def decoded(self) -> NDArray[np.uint8]:
         """Return the image.

@@ -26,9 +26,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.errors import UsageError
-from bench.web.guard import SIGN_IN, Guard
-from bench.web.stream import CLOSING
-from bench.web.tokens import PageToken, require_token
+from bench.web.guard import SIGN_IN, Guard, PageToken, require_token
+from bench.web.pages import CLOSING
 
 LOOPBACK = "127.0.0.1"
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")

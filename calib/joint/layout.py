@@ -27,8 +27,6 @@ RADIAL = ("radial", "radial_4")
 PRISM = ("prism_x", "prism_y")
 #: Errors (x e) x of the image: with the prism terms the decentring of a lens whose family has no p1 and p2, a fisheye.
 DECENTRING = ("decentring_x", "decentring_y")
-#: Change of the focal length, or of the radius, from the first pose to the last, as a share.
-DRIFT = "drift"
 #: radial_4 is typically so many times radial.
 _RADIAL_RATIO = 20.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
@@ -80,7 +78,7 @@ class Layout:
         fields = [f"common_{k}" for k in self.common]
         for turns, degree in ((_TURNS, _TURN_DEGREE), (_TURNS_2, _TURN_2_DEGREE)):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
-        return (*self.camera, *CENTRE, *RADIAL, *self.turning, DRIFT, *fields, *self.terms, *self.gimbal)
+        return (*self.camera, *CENTRE, *RADIAL, *self.turning, *fields, *self.terms, *self.gimbal)
 
     @cached_property
     def turning(self) -> tuple[str, ...]:
@@ -124,9 +122,7 @@ class Layout:
             places = both((_TURN_DEGREE if name in _TURNS else _TURN_2_DEGREE) >= DEGREES)
             size = np.prod((pupils / amp.UNIT_TURN) ** powers, axis=1)
             found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
-        times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
-            found[pose, field:, self.index[DRIFT]] = times[pose] * self.basis.shape(partial(_scale, turn))
             for name in self.turning:
                 own = _prism if name in PRISM else _decentring
                 axis = across[0] if name.endswith("x") else across[1]
@@ -227,11 +223,6 @@ def _prism(turn: Array, axis: Array, h: Array) -> Array:
     """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
     away = h - turn
     return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
-
-
-def _scale(turn: Array, h: Array) -> Array:
-    """Return the field x of an image that is turned, on the target. h: (N, 2)."""
-    return np.asarray(h - turn)
 
 
 def _decentring(turn: Array, axis: Array, h: Array) -> Array:

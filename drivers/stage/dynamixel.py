@@ -22,13 +22,8 @@ from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity
 from drivers.stage import dynamixel_bus as protocol
 from drivers.stage.dynamixel_bus import DynamixelBus, Settings, State
-from drivers.stage.watched import (
-    Axis,
-    AxisState,
-    OneLineStage,
-    no_reference,
-    not_movable,
-)
+from drivers.stage.motion import Axis
+from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable
 from drivers.wire_log import WireLog
 
 _LARGEST_PART_OF_TURN: Final = 0.95

@@ -19,8 +19,8 @@ from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.retry import read_until_agreed
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion
+from drivers.stage.motion import Axis
 from drivers.stage.watched import (
-    Axis,
     AxisState,
     OneLineStage,
     StopCheck,

@@ -23,14 +23,8 @@ from drivers.stage.grbl_controller import (
     StatusReport,
     machine_positions,
 )
-from drivers.stage.watched import (
-    Axis,
-    AxisState,
-    OneLineStage,
-    StopCheck,
-    no_reference,
-    not_movable,
-)
+from drivers.stage.motion import Axis
+from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, not_movable
 from drivers.wire_log import WireLog
 
 _LETTERS = "XYZABC"

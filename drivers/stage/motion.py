@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
@@ -213,3 +215,29 @@ class MoveWatch:
         return MoveFailed(
             what, where=self.axis, remedy="Find what blocks the axis, then home the stage and resume."
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis(ABC):
+    """One axis as the station file describes it. A family adds its scale, and how the controller names the axis."""
+
+    name: str  # "pan", "tilt" or "roll"
+    limits: AxisLimits  # Soft limits, speed and acceleration
+    serial: str = ""  # Serial number of the controller; empty when it is not checked
+    zero_deg: float = 0.0  # Angle at which the counter is 0, in degrees
+    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
+    # Largest difference between encoder and counter, in degrees; not used where the encoder is the counter.
+    encoder_tolerance_deg: float = 0.05
+
+    @property
+    @abstractmethod
+    def scale(self) -> float:
+        """Counts per degree; negative when the counter falls as the angle grows."""
+
+    def to_counts(self, angle_deg: float) -> int:
+        """Return the count nearest to an angle."""
+        return round((angle_deg - self.zero_deg) * self.scale)
+
+    def to_angle_deg(self, counts: float) -> float:
+        """Return the angle of a count, in degrees."""
+        return self.zero_deg + counts / self.scale

@@ -19,14 +19,8 @@ from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
 from drivers.retry import TRIES, read_until_agreed
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion
-from drivers.stage.watched import (
-    Axis,
-    AxisState,
-    OneLineStage,
-    StopCheck,
-    no_reference,
-    reads_otherwise,
-)
+from drivers.stage.motion import Axis
+from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, reads_otherwise
 from drivers.wire_log import WireLog
 
 _STOPS_IN_SILENCE = 2

@@ -14,15 +14,9 @@ from drivers.clock import Clock
 from drivers.errors import OutsideLimits
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity
+from drivers.stage.motion import Axis
 from drivers.stage.thorlabs_controller import Status, ThorlabsController
-from drivers.stage.watched import (
-    CHECK_PORTS,
-    Axis,
-    AxisState,
-    LinePerAxisStage,
-    no_reference,
-    not_movable,
-)
+from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage, no_reference, not_movable
 from drivers.wire_log import WireLog
 
 _BEGIN_S: Final = 0.3

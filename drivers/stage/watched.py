@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 from drivers.clock import Clock
@@ -28,6 +27,7 @@ from drivers.link import Link
 from drivers.retry import Reading, read_position_until_agreed
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
+from drivers.stage.motion import Axis
 from drivers.wire_log import WireLog
 
 _HOMING_PATIENCE_S = 10.0
@@ -54,32 +54,6 @@ class AxisState(NamedTuple):
     problem: str = ""  # Why the present move will not end at its target; empty while nothing is wrong
     # Whether the position is still known after that problem, as after another command or a hold.
     position_kept: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Axis(ABC):
-    """One axis as the station file describes it. A family adds its scale, and how the controller names the axis."""
-
-    name: str  # "pan", "tilt" or "roll"
-    limits: AxisLimits  # Soft limits, speed and acceleration
-    serial: str = ""  # Serial number of the controller; empty when it is not checked
-    zero_deg: float = 0.0  # Angle at which the counter is 0, in degrees
-    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
-    # Largest difference between encoder and counter, in degrees; not used where the encoder is the counter.
-    encoder_tolerance_deg: float = 0.05
-
-    @property
-    @abstractmethod
-    def scale(self) -> float:
-        """Counts per degree; negative when the counter falls as the angle grows."""
-
-    def to_counts(self, angle_deg: float) -> int:
-        """Return the count nearest to an angle."""
-        return round((angle_deg - self.zero_deg) * self.scale)
-
-    def to_angle_deg(self, counts: float) -> float:
-        """Return the angle of a count, in degrees."""
-        return self.zero_deg + counts / self.scale
 
 
 A = TypeVar("A", bound=Axis)

@@ -18,9 +18,9 @@ from drivers.link import Link, ReplyReader
 from drivers.retry import repeat
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion, ximc_protocol
+from drivers.stage.motion import Axis
 from drivers.stage.watched import (
     CHECK_PORTS,
-    Axis,
     AxisState,
     LinePerAxisStage,
     no_reference,

@@ -21,7 +21,8 @@ from drivers.link import Link, ReplyReader
 from drivers.retry import repeat
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion, zaber_protocol
-from drivers.stage.watched import Axis, AxisState, OneLineStage, no_reference, not_movable, reads_otherwise
+from drivers.stage.motion import Axis
+from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable, reads_otherwise
 from drivers.stage.zaber_protocol import Reply, Unsolicited
 from drivers.wire_log import WireLog
 

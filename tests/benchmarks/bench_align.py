@@ -22,8 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from bench.align.app import align_app
 from bench.align.page_requests import PageFiles
+from bench.align.serve import align_app
 from bench.align.session import Session
 from bench.stations.devices import Devices
 from bench.stations.station import load_station

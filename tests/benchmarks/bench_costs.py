@@ -26,9 +26,8 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from bench.cluster.places import Place
-from bench.cluster.results_folders import ResultsFolders
-from bench.cluster.tasks import Task, list_recordings
+from bench.cluster.recalculation import ResultsFolders
+from bench.cluster.tasks import Place, Task, list_recordings
 from bench.evidence.keys import create_key
 from bench.records.storage import sha256_of
 from bench.results.forms import forms

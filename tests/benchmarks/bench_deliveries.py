@@ -23,7 +23,7 @@ from servers import MailServer, WebServer, serving
 from bench.base.clock import BenchClock
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
-from bench.stations.station_messages import MailConfig, MessagesConfig, WebhookConfig
+from bench.stations.station_fields import MailConfig, MessagesConfig, WebhookConfig
 
 MOST_S = 35.0
 """A delivery is given up after 30 s."""

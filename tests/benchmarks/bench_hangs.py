@@ -28,7 +28,7 @@ from pathlib import Path
 from bench.base.clock import BenchClock
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
-from bench.records.run_log import RunLog
+from bench.records.history import RunLog
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 clock = BenchClock()

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import numpy as np
 
-from bench.align import star_watch
+from bench.align import live_figures
 from bench.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
 from bench.stations.station import load_station
 from simulators.optics.picture import TARGET, beam_of, disc_of, project, true_rotation
@@ -91,7 +91,7 @@ def turn_rows(folder: Path) -> None:
 
 def time_rows(folder: Path) -> None:
     """Print the CPU time of each stage, the best of three slices of one period."""
-    star_watch.time = type("clock", (), {"perf_counter": staticmethod(time.process_time)})  # type: ignore[attr-defined]
+    live_figures.time = type("clock", (), {"perf_counter": staticmethod(time.process_time)})  # type: ignore[attr-defined]
     print("slice                    | CPU ms by stage | a picture with stars followed, searched")
     for name, circle, angles, light in (
         ("sharp", 0.0, {}, drive()),

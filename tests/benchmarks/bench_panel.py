@@ -28,7 +28,7 @@ from journals import MadeRun
 from playwright.sync_api import sync_playwright
 
 from bench.panel.run_model import RunModel
-from bench.records.folder_lock import lock_folder
+from bench.records.storage import lock_folder
 
 CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
 FLAGS = [

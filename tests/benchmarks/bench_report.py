@@ -44,8 +44,8 @@ def measure(code: Path, run: Path) -> dict[str, float]:
     from bench.plan.job import Job
     from bench.records.history import replay
     from bench.records.journal import read_journal
-    from bench.results.measure_again import measure_again
     from bench.results.result import ResultWriter
+    from bench.results.solution import measure_again
     from sequences.script import SolveStep
 
     assert Path(str(bench.run.runner.__file__)).is_relative_to(code)

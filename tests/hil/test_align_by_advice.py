@@ -15,7 +15,7 @@ from bench.align.readiness import check_readiness
 from bench.align.session import Session
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
-from bench.run.preflight import preflight
+from bench.run.states import preflight
 from bench.stations.station import load_station
 
 STATION, COPY = "simulated_unaligned", "mine.yaml"

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.batch.batch_events import BatchEvent
+from bench.batch.batch_record import BatchEvent
 from bench.commands.cli import main
 from bench.records.journal import Journal
 from bench.records.run_folder import JOURNAL

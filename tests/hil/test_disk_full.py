@@ -10,10 +10,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import StorageError
-from bench.records.captures import CAPTURE_STORED, stored_captures
-from bench.records.journal import Journal, read_journal
-from bench.records.recovery import recover
-from bench.records.run_folder import RunFolder
+from bench.records.journal import CAPTURE_STORED, Journal, read_journal, stored_captures
+from bench.records.run_folder import RunFolder, recover
 
 CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 

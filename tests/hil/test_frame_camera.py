@@ -16,7 +16,7 @@ from running import end_when, entering, journal, numbers, results, starbench, st
 from bench.batch.batch_plan import read_queue
 from bench.batch.rehearsed_night import rehearse_batch
 from bench.stations.station import SHIPPED_STATIONS
-from bench.views.frames import frame_gates, measure_frames
+from bench.views.measure import frame_gates, measure_frames
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera

@@ -16,8 +16,9 @@ from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from drivers.light.text import TextLight
 from simulators.lights.gardasoft import GardasoftRt
-from simulators.lights.generators import GeneratorModel, ScpiGenerator, SiglentGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.microcontroller import MicrocontrollerLight
+from simulators.lights.siglent import SiglentGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from tests.hil.direct_lights import MICROCONTROLLER

@@ -10,7 +10,7 @@ from station_texts import PLAIN
 
 from bench.messaging.messages import channels_of, send
 from bench.messaging.outbox import DeliveryFailed, Message
-from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
+from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(
     "k" * 64,

@@ -16,7 +16,7 @@ from running import end_when, entering, journal, start
 
 from bench.panel.panel_app import panel_app
 from bench.records.journal import read_journal
-from bench.web.tokens import PageToken
+from bench.web.guard import PageToken
 
 CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
 FLAGS = [

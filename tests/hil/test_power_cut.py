@@ -18,10 +18,8 @@ import pytest
 from own_disk import Disk
 
 from bench.base.errors import BenchError
-from bench.records.captures import stored_captures
-from bench.records.journal import Journal, read_journal
-from bench.records.recovery import recover
-from bench.records.run_folder import RunFolder
+from bench.records.journal import Journal, read_journal, stored_captures
+from bench.records.run_folder import RunFolder, recover
 
 WRITER = """
 import hashlib, os, sys, time
@@ -30,8 +28,8 @@ from pathlib import Path
 if sys.argv[2] == "careless":
     os.fsync = lambda descriptor: None
 from bench.records.journal import Journal
-from bench.records.captures import CAPTURE_STORED
-from bench.records.recovery import recover
+from bench.records.journal import CAPTURE_STORED
+from bench.records.run_folder import recover
 from bench.records.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])

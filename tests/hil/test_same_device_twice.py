@@ -13,8 +13,7 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import BenchClock
-from bench.stations.device_identities import serial_devices
-from bench.stations.devices import Devices
+from bench.stations.devices import Devices, serial_devices
 from bench.stations.station import Station
 from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy

@@ -7,7 +7,8 @@ import math
 import pytest
 import serial
 
-from simulators.lights.generators import GeneratorModel, ScpiGenerator, SiglentGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
+from simulators.lights.siglent import SiglentGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.world.world import LightState, World

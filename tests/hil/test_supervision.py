@@ -16,12 +16,10 @@ from servers import WebServer, serving
 from station_texts import PLAIN
 
 from bench.base.clock import Aborted, BenchClock
-from bench.base.linux_process import out_of_memory_kills
 from bench.batch.supervisor import OUT_OF_MEMORY, SILENCE_S, adopt, supervise
-from bench.run.crash_log import read_crash
+from bench.run.heartbeat import out_of_memory_kills, read_crash
 from bench.simulated import SimulatedBench
-from bench.stations.devices import open_light
-from bench.stations.orphans import make_orphans_safe
+from bench.stations.devices import make_orphans_safe, open_light
 from bench.stations.station import load_station
 from drivers.light import LightSettings
 
@@ -120,7 +118,7 @@ from bench.base.clock import BenchClock
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
 from bench.records.events import Event
-from bench.records.run_log import RunLog
+from bench.records.history import RunLog
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 clock = BenchClock()

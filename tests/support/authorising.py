@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.evidence.person_key import load_file_key
+from bench.evidence.authorisation import load_file_key
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, Signer
 
 needs_ssh_keygen = pytest.mark.skipif(

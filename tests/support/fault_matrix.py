@@ -21,10 +21,9 @@ from run_faults import FAULTS, Died, Fault, command
 import bench.rehearsal.rehearsal
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
-from bench.records.captures import stored_captures
 from bench.records.events import Event
 from bench.records.history import replay
-from bench.records.journal import read_journal
+from bench.records.journal import read_journal, stored_captures
 from bench.records.storage import sha256_of
 
 STATES = (

@@ -2,7 +2,8 @@
 
 import re
 
-from bench.stations.placeholders import (
+from bench.stations.station import SHIPPED_STATIONS
+from bench.stations.station_fields import (
     UNKNOWN_ADDRESS,
     UNKNOWN_BOARD,
     UNKNOWN_LABORATORY,
@@ -11,7 +12,6 @@ from bench.stations.placeholders import (
     UNKNOWN_SERIAL,
     UNKNOWN_SOURCE,
 )
-from bench.stations.station import SHIPPED_STATIONS
 
 _TEXTS = {
     UNKNOWN_PORT: "/dev/serial/by-id/usb-Maker_Adapter_{}-if00-port0",

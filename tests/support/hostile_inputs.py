@@ -548,7 +548,7 @@ def main() -> None:
     import bench.results.offline
     import bench.results.offline_folder
     import bench.run.launch  # noqa: F401 - loaded once, before the forks
-    from bench.base.kernel_cache import set_kernel_cache
+    from bench.base.home import set_kernel_cache
 
     set_kernel_cache(os.environ)
     choose = few_cases if given.few else all_cases

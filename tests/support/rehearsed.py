@@ -10,8 +10,7 @@ from bench.base.clock import VirtualClock
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
-from bench.records.journal import Journal, read_journal
-from bench.records.unsynced_journal import UnsyncedJournal
+from bench.records.journal import Journal, UnsyncedJournal, read_journal
 from bench.rehearsal.rehearsal import RehearsedJob, rehearse_job
 from bench.rehearsal.virtual_devices import VirtualDevices
 from bench.run.runner import Runner

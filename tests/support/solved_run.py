@@ -8,8 +8,7 @@ from rehearsed import Scene
 
 from bench.rehearsal.rehearsal import RehearsedKind
 from bench.results.result import ResultWriter
-from bench.views.measure import Measurement
-from bench.views.stored_image import StoredImage
+from bench.views.measure import Measurement, StoredImage
 
 POSES = (
     "[{name: left, pan_deg: -5}, {name: right, pan_deg: 5}, {name: above, tilt_deg: 2, pan_deg: 1},"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from bench.stations.station_target import TargetConfig
+from bench.stations.station_fields import TargetConfig
 from bench.stations.target.draw import (
     GDS_CELL,
     GDS_OPAQUE,

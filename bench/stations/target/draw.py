@@ -4,19 +4,133 @@ from __future__ import annotations
 
 import io
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import UsageError
-from bench.stations.station_target import TargetConfig
-from bench.stations.target.shapes import Drawing, draw_target
-from bench.stations.target.vector_files import MM_PER_UNIT, TooLarge, pdf, svg
+from bench.stations.station_fields import TargetConfig
+from bench.stations.target.shapes import Drawing, Shapes, draw_target
+
+# Drawings as SVG and PDF: vector files with exact millimetres, written without another program.
+#
+# Every file is a function of the drawing: it has no date, no name of a computer and no random identifier.
+# Coordinates have six decimals of a millimetre. The polygons of one star, of the tag and of the margin are
+# one path each, so that a viewer shows no seams between areas that touch.
+
+MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
+_POINTS_PER_MM = 72.0 / 25.4
+_LARGEST_PDF_MM = 14_400 / _POINTS_PER_MM
+"""The largest page of PDF 1.7 without a unit of its own (ISO 32000-1, annex C.2)."""
+_LINE_MM = 0.1
+"""Width of the line for the edge of the glass."""
+
+
+class TooLarge(ValueError):
+    """The drawing is larger than the file format allows; the text says what the limit is."""
+
+
+def svg(drawing: Drawing, units: str) -> bytes:
+    """Write a drawing as SVG.
+
+    units: Unit of the coordinates, a key of `MM_PER_UNIT`; the printed size does not depend on it.
+    """
+    scale = 1.0 / MM_PER_UNIT[units]
+    width, height = drawing.width_mm * scale, drawing.height_mm * scale
+    view = " ".join(_short(n) for n in (-0.5 * width, -0.5 * height, width, height))
+    edge = f'x="{_short(-0.5 * width)}" y="{_short(-0.5 * height)}" width="{_short(width)}" height="{_short(height)}"'
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{_short(drawing.width_mm)}mm"'
+            f' height="{_short(drawing.height_mm)}mm" viewBox="{view}">'
+        ),
+        f"<title>{escape(drawing.title)}</title>",
+        (
+            "<desc>What is filled is opaque. Origin in the middle of the glass, X right, Y down, as the camera sees it."
+            f" Unit of the coordinates: {units}.</desc>"
+        ),
+    ]
+    for part in drawing.parts:
+        lines.append(f'<g id="{part.name}" fill="#000">')
+        lines += [f'<path d="{path}"/>' for path in _paths(part, scale, "MLZ")]
+        lines.append("</g>")
+    if drawing.outline:
+        line = _short(_LINE_MM * scale)
+        lines.append(f'<rect id="outline" {edge} fill="none" stroke="#000" stroke-width="{line}"/>')
+    return ("\n".join([*lines, "</svg>"]) + "\n").encode()
+
+
+def pdf(drawing: Drawing, units: str) -> bytes:
+    """Write a drawing as a PDF of one page, which is as large as the glass.
+
+    units: Unused: the unit of a PDF is the point, 1/72 inch.
+    Raises TooLarge: If the glass is larger than a page may be.
+    """
+    del units
+    if max(drawing.width_mm, drawing.height_mm) > _LARGEST_PDF_MM:
+        raise TooLarge(f"A page of a PDF is at most {_LARGEST_PDF_MM:.0f} mm wide and high.")
+    k, width, height = _POINTS_PER_MM, drawing.width_mm, drawing.height_mm
+    middle = [_short(0.5 * side * k) for side in (width, height)]
+    lines = [f"{k:.12f} 0 0 {-k:.12f} {middle[0]} {middle[1]} cm", "0 g"]
+    for part in drawing.parts:
+        lines += [f"{path} f" for path in _paths(part, 1.0, "mlh")]
+    if drawing.outline:
+        corner = f"{_short(-0.5 * width)} {_short(-0.5 * height)} {_short(width)} {_short(height)}"
+        lines.append(f"0 G {_LINE_MM} w {corner} re S")
+    content = ("\n".join(lines) + "\n").encode()
+    title = drawing.title.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
+    objects = [
+        b"<< /Type /Catalog /Pages 2 0 R >>",
+        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {_short(width * k)} {_short(height * k)}]"
+        " /Resources << >> /Contents 4 0 R >>".encode(),
+        f"<< /Length {len(content)} >>\nstream\n".encode() + content + b"endstream",
+        f"<< /Title ({title}) /Producer (Starbench) >>".encode(),
+    ]
+    return _pdf_file(objects)
+
+
+def _pdf_file(objects: list[bytes]) -> bytes:
+    """Return a PDF file with numbered objects; the first is the catalogue, the last the information (ISO 32000-1)."""
+    data, places = b"%PDF-1.4\n", []
+    for number, body in enumerate(objects, 1):
+        places.append(len(data))
+        data += f"{number} 0 obj\n".encode() + body + b"\nendobj\n"
+    count = len(objects) + 1
+    table = f"xref\n0 {count}\n0000000000 65535 f \n".encode()
+    table += b"".join(b"%010d 00000 n \n" % place for place in places)
+    tail = f"trailer\n<< /Size {count} /Root 1 0 R /Info {count - 1} 0 R >>\nstartxref\n{len(data)}\n%%EOF\n"
+    return data + table + tail.encode()
+
+
+def _paths(part: Shapes, scale: float, signs: str) -> Iterator[str]:
+    """Yield paths of the polygons that belong together. ``signs`` begin, continue and close a polygon."""
+    step = part.joined or max(1, len(part.polygons))
+    for first in range(0, len(part.polygons), step):
+        yield " ".join(_path(polygon * scale, signs) for polygon in part.polygons[first : first + step])
+
+
+def _path(polygon: NDArray[np.float64], signs: str) -> str:
+    """Return a polygon as a path: in SVG the sign stands before a point, in PDF after it."""
+    begin, along, close = signs[0], signs[1], signs[2]
+    points = [f"{_short(x)} {_short(y)}" for x, y in polygon.tolist()]
+    if begin == "M":
+        return begin + along.join(points) + close
+    return " ".join([f"{points[0]} {begin}", *(f"{point} {along}" for point in points[1:]), close])
+
+
+def _short(number: float) -> str:
+    """Return a number with six decimals, without zeros at its end."""
+    text = f"{number:.6f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
 
 # Drawings as DXF and GDSII, for makers of masks and reticles; by ezdxf and gdstk (extra ``draw``).
 

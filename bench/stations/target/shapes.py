@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import UsageError
-from bench.stations.station_target import TargetConfig
+from bench.stations.station_fields import TargetConfig
 from calib.target import StarTarget
 
 # Letters made of upright rectangles, for the text on a reticle.

@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.base.errors import UsageError
 from bench.stations.station import Station
-from bench.stations.station_target import TargetConfig
+from bench.stations.station_fields import TargetConfig
 from calib.target import StarTarget
 
 IMX636_PIXEL_UM = 4.86

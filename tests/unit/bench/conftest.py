@@ -11,8 +11,7 @@ import pytest
 from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key, read_signers
 from bench.evidence.seal import seal
-from bench.records.captures import CAPTURE_STORED
-from bench.records.journal import Journal
+from bench.records.journal import CAPTURE_STORED, Journal
 from bench.records.run_folder import RunFolder
 from bench.views.kept_views import KeptViews
 

@@ -12,7 +12,7 @@ from station_texts import PLAIN
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.script_check import check_script
 from bench.stations.station import Station
-from bench.stations.station_target import DrawingConfig, TargetConfig
+from bench.stations.station_fields import DrawingConfig, TargetConfig
 from sequences.reader import check_document, read_document
 from sequences.schema import (
     DefaultConfig,

@@ -24,7 +24,7 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, WrongDevice
 from drivers.serial_port import SerialPort
 from drivers.stage import AxisIdentity, Stage
-from drivers.stage.watched import Axis as StageAxis
+from drivers.stage.motion import Axis as StageAxis
 from drivers.stage.watched import AxisState, WatchedStage, no_reference
 from drivers.text_line import TextLine
 from drivers.wire_log import WireLog

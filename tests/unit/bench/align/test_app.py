@@ -10,10 +10,10 @@ import pytest
 from align_fakes import fake_session, wait_until
 from pages import served
 
-from bench.align.app import align_app
 from bench.align.page_requests import PageFiles
+from bench.align.serve import align_app
 from bench.stations.station import SHIPPED_STATIONS
-from bench.web.tokens import PageToken
+from bench.web.guard import PageToken
 
 ONE, TWO = "page-one", "page-two"
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.align.focus_course import FocusCourse
-from bench.align.focus_figure import FocusFigures, measure_focus, tilt_of
+from bench.align.focus import FocusCourse, FocusFigures, measure_focus, tilt_of
 from calib.stars.beam import find_beam
 from calib.stars.focus import coarse_detail
 from calib.stars.quick import find_stars_quickly

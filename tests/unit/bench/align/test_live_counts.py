@@ -44,8 +44,7 @@ def test_the_image_by_counts_is_that_of_the_events(tmp_path, waveform):
     path = write_slice(tmp_path / "slice.raw", seen(bench()), light=drive(waveform=waveform), periods=2)
     quick = read_image(path, SETTING, compare=False)
     raw = RawFile.open(path)
-    from bench.align.live_image import _images
-    from bench.align.signal_figures import measure_signal
+    from bench.align.live_image import _images, measure_signal
 
     events, triggers = raw.read()
     signal = measure_signal(events, triggers, 1, 60.0)

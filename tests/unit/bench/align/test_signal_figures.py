@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.align.signal_figures import LINK_GBIT_S, burst_jitter_us, measure_signal
+from bench.align.live_image import LINK_GBIT_S, burst_jitter_us, measure_signal
 from calib.events.flicker import Flicker
 from drivers.camera.event_arrays import Events, Triggers
 

@@ -10,23 +10,22 @@ import bench
 from bench.base import bounded_json
 from bench.base.bounded_json import MOST_LEVELS, parse_json
 from bench.base.errors import StorageError
-from bench.records.reading import MOST_BYTES, read_bounded, read_json
+from bench.records.storage import MOST_BYTES, read_bounded, read_json
 
 OWN_DATA = {
     "align/open_bench.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
-    "base/lens_and_mount.py",  # an answer of the simulated bench
     "certificate/issue.py",  # text that was written a line before
     "certificate/pdf.py",
     "commands/certificate.py",
-    "commands/messages.py",  # channel of a message, from our own outbox
+    "commands/status.py",  # channel of a message, from our own outbox
     "messaging/messages.py",
-    "compare/real_data.py",  # pydantic bounds the depth
-    "panel/helper.py",  # a process of our own
+    "compare/methods.py",  # pydantic bounds the depth
+    "panel/extras.py",  # a process of our own
     "panel/helper_process.py",
     "records/inbox.py",  # bounded size; pydantic bounds the depth
     "records/run_index.py",  # text that the index wrote
-    "results/compare_json.py",
+    "results/compare_numbers.py",
     "results/exports.py",
     "simulated.py",  # a process of our own
     "web/guard.py",  # bodies of at most 16 kB

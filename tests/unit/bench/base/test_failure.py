@@ -15,8 +15,8 @@ from bench.commands.run import show_run
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.run.journal_text import line_text
 from bench.run.runner import RunEnd
+from bench.run.status import line_text
 from calib.errors import CalibrationError
 from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.kernel_cache import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
+from bench.base.home import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
 from bench.terminal import compiling
 
 ROOT = Path(__file__).parents[4]
@@ -65,7 +65,9 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
 
 
 def test_the_command_line_asks_before_numba_is_imported():
-    program = "import sys, bench.base.kernel_cache as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
+    program = (
+        "import sys, bench.base.home as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
+    )
     program += "from bench.commands.cli import main; main(['--version'])"
     said = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True

@@ -7,7 +7,7 @@ from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
 from bench.base.device_ends import DeviceEnd
-from bench.batch.batch_messages import BatchMessages
+from bench.batch.batch import BatchMessages
 from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
 from bench.messaging.outbox import Message, Outbox

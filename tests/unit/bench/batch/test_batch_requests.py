@@ -11,8 +11,8 @@ from nights import NightClock, Workers, begun, hows, job_words, queue
 from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch
 from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
-from bench.batch.batch_status import batch_status_text, read_batch_status
-from bench.commands.tell import tell
+from bench.batch.batch_summary import batch_status_text, read_batch_status
+from bench.commands.status import tell
 from bench.records.journal import read_journal
 
 

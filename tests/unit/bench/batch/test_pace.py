@@ -5,11 +5,10 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.batch.batch_plan import plan_batch, planned_duration_s
-from bench.batch.pace import Pace, paces
+from bench.batch.batch_plan import Pace, paces, plan_batch, planned_duration_s
 from bench.records.events import Event
 from bench.records.journal import Journal
-from bench.records.ledger_runs import LedgerRun
+from bench.records.ledger_breaks import LedgerRun
 from sequences.queue import JobConfig, Queue
 
 BEGUN = datetime(2026, 3, 1, 20, tzinfo=UTC)

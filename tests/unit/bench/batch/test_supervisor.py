@@ -7,9 +7,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.base.linux_process import waits_for_disk
 from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
-from bench.run.heartbeat import STALL_LIMIT_S, Heartbeat
+from bench.run.heartbeat import STALL_LIMIT_S, Heartbeat, waits_for_disk
 
 
 def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_path):

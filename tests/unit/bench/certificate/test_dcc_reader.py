@@ -111,7 +111,7 @@ def test_the_command_prints_lines_for_both_files(tmp_path):
     path.write_bytes(dcc(quantity("Focal length"), number='C-17: "x"'))
     printed = run(path)
     assert printed.startswith(f"# From {path}: (Focal length); no signature.\n# Station file:\ncollimator:\n")
-    from bench.stations.station_collimator import CertificateConfig
+    from bench.stations.station_budget import CertificateConfig
 
     values = plain(printed.partition("# lab.yaml")[0])["collimator"]["certificate"]
     found = CertificateConfig.model_validate(values)

@@ -4,83 +4,36 @@ import dataclasses
 import json
 import re
 import shutil
-import time
 from datetime import timedelta
 from unittest import mock
 
 import pytest
-from certificate_sample import LAB, NOW, sample_results, verified, write_sealed_run
+from certificate_lab import FIRST, Lab, quick_files
+from certificate_sample import LAB, NOW, sample_results, write_sealed_run
 
 from bench.base.errors import BenchError, EvidenceError, UsageError
-from bench.certificate import folder as folder_module
 from bench.certificate import issue as issue_module
 from bench.certificate import sealed_run
 from bench.certificate.certificate_data import Certificate, Software
 from bench.certificate.check import check_certificate
-from bench.certificate.issue import Laboratory, amend, issue
+from bench.certificate.issue import amend, certificate_files, issue
 from bench.certificate.series import declare_void, numbers
-from bench.evidence.faults import SealFault
-from bench.evidence.keys import ensure_key
+from bench.evidence.findings import SealFault
 from bench.records.ledger import Ledger
 from bench.records.storage import sha256_of
-from sequences.errors import DocumentFaults
 
 
 class Killed(BaseException):
     """Stands for a process that ends at once."""
 
 
-class Lab:
-    """A laboratory with one sealed run, whose clock is set by hand."""
-
-    def __init__(self, path):
-        self.path, self.now, self.says = path, NOW, {}
-        self.home = path / "home"
-        self.run = write_sealed_run(path / "run", self.home)
-        self.lab = path / "lab.yaml"
-        self.lab.write_text(LAB, encoding="utf-8")
-        self.ledger = Ledger(self.home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
-        place = self.ledger.begin(run_id="run", folder=self.run, camera="00050423", simulated=True)
-        self.ledger.end(place["number"], how="finished", folder=self.run)
-
-    def laboratory(self):
-        return Laboratory(
-            self.ledger, lambda: ensure_key(self.home), lambda: self.now, lambda f: verified(f, **self.says)
-        )
-
-    def issue(self, name="certificate", **facts):
-        return issue(self.run, self.lab, self.path / name, self.laboratory(), **facts)
-
-    def amend(self, old, name, reason="wrong address", old_text="Mill Lane 3", new_text="Mill Lane 4"):
-        self.lab.write_text(LAB.replace(old_text, new_text), encoding="utf-8")
-        return amend(self.path / old, self.lab, self.path / name, self.laboratory(), reason=reason)
-
-    def numbers(self):
-        return {one.number: one.how for one in numbers(self.ledger.entries()).values()}
-
-    def faults(self, text):
-        self.lab.write_text(text, encoding="utf-8")
-        with pytest.raises(DocumentFaults) as found:
-            self.issue()
-        assert self.numbers() == {}, "a number was taken for a refused certificate"
-        return [str(fault) for fault in found.value.faults]
-
-
-def quick_files(certificate, found, results, lab, plots, sign=None):
-    """The files without PDF, DCC and plots, which take half a second."""
-    return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
-
-
 @pytest.fixture
 def lab(tmp_path):
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
+        mock.patch("bench.certificate.pdf_blocks.plots_of_run", return_value={}),
     ):
         yield Lab(tmp_path)
-
-
-FIRST = "SIMULATED-SB-2026-00001"
 
 
 @pytest.fixture(scope="module")
@@ -374,8 +327,7 @@ def test_no_interval_is_printed_unless_the_customer_agreed(lab):
 
 @pytest.mark.parametrize("at", ["certificate_files", "write_sealed", "seal_folder", "_enter"])
 def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, at):
-    module = folder_module if at == "seal_folder" else issue_module
-    with mock.patch.object(module, at, side_effect=Killed), pytest.raises(Killed):
+    with mock.patch.object(issue_module, at, side_effect=Killed), pytest.raises(Killed):
         lab.issue()
     assert lab.numbers() == {FIRST: "reserved"}
     whole = at == "_enter"
@@ -393,7 +345,7 @@ def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, 
 
 
 def test_a_killed_command_for_another_folder_leaves_nothing_behind(lab):
-    with mock.patch.object(folder_module, "seal_folder", side_effect=Killed), pytest.raises(Killed):
+    with mock.patch.object(issue_module, "seal_folder", side_effect=Killed), pytest.raises(Killed):
         lab.issue("first name")
     assert (lab.path / ".first name.tmp").exists()
     assert lab.issue("second name").certificate.number == FIRST
@@ -491,7 +443,7 @@ def test_after_a_break_was_explained_it_is_not_known_whether_a_certificate_was_r
 def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
     shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
     lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
-    with mock.patch.object(issue_module, "certificate_files", folder_module.certificate_files):
+    with mock.patch.object(issue_module, "certificate_files", certificate_files):
         second = amend(real.issued.folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x")
     assert check_certificate(second.folder, lab.ledger).faults == []
     path = second.folder / "certificate.json"
@@ -499,32 +451,6 @@ def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
     path.write_bytes(path.read_bytes().replace(real.issued.seal.encode(), b"0" * 64))
     said = [fault.what for fault in check_certificate(second.folder, lab.ledger).faults]
     assert f"the ledger does not say that it replaces {FIRST} with this seal" in said
-
-
-@pytest.mark.slow
-def test_the_ten_thousandth_certificate_takes_seconds(lab):
-    lab.issue()
-    with lab.ledger.locked() as journal:
-        for count in range(2, 10_001):
-            one = {
-                "number": f"SIMULATED-SB-2026-{count:05d}",
-                "series": "SIMULATED-SB-2026-{number:05d}",
-                "count": count,
-            }
-            of = {
-                "run_seal": "a" * 64,
-                "run_id": "r",
-                "folder": f"/c/{count}",
-                "issued_utc": "",
-                "amends": "",
-            }
-            journal.append_unsynced("certificate_reserved", **one, **of)
-            journal.append_unsynced(
-                "certificate_issued", number=one["number"], seal="", serial="", customer=""
-            )
-    begun = time.process_time()
-    assert lab.issue("next", also="x").certificate.number == "SIMULATED-SB-2026-10001"
-    assert time.process_time() - begun < 4.0  # 1 s when this was written, without PDF and DCC
 
 
 def test_the_clock_and_other_open_numbers_stop_the_issue(lab):

@@ -12,8 +12,7 @@ from bench.base.errors import BenchError, UsageError
 from bench.certificate import pdf
 from bench.certificate.certificate_data import Conformity, Covariance, Deviation, Statement
 from bench.certificate.pdf import _document, render_pdf
-from bench.certificate.pdf_blocks import at_the_point
-from bench.certificate.pdf_plots import PLOTS, draw_plots, pictures
+from bench.certificate.pdf_blocks import PLOTS, at_the_point, draw_plots, pictures
 from bench.certificate.pdf_results import covariance
 from bench.report.view_picture import ViewPicture
 from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate

@@ -9,16 +9,14 @@ from click.testing import CliRunner
 
 from bench.base.errors import UsageError
 from bench.cluster import many_calibrations, verifications
-from bench.cluster.conversions import convert_many, plan_targets
 from bench.cluster.kept_rows import KeptRows
-from bench.cluster.many_calibrations import STUDY, run_blocks
-from bench.cluster.verifications import Check, check_one
+from bench.cluster.many_calibrations import STUDY, plan_study, run_blocks
+from bench.cluster.verifications import Check, check_one, convert_many, plan_targets
 from bench.cluster.work import Serial
 from bench.commands.cli import cli
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
 from bench.results.forms import forms
-from bench.results.studies import plan_study
 from calib.studies.monte_carlo import study_of
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, Triggers
@@ -140,8 +138,8 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
     assert not list(out.glob(".part*"))
     with np.load(out / "p2.npz") as arrays:
         assert len(arrays["t"]) == 4000
-    monkeypatch.setattr("bench.cluster.conversions.forms", lambda: {"program": "newer"})
-    monkeypatch.setattr("bench.cluster.conversions.require_program_of", lambda _program: None)
+    monkeypatch.setattr("bench.cluster.verifications.forms", lambda: {"program": "newer"})
+    monkeypatch.setattr("bench.cluster.verifications.require_program_of", lambda _program: None)
     assert [one.before for one in converted(recordings, out)] == [False, False], "by another program, again"
     before = (out / "p1.npz").read_bytes()
     recordings[0].write_bytes(recordings[1].read_bytes())

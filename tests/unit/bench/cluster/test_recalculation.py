@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.cluster.places import Place, find_places
-from bench.cluster.recalculation import Recalculation
-from bench.cluster.results_folders import TABLE, ResultsFolders
-from bench.cluster.tasks import Task, list_recordings
+from bench.cluster.recalculation import TABLE, Recalculation, ResultsFolders
+from bench.cluster.tasks import Place, Task, find_places, list_recordings
 from bench.cluster.work import Serial, WorkersLost
 from bench.commands.cli import cli
 from bench.evidence.keys import SIGNERS_FILE, create_key, read_signers

@@ -11,11 +11,11 @@ from click.testing import CliRunner
 
 from bench.base.errors import BenchError
 from bench.commands.cli import cli
+from bench.evidence.authorisation import known_authorisations
 from bench.evidence.keys import create_key, load_key
-from bench.evidence.ledger_authorisation import known_authorisations
 from bench.evidence.seal import seal
-from bench.evidence.shown_state import home_trust, shown_state
 from bench.evidence.signers import read_signers
+from bench.evidence.states import home_trust, shown_state
 from bench.records.ledger import Ledger
 from bench.records.run_folder import RunFolder
 
@@ -287,8 +287,7 @@ def test_keys_show_asks_for_no_passphrase(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("trouble", ["readable", "locked", "expired", "revoked", "list", "folder"])
 def test_a_key_that_cannot_seal_stops_a_run_before_its_folder_is_made(home, tmp_path, trouble, monkeypatch):
-    from bench.evidence.revocation import RevokedKey, revoke
-    from bench.evidence.signers import replace_lines
+    from bench.evidence.signers import RevokedKey, replace_lines, revoke
 
     key, now = load_key(home), datetime.now(UTC)
     says = "Other users can"

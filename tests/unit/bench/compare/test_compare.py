@@ -12,8 +12,7 @@ from bench.compare.page import render_page
 from bench.compare.run_comparison import ROWS, Task, compare, row_key, run_task
 from bench.compare.scenes import recordings_key, star_poses
 from bench.compare.spec import ComparisonConfig, read_spec, shipped_names
-from bench.compare.summary import summarise
-from bench.compare.table import parameter_rows, table_rows, table_text
+from bench.compare.table import parameter_rows, summarise, table_rows, table_text
 from calib.model.camera import CameraModel
 
 TRUE = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), {"k1": 0.06, "k2": -0.9})

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from bench.base.errors import ScriptError
-from bench.compare import methods, real_data, scenes
+from bench.compare import methods, scenes
+from bench.compare.methods import data_digest, read_data
 from bench.compare.page import PAPER_NAMES, PAPER_TABLE_1, images_plot, render_page
-from bench.compare.real_data import data_digest, read_data
 from bench.compare.run_comparison import Task, compare, row_key, run_task
 from bench.compare.scenes import finding_key, recordings_key
 from bench.compare.spec import ComparisonConfig, read_spec
-from bench.compare.summary import summarise
-from bench.compare.table import data_rows, table_rows, table_text
+from bench.compare.table import data_rows, summarise, table_rows, table_text
 from calib.errors import CalibrationError, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
@@ -213,7 +212,7 @@ def test_an_error_that_nobody_expected_is_named_in_its_row(monkeypatch):
     monkeypatch.setattr(methods, "solve", lambda *_: 1 / 0)
     (row,) = run_task(Task(tuple(spec({"name": "a", "method": "zhang"}).columns), 0, 3)).values()
     assert row["error"] == "Unexpected ZeroDivisionError: division by zero"
-    monkeypatch.setattr(real_data, "read_data", lambda *_: 1 / 0)
+    monkeypatch.setattr(methods, "read_data", lambda *_: 1 / 0)
     data = spec(data_column("x")).columns
     (row,) = run_task(Task(tuple(data), 0, 3)).values()
     assert row["error"] == "Unexpected ZeroDivisionError: division by zero"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.compare.outside_check import bench_time_s, gimbal_ratio_error
+from bench.compare.methods import bench_time_s, gimbal_ratio_error
 from bench.compare.spec import ColumnConfig
 from calib.model.camera import CameraModel
 from calib.view import View

@@ -242,9 +242,9 @@ def forged_focal_length(f, job):
 
 def rederive(f, job):
     """Put right what follows from the calibration, as the program does."""
-    from bench.results.comparison import compare_with_truth
     from bench.results.results_content import projection
-    from bench.results.stored_calibration import stored_calibration
+    from bench.results.run_reader import stored_calibration
+    from bench.results.solution import compare_with_truth
     from bench.views.views_file import read_views
 
     results = f.results

@@ -13,7 +13,7 @@ from bench.base.home import HOME_VARIABLE
 from bench.evidence.keys import load_key
 from bench.evidence.signers import read_signers
 from bench.plan.job import Job
-from bench.report import figures
+from bench.report import plots
 from bench.results.solution import solve_run
 from bench.run.launch import Launch, start_run
 from bench.views.camera_kinds import EventKind
@@ -36,7 +36,7 @@ DOCUMENTS = ("sequence.yaml", "station.yaml", "passport.json")
 @pytest.fixture
 def made_once():
     """What is made again is made once for the same input: plots, stars of a recording, calibrations."""
-    draw, measure, solve, truth = figures.report_plots, EventKind.measure, solve_run, Job.read_truth
+    draw, measure, solve, truth = plots.report_plots, EventKind.measure, solve_run, Job.read_truth
 
     def once(kind, key, make):
         if key not in KEPT[kind]:
@@ -61,7 +61,7 @@ def made_once():
         return once("truth", repr((job.station, job.seed)), lambda: truth(job))
 
     with (
-        mock.patch("bench.report.figures.report_plots", report_plots),
+        mock.patch("bench.report.plots.report_plots", report_plots),
         mock.patch.object(Job, "read_truth", read_truth),
         mock.patch.object(EventKind, "measure", measure_one),
         mock.patch("bench.results.again_run.solve_run", solve_one),

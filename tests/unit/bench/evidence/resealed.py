@@ -7,14 +7,13 @@ from datetime import datetime
 from bench.evidence.keys import NAMESPACE
 from bench.evidence.seal import make_manifest
 from bench.evidence.sshsig import sign
-from bench.records.journal import read_journal
-from bench.records.journal_entry import FIRST_PREV, encode_line
-from bench.records.written import written_files
+from bench.records.journal import FIRST_PREV, encode_line, read_journal
+from bench.records.run_folder import written_files
 from bench.report.html import ReportData, render_report
 from bench.results.compare_trees import HeldViews
 from bench.results.exports import exports
 from bench.results.result import json_bytes
-from bench.results.stored_calibration import stored_calibration
+from bench.results.run_reader import stored_calibration
 
 
 def kinds(verification):

@@ -10,11 +10,9 @@ import pytest
 from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen, person
 
 from bench.evidence.authorisation import authorise
-from bench.evidence.beside_seal import add_beside
-from bench.evidence.instructions import KINDS, kind_of
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import seal_folder
-from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.seal import KINDS, add_beside, kind_of, seal_folder
+from bench.evidence.sshsig import fingerprint
 
 pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
 pytestmark = [needs_ssh_keygen, needs_openssl]

@@ -16,15 +16,17 @@ from hypothesis import strategies as st
 from bench.base.errors import EvidenceError
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.keys import BenchKey, create_key, key_to_seal, load_key, require_usable, usable_key
-from bench.evidence.revocation import RevokedKey, read_revoked, revoke
 from bench.evidence.rotation import rotate
 from bench.evidence.seal import seal_folder
 from bench.evidence.signers import (
     NAMESPACE,
+    RevokedKey,
     Signer,
+    read_revoked,
     read_signer,
     read_signers,
     replace_lines,
+    revoke,
     time_text,
     trust,
 )
@@ -199,7 +201,7 @@ def test_what_the_old_key_sealed_stays_valid_and_nothing_new_does(tmp_path):
 
 def load_key_from(path):
     """Load an archived private key."""
-    from bench.evidence.person_key import load_file_key
+    from bench.evidence.authorisation import load_file_key
 
     key = load_file_key(path, lambda _: b"")
     return BenchKey(key.private, "b@l")

@@ -15,10 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError
-from bench.evidence.openssh import NotInstalled
-from bench.evidence.person_key import load_file_key
-from bench.evidence.ssh_keys import check_key, encode_public_key, string
-from bench.evidence.sshsig import is_valid, read_signature, sign
+from bench.evidence.authorisation import load_file_key
+from bench.evidence.sshsig import (
+    NotInstalled,
+    check_key,
+    encode_public_key,
+    is_valid,
+    read_signature,
+    sign,
+    string,
+)
 
 
 def no_passphrase(path):

@@ -18,10 +18,9 @@ from hypothesis import strategies as st
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence import timestamp, tsa_client
 from bench.evidence.authorisation import authorise
-from bench.evidence.beside_seal import add_beside
-from bench.evidence.der import sets_in_order
 from bench.evidence.key_trust import Trust
-from bench.evidence.ssh_keys import string
+from bench.evidence.seal import add_beside
+from bench.evidence.sshsig import string
 from bench.evidence.states import standing_of
 from bench.evidence.timestamp import (
     TrustedAuthorities,
@@ -29,6 +28,7 @@ from bench.evidence.timestamp import (
     as_reply,
     check_reply,
     read_authorities,
+    sets_in_order,
 )
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
 

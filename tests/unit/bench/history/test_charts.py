@@ -8,10 +8,16 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from bench.history.chart_findings import find_charts, needs_attention
-from bench.history.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
+from bench.history.chart_findings import (
+    ChartGroup,
+    ChartKey,
+    ChartRun,
+    find_charts,
+    group_runs,
+    needs_attention,
+)
 from bench.history.merged_runs import RunPlace
-from bench.records.estimates import Estimate
+from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
 from bench.report.chart_page import MOST_DRAWN, render_charts
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.history.control_limits import D2, D4, E2, EWMA_LIMIT, EWMA_WEIGHT, ewma, ewma_sigma, individuals
+from bench.history.statistics import D2, D4, E2, EWMA_LIMIT, EWMA_WEIGHT, ewma, ewma_sigma, individuals
 
 VISCOSITY = (
     33.75, 33.05, 34.00, 33.81, 33.46, 34.02, 33.68, 33.27, 33.49, 33.20, 33.62, 33.00, 33.54, 33.12, 33.84,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.history.drift import find_drift, holm
+from bench.history.statistics import find_drift, holm
 
 NO_WARMTH = [None] * 400
 

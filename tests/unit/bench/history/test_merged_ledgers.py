@@ -7,12 +7,20 @@ import pytest
 from many_runs import BEGIN, BenchOfRuns, write_run
 
 from bench.base.errors import UsageError
-from bench.history.ledger_sources import EnteredRun, LedgerSource, MergedLedgers, merge_ledgers, read_source
-from bench.history.merged_runs import IN_LEDGER, NO_LEDGER, NOT_IN_LEDGER, merge_runs
-from bench.records.ledger import Ledger
-from bench.records.ledger_file import LEDGER
+from bench.history.merged_runs import (
+    IN_LEDGER,
+    NO_LEDGER,
+    NOT_IN_LEDGER,
+    EnteredRun,
+    LedgerSource,
+    MergedLedgers,
+    merge_ledgers,
+    merge_runs,
+    read_source,
+)
+from bench.records.ledger import LEDGER, Ledger
+from bench.records.ledger_breaks import LedgerRun
 from bench.records.ledger_marks import MARK
-from bench.records.ledger_runs import LedgerRun
 from bench.records.run_index import RunIndex, run_folders
 
 

@@ -12,11 +12,9 @@ import pytest
 from many_runs import BEGIN, SIGMAS, VALUES, write_run
 
 from bench.base.errors import UsageError
-from bench.evidence.shown_state import ShownState
+from bench.evidence.states import ShownState
 from bench.history.merged_runs import RunPlace
-from bench.history.table_files import ROWS_AT_ONCE, write_table
-from bench.history.table_rows import table_row
-from bench.history.table_schema import COLUMNS, SCHEMA, parameter_columns
+from bench.history.table import COLUMNS, ROWS_AT_ONCE, SCHEMA, parameter_columns, table_row, write_table
 from bench.records.run_index import RunIndex
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "runs-table.md"

@@ -10,7 +10,7 @@ import pytest
 from bench.base.clock import VirtualClock
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
-from bench.stations.station_messages import MessagesConfig, WebhookConfig
+from bench.stations.station_fields import MessagesConfig, WebhookConfig
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 

@@ -6,8 +6,8 @@ import json
 
 from journals import MadeRun
 
-from bench.panel import batch_view
-from bench.panel.batch_view import BatchView, _failures_first
+from bench.panel import panel_app
+from bench.panel.panel_app import BatchView, _failures_first
 
 QUEUE = """\
 format: starbench/queue/1
@@ -29,8 +29,8 @@ def test_a_batch_is_told_again_only_when_something_is_new(tmp_path, monkeypatch)
     batch = _batch(tmp_path)
     batch.write("item_begun", item="one-001", again=False, attempt=1, recorded=0)
     made = []
-    real = batch_view.summarise
-    monkeypatch.setattr(batch_view, "summarise", lambda *words: made.append(1) or real(*words))
+    real = panel_app.summarise
+    monkeypatch.setattr(panel_app, "summarise", lambda *words: made.append(1) or real(*words))
     view = BatchView(batch.folder)
     first, lines = view.text()
     assert view.text() == (first, lines)

@@ -10,7 +10,7 @@ from journals import MadeRun
 
 from bench.base.errors import RunFolderError
 from bench.panel.folder_list import FolderList
-from bench.records.folder_lock import lock_folder
+from bench.records.storage import lock_folder
 
 QUEUE = "format: starbench/queue/1\nname: Night\njobs:\n  - {name: cam, sequence: three_pose, station: simulated}\n"
 

@@ -11,12 +11,10 @@ import pytest
 from journals import MadeRun
 
 from bench.panel import helper_process
-from bench.panel.extras import forecast_poses
-from bench.panel.helper import Helper
-from bench.panel.helper_process import answer_requests, make_coverage
-from bench.panel.pictures import picture_of_view, smooth_residuals
-from bench.run.last_view import LastView
-from bench.views.stored_image import StoredImage
+from bench.panel.extras import Helper, forecast_poses
+from bench.panel.helper_process import answer_requests, make_coverage, picture_of_view, smooth_residuals
+from bench.run.heartbeat import LastView
+from bench.views.measure import StoredImage
 from calib.target import StarTarget
 
 NODES = np.stack(np.meshgrid(np.arange(14.0), np.arange(10.0)), axis=-1).reshape(-1, 2)

@@ -14,7 +14,7 @@ from pages import served
 
 from bench.panel.panel_app import Panel, panel_app
 from bench.records.journal import read_journal
-from bench.web.tokens import PageToken
+from bench.web.guard import PageToken
 
 PATIENCE_S = 20.0
 

@@ -10,10 +10,8 @@ import pytest
 from journals import BEGIN, MadeRun
 
 from bench.panel import run_head
-from bench.panel.process_state import ProcessState, look_at_process
-from bench.panel.run_head import head_of
-from bench.panel.run_model import RunModel
-from bench.panel.run_plan import read_final
+from bench.panel.run_head import ProcessState, head_of, look_at_process
+from bench.panel.run_model import RunModel, read_final
 from bench.run.states import MAX_HOLD_S
 
 RUNNING = ProcessState(running=True, takes_commands=True, free_bytes=10**12)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError, UsageError
-from bench.evidence.passport_seal import read_passport_seal, seal_passport
-from bench.plan.passport_file import parse_passport, passport_bytes, read_passport_file
+from bench.evidence.seal import read_passport_seal, seal_passport
+from bench.plan.passports import parse_passport, passport_bytes, read_passport_file
 from bench.results.passports import seal_file, seals_of, write_passport
 from calib.model.passport import Passport
 

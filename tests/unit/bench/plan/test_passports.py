@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from station_texts import PLAIN
 
-from bench.evidence.passport_seal import seal_passport
+from bench.evidence.seal import seal_passport
 from bench.plan.job import Job, calibration_options, documents_of
-from bench.plan.passport_file import passport_bytes
+from bench.plan.passports import passport_bytes
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.plan_text import render_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY

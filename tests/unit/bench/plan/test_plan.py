@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from station_texts import PLAIN
 
 from bench.base.errors import ScriptError
-from bench.plan.estimate import POSE_BYTES, REPORT_BYTES, travel_s
-from bench.plan.plan import load_documents, make_plan
+from bench.plan.plan import POSE_BYTES, REPORT_BYTES, load_documents, make_plan, travel_s
 from bench.plan.plan_text import duration_text, render_plan
 from bench.stations.station import SHIPPED_STATIONS, Station
-from bench.views.recording_window import periods_in_window, recording_duration_s
+from bench.views.camera_kinds import periods_in_window, recording_duration_s
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence

@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 from station_texts import PLAIN
 
-from bench.plan.job import Job
+from bench.plan.job import Job, ParkStep
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.plan_text import render_plan
-from bench.plan.script_steps import ParkStep
 from sequences.script import ChooseStep, LightStep, MoveStep
 
 SHIPPED = Path(__file__).parents[4] / "sequences" / "until_good.yaml"

@@ -14,8 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.journal import CLOCK_JUMPED, Journal, lines_after, read_journal
-from bench.records.journal_entry import FIRST_PREV
+from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_after, read_journal
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
 

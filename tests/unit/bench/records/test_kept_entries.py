@@ -1,6 +1,6 @@
 """Entries that somebody has replaced by something else."""
 
-from bench.records.kept_entries import KeptEntries
+from bench.views.kept_views import KeptEntries
 
 KEY = "ab" * 32
 

@@ -262,7 +262,7 @@ def test_a_second_place_that_is_no_longer_used_is_forgotten_with_a_reason(ledger
 
 def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger, anchor):
     failed = StorageError("The disk is full.", where="ledger_high")
-    with mock.patch("bench.records.ledger_file.write_own_mark", side_effect=failed):
+    with mock.patch("bench.records.ledger.write_own_mark", side_effect=failed):
         assert begin(ledger, anchor=str(anchor))["number"] == 1
     assert "disk is full" in ledger.warnings[0]
 

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.records.events import Event
+from bench.records.history import RunLog
 from bench.records.journal import Journal
-from bench.records.run_log import RunLog
 
 POSE = {"pose": 1, "pose_name": "p"}
 STORED = {**POSE, "attempt": 1, "capture": "c", "size": 1, "sha256": "0"}

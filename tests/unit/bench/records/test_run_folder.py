@@ -13,10 +13,8 @@ import pytest
 
 from bench.base.errors import RunFolderError, StorageError
 from bench.records import run_folder as run_folder_module
-from bench.records.captures import CAPTURE_STORED, capture_name, stored_captures
-from bench.records.journal import Journal
-from bench.records.recovery import recover
-from bench.records.run_folder import RunFolder
+from bench.records.journal import CAPTURE_STORED, Journal, capture_name, stored_captures
+from bench.records.run_folder import RunFolder, recover
 from bench.records.storage import HASH_CHUNK_BYTES
 
 HOLD = "import sys; from pathlib import Path; from bench.records.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"

@@ -7,12 +7,12 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import StorageError, UsageError
-from bench.records.estimates import Estimate
 from bench.records.events import Event
 from bench.records.journal import Journal
+from bench.records.run_facts import Estimate
 from bench.records.run_folder import RunFolder
 from bench.records.run_index import INDEX, RunIndex, read_run, run_folders
-from bench.results.agreement import agreement, compare_runs
+from bench.results.trends import agreement, compare_runs
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 

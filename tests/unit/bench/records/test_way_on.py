@@ -2,8 +2,7 @@
 
 import pytest
 
-from bench.records.history import Attempt, History
-from bench.records.way_on import way_on
+from bench.records.history import Attempt, History, way_on
 
 
 def ended(kind, *, how="failed", recorded=1):

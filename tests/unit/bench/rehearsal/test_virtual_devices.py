@@ -8,7 +8,7 @@ from filled_stations import filled_example
 from station_texts import PLAIN
 
 from bench.base.clock import Aborted, VirtualClock
-from bench.plan.estimate import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.plan.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
 from bench.rehearsal.virtual_devices import FIRST_LINE, VirtualDevices, read_view
 from bench.stations.station import Station
 from calib.target import StarTarget

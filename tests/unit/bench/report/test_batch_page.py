@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from bench.records.estimates import Estimate, parameters_data
+from bench.records.run_facts import Estimate, parameters_data
 from bench.records.run_index import IndexedRun
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, fit_slope, trends_of

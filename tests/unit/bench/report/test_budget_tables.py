@@ -5,7 +5,7 @@ import re
 import pytest
 from report_sample import SMALL, sample
 
-from bench.report.budget_tables import budget_rows, combined, not_included, overlap
+from bench.report.calibration_tables import budget_rows, combined, not_included, overlap
 from bench.report.html import render_report
 from bench.report.text import NOTHING
 from calib.model.budget_row import COMMON_FIELD as COMMON_ERRORS

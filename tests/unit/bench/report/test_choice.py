@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL, of_many_poses
 
-from bench.report.choice import pictured_poses
 from bench.report.html import ReportData, printed_text, render_report
 from bench.report.pictures import pose_pictures
 from bench.report.plots import residual_vectors
-from bench.report.view_picture import ViewPicture, thinned
+from bench.report.view_picture import ViewPicture, pictured_poses, thinned
 
 MOST = 24
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.report.contours import outlines
+from bench.report.maps import outlines
 
 X, Y = np.arange(0.0, 161.0, 4.0), np.arange(0.0, 91.0, 3.0)
 

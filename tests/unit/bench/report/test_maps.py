@@ -8,11 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.report.camera_values import camera_covariance, camera_of
-from bench.report.lens_plot import displacement, distortion_curve, field_angles_deg
-from bench.report.maps import round_levels, sensor_map
-from bench.report.pose_plot import pose_directions, pose_frames
-from bench.report.support import reach_px, star_distance
+from bench.report.maps import reach_px, round_levels, sensor_map, star_distance
+from bench.report.pose_plot import (
+    camera_covariance,
+    camera_of,
+    displacement,
+    distortion_curve,
+    field_angles_deg,
+    pose_directions,
+    pose_frames,
+)
 from calib.uncertainty.projection_uncertainty import sensor_grid
 
 

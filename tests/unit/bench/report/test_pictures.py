@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL
 
+from bench.report.course import state_diagram
 from bench.report.plots import residual_vectors
 from bench.report.view_picture import ViewPicture
-from bench.report.walk import state_diagram
 from tests.unit.bench.report.structure import Structure
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from bench.report.scales import Scale, log_ticks, text_width, tick_labels, ticks
+from bench.report.svg_plot import Scale, log_ticks, text_width, tick_labels, ticks
 
 FINITE = st.floats(-1e6, 1e6)
 

@@ -9,8 +9,7 @@ import pytest
 
 from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.plots import regions, residual_vectors
-from bench.report.scales import Scale
-from bench.report.svg_plot import Picture
+from bench.report.svg_plot import Picture, Scale
 from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 
@@ -94,8 +93,8 @@ def test_long_names_of_poses_take_more_rows_and_many_poses_have_no_legend():
 
 def test_a_report_and_its_charts_load_no_library_that_draws():
     code = (
-        "import sys; import bench.report.figures, bench.report.course, bench.report.batch_page,"
-        " bench.report.control_chart, bench.compare.page, bench.report.study_plot;"
+        "import sys; import bench.report.plots, bench.report.course, bench.report.batch_page,"
+        " bench.report.control_chart, bench.compare.page, bench.report.trend_plots;"
         " print('matplotlib' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,7 +7,7 @@ import pytest
 from report_sample import SMALL, sample
 
 from bench.report.html import ReportData, printed_text, render_report
-from bench.report.target_words import BOARD, STARS
+from bench.report.text import BOARD, STARS
 
 STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")
 

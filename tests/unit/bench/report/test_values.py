@@ -76,7 +76,7 @@ def test_each_value_is_printed_with_its_uncertainty(html):
 )  # fmt: skip
 def test_each_number_of_the_results_is_printed(data, html, path, monkeypatch):
     monkeypatch.setattr(
-        "bench.report.figures.deviations_from_truth", lambda *_: ""
+        "bench.report.plots.deviations_from_truth", lambda *_: ""
     )  # it takes most of the time
     results = copy.deepcopy(dict(data.results))
     place = results

@@ -4,9 +4,8 @@ import copy
 
 import pytest
 
-from bench.report.change_rows import change
 from bench.report.html import render_report
-from bench.report.verdict import angle_text, verdict
+from bench.report.verdict import angle_text, change, verdict
 
 
 def told(data, **more):

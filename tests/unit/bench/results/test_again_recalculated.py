@@ -15,9 +15,8 @@ from bench.results.again_recalculated import check_recalculated
 from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import write_offline_results
-from bench.results.offline_options import OfflineOptions
+from bench.results.offline_options import OfflineOptions, options_data, options_of_data
 from bench.results.result import json_bytes
-from bench.results.stored_options import options_data, options_of_data
 from calib.boards.board import Board
 from calib.engine import calibrate
 from calib.studies.predicted_views import predicted_view

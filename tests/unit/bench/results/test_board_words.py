@@ -2,9 +2,9 @@
 
 import pytest
 
-from bench.commands.calibrate_each import run_text
-from bench.report.target_words import BOARD, STARS
-from bench.results.board_words import errors_in
+from bench.commands.calibrate import run_text
+from bench.report.text import BOARD, STARS
+from bench.results.solution import errors_in
 from calib.errors import DegenerateViews, InputMismatch
 
 ROW = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.commands.cli import main
-from bench.views.moving_recording import MovingRecording
+from bench.views.measure_board import MovingRecording
 from calib.model.rotation import exp_map
 
 BOARD = "checkerboard:5x4:10mm"

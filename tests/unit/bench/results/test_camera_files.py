@@ -7,7 +7,7 @@ import pytest
 import yaml
 from solved_run import write_solved_run
 
-from bench.records.reading import read_json
+from bench.records.storage import read_json
 from bench.results.camera_files import NotACamera, read_camera_file
 from calib.model.camera import CameraModel
 

@@ -9,11 +9,11 @@ import pytest
 from report_sample import sample
 
 from bench.evidence.findings import Findings
-from bench.report import figures
+from bench.report import plots
 from bench.results.compare_trees import HeldViews, MadeAgain, compare_trees
 from bench.results.result import json_bytes, shown_files
 from bench.results.results_content import software
-from bench.results.stored_calibration import stored_calibration
+from bench.results.run_reader import stored_calibration
 from bench.views.views_file import StoredView
 from calib.target import StarTarget
 from calib.view import View
@@ -60,9 +60,9 @@ def made(tmp_path_factory):
     for view in results["calibration"]["views"]:
         view |= {"rotation": np.eye(3).tolist(), "centre_mm": [0.0, 0.0, -255.0]}
     held = held_views(results)
-    drawn = figures.report_plots(results, held.shown(results))
+    drawn = plots.report_plots(results, held.shown(results))
     folder = tmp_path_factory.mktemp("made")
-    with mock.patch("bench.report.figures.report_plots", return_value=drawn):
+    with mock.patch("bench.report.plots.report_plots", return_value=drawn):
         write(folder, results, held)
         yield folder, results, held
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.results.comparison import compare_with_truth
+from bench.results.solution import compare_with_truth
 from simulators.config import bench_config
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")

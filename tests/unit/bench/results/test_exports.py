@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.results.export_parts import FormatCannotCarry
-from bench.results.exports import exports, kalibr_camchain, opencv_yaml
+from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.calibration import Calibration, ViewSummary
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator

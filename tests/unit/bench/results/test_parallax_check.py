@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-import bench.results.parallax_check as checked
+import bench.results.solution as checked
 from bench.plan.plan import load_documents, make_plan
-from bench.report.bench_knowledge import parallax_rows
-from bench.results.parallax_check import PARALLAX_TEST, parallax_check
+from bench.report.run_tables import parallax_rows
+from bench.results.solution import PARALLAX_TEST, parallax_check
 from bench.stations.station import GimbalConfig
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import BenchError, StorageError
-from bench.results.point_files import read_point_file
+from bench.results.offline_options import read_point_file
 
 GOOD = "10.5 20.5 4.0 8.0 7\n# a remark\n\n30.5, 40.5, 12.0, 16.0, 9\n"
 

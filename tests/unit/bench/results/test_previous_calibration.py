@@ -9,7 +9,7 @@ import pytest
 from report_sample import SMALL, sample
 
 from bench.records.ledger import Ledger
-from bench.report.camera_values import camera_of
+from bench.report.pose_plot import camera_of
 from bench.results.previous_calibration import FIRST, previous_calibration
 
 NOW = datetime(2026, 3, 1, tzinfo=UTC)

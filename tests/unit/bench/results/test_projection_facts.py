@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.results.projection_facts import projection_facts
+from bench.results.results_content import projection_facts
 from calib.model.camera import CameraModel
 
 CAMERA = CameraModel(3345.0, 3345.0, 639.5, 359.5, (1280, 720), {"k1": 0.0})

@@ -7,7 +7,7 @@ import pytest
 
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
-from bench.report.bench_knowledge import readings_rows
+from bench.report.run_tables import readings_rows
 from bench.results.forecasts import expected_bench, forecast_bench
 from bench.results.solve_options import (
     NO_SECTION,

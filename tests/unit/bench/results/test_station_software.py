@@ -3,16 +3,16 @@
 import pytest
 
 from bench.report.run_tables import software as report_rows
-from bench.results import station_software
-from bench.results.results_content import software
-from bench.results.station_software import (
+from bench.results import results_content
+from bench.results.results_content import (
     files_software,
     plugins_missing,
     plugins_of_run,
     plugins_stated,
     run_software,
+    software,
 )
-from bench.stations.plugins import Plugin
+from bench.stations.sections import Plugin
 from bench.stations.station import load_station
 
 STARTED = {
@@ -37,7 +37,7 @@ def brought(monkeypatch, station):
         )
         return {"stage": (other, used), "light": (used,), "camera": ()}[kind]
 
-    monkeypatch.setattr(station_software, "plugins", plugins)
+    monkeypatch.setattr(results_content, "plugins", plugins)
 
 
 def test_a_station_without_plugins_adds_nothing(station):
@@ -52,7 +52,7 @@ def test_a_run_states_the_package_of_each_plugin_that_its_station_uses(brought, 
 
 def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkeypatch):
     monkeypatch.setattr(
-        station_software,
+        results_content,
         "_used",
         lambda _: [Plugin("stage", "x", "program 6", None, distribution="program", version="6")],
     )
@@ -61,13 +61,13 @@ def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkey
 
 def test_a_library_of_a_driver_is_stated(station, monkeypatch):
     evk4 = station.model_copy(update={"camera": type("Camera", (), {"driver": "neuromorphic_evk4"})()})
-    monkeypatch.setattr(station_software, "version", {"neuromorphic-drivers": "0.18.1"}.__getitem__)
+    monkeypatch.setattr(results_content, "version", {"neuromorphic-drivers": "0.18.1"}.__getitem__)
     assert run_software(evk4)["neuromorphic-drivers"] == "0.18.1"
 
 
 def test_a_package_that_reads_files_of_others_is_stated_where_there_are_such_files(monkeypatch):
     assert files_software([".raw", ".png"]) == software()
-    monkeypatch.setattr(station_software, "version", {"aedat": "2.3", "rosbags": "0.11"}.__getitem__)
+    monkeypatch.setattr(results_content, "version", {"aedat": "2.3", "rosbags": "0.11"}.__getitem__)
     assert files_software([".AEDAT4", ".raw"]) == software() | {"aedat": "2.3"}
     assert files_software([".mcap", ".bag"]) == software() | {"rosbags": "0.11"}
 

@@ -1,7 +1,6 @@
 """How far numbers that are calculated again may differ from the stored ones."""
 
-from bench.results.compare_json import differences
-from bench.results.compare_numbers import tolerance
+from bench.results.compare_numbers import differences, tolerance
 
 
 def results(fx, planar_fx, rms_px):

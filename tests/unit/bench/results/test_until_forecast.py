@@ -3,7 +3,7 @@
 import pytest
 
 from bench.plan.plan import load_documents, make_plan
-from bench.results.until_forecast import expected_courses
+from bench.results.next_pose import expected_courses
 
 GOAL = "sequence.steps.1.until."
 

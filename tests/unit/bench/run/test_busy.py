@@ -2,9 +2,9 @@
 
 from bench.records.events import Event
 from bench.records.history import History, apply_entry
-from bench.records.journal_entry import Entry
+from bench.records.journal import Entry
 from bench.run.heartbeat import REPEAT_S, WINDOW_S, BusyWatch
-from bench.run.journal_text import _ENTRY_TEXTS
+from bench.run.status import _ENTRY_TEXTS
 
 
 class LateClock:

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.report import device_tables
-from bench.run.preflight import NOT_STATED, connections
+from bench.report import run_tables
+from bench.run.states import NOT_STATED, connections
 from drivers.camera import CameraIdentity
 
 EVK4 = CameraIdentity("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 720)
@@ -41,7 +41,7 @@ def test_firmware_and_polarity_are_told_and_printed():
     light = SimpleNamespace(sync_polarity=lambda: "normal")
     found = connections(camera, {"trigger_in": True}, light)
     assert found["camera_firmware"] == "3.9.0, built Thu Jan  5 10:11:12 2023"
-    rows = dict(device_tables.connections({"connections": found}))
+    rows = dict(run_tables.connections({"connections": found}))
     assert rows["sync polarity"] == "normal"
     assert rows["trigger input"] == "on"
-    assert device_tables.connections({}) == []
+    assert run_tables.connections({}) == []

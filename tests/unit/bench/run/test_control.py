@@ -14,11 +14,10 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.records import inbox as inbox_module
 from bench.records.events import Event
-from bench.records.folder_lock import is_locked
-from bench.records.history import Attempt, History, replay
+from bench.records.history import Attempt, History, RunLog, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
-from bench.records.run_log import RunLog
+from bench.records.storage import is_locked
 from bench.run.control import CONTROL, Command, CommandInbox, command_text, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}

@@ -7,7 +7,7 @@ from bench.base.device_ends import DEVICES, NOT_ASKED
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.report import device_tables
+from bench.report import run_tables
 from drivers.errors import LightFault
 
 END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
@@ -46,7 +46,7 @@ def test_a_light_that_does_not_confirm_may_be_on_in_the_report(tmp_path):
     scene.run()
     assert left(scene)["light"][0] == "not confirmed"
     told = scene.told(Event.DEVICES_LEFT)[0]["devices"]
-    rows = {device: (state, said) for device, state, said in device_tables.left(told)}
+    rows = {device: (state, said) for device, state, said in run_tables.left(told)}
     assert rows["light"][0] == "not confirmed"
     assert rows["light"][1].endswith("The light may be on.")
     assert "the output reads on" in rows["light"][1]

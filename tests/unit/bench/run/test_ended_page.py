@@ -10,7 +10,7 @@ from bench.evidence.sshsig import is_valid, read_signature
 from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import REPORT, RunFolder
-from bench.run.ended_page import PAGE_SIGNATURE, remove_ended_page, write_ended_page
+from bench.run.launch import PAGE_SIGNATURE, remove_ended_page, write_ended_page
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 ERROR = {

@@ -9,7 +9,6 @@ import time
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.base.linux_process import start_ticks, thread_waits_for_disk
 from bench.run import heartbeat
 from bench.run.heartbeat import (
     CONTROL,
@@ -20,6 +19,8 @@ from bench.run.heartbeat import (
     HeartbeatWriter,
     open_process,
     read_heartbeat,
+    start_ticks,
+    thread_waits_for_disk,
 )
 from bench.run.machine import STATES
 

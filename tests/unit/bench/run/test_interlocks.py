@@ -10,7 +10,7 @@ from bench.base.clock import Interrupted, VirtualClock
 from bench.run.interlock_kinds import CameraTemperature, DiskSpace, Door, EventRate, interlocks_of
 from bench.run.interlocks import Interlocks
 from bench.stations.station import Station
-from bench.stations.station_interlocks import (
+from bench.stations.station_fields import (
     CameraTemperatureConfig,
     DiskSpaceConfig,
     DoorConfig,

@@ -8,8 +8,7 @@ from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.run.interlocks import Interlocks
-from bench.run.status import read_status
-from bench.run.status_text import status_text
+from bench.run.status import read_status, status_text
 
 
 def door_of(folder, state="1"):

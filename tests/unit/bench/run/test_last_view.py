@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from bench.run.control import _inbox_of
-from bench.run.heartbeat import CONTROL
-from bench.run.last_view import LAST_VIEW, leave_view, read_last_view
-from bench.views.measure import Measurement
-from bench.views.stored_image import StoredImage
+from bench.run.heartbeat import CONTROL, LAST_VIEW, leave_view, read_last_view
+from bench.views.measure import Measurement, StoredImage
 from calib.target import StarTarget
 from calib.view import View
 

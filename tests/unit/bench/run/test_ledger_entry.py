@@ -8,7 +8,7 @@ import pytest
 from bench.base.errors import EvidenceError
 from bench.records.ledger import Ledger
 from bench.report.run_tables import identification
-from bench.run.ledger_entry import (
+from bench.run.launch import (
     enter_in_ledger,
     ledger_entry,
     ledger_lines,

@@ -8,7 +8,7 @@ from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.history import History, replay
 from bench.records.journal import Journal
-from bench.run.resumption import (
+from bench.run.steps import (
     intentions,
     poses_crashed_too_often,
     remaining_steps,

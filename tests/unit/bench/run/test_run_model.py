@@ -20,12 +20,10 @@ from hypothesis.stateful import (
 from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
-from bench.records.captures import stored_captures
 from bench.records.events import Event
 from bench.records.history import replay
-from bench.records.journal import read_journal
+from bench.records.journal import UnsyncedJournal, read_journal, stored_captures
 from bench.records.storage import sha256_of
-from bench.records.unsynced_journal import UnsyncedJournal
 from bench.run.control import Command
 from bench.run.machine import EDGES
 from drivers.errors import (

@@ -14,7 +14,7 @@ from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import CLOCK_JUMPED, read_journal
 from bench.run.launch import read_intentions
-from bench.run.resumption import intentions
+from bench.run.steps import intentions
 
 
 def accepted(scene):

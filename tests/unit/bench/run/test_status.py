@@ -7,13 +7,12 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.base.errors import RunFolderError
+from bench.commands.status import follow
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
-from bench.run.follow_status import follow
-from bench.run.status import read_status
-from bench.run.status_text import status_text
+from bench.run.status import read_status, status_text
 
 BEGUN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 

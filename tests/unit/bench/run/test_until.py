@@ -11,9 +11,8 @@ from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.results import interim, next_pose
 from bench.run.control import Command
-from bench.run.resumption import intentions
-from bench.run.status import read_status
-from bench.run.status_text import status_text
+from bench.run.status import read_status, status_text
+from bench.run.steps import intentions
 from drivers.errors import RecordingFailed
 
 NEVER = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"

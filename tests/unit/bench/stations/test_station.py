@@ -7,8 +7,8 @@ import pytest
 from filled_stations import filled_example
 from station_texts import PLAIN
 
+from bench.stations.stages_and_lights import ScpiLightConfig
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
-from bench.stations.station_lights import ScpiLightConfig
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from drivers.stage import AxisLimits

@@ -6,7 +6,7 @@ import pytest
 from station_texts import PLAIN
 
 from bench.stations.station import Station
-from bench.stations.station_collimator import CertificateConfig
+from bench.stations.station_budget import CertificateConfig
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 

@@ -13,7 +13,7 @@ from matplotlib.path import Path as Outline
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
 from bench.stations.station import load_station
-from bench.stations.station_target import TargetConfig
+from bench.stations.station_fields import TargetConfig
 from bench.stations.target.draw import WRITERS, drawing_file
 from bench.stations.target.shapes import (
     COLUMNS,

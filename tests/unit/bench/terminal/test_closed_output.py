@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import sys
-from bench.terminal.closed_output import outlive_readers, output_is_lost
+from bench.terminal.encoding import outlive_readers, output_is_lost
 outlive_readers()
 print(sys.stdin.readline(), flush=True)
 for number in range(3):

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.clock import Aborted, BenchClock, VirtualClock
-from bench.terminal.duration import clock_text
+from bench.terminal.encoding import clock_text
 from bench.terminal.progress import Progress
 from bench.terminal.prompt import Reply, ask
 

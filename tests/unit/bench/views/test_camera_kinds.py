@@ -12,10 +12,8 @@ from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import devices
 from bench.stations.station import SHIPPED_STATIONS, Station
-from bench.views.camera_kinds import EventKind, FrameKind
-from bench.views.frames import frame_gates, frame_rejection_reasons, measure_frames
-from bench.views.measure import Measurement
-from bench.views.station_camera_kind import camera_kind
+from bench.views.camera_kinds import EventKind, FrameKind, camera_kind
+from bench.views.measure import Measurement, frame_gates, frame_rejection_reasons, measure_frames
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera

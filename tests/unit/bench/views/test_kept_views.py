@@ -222,7 +222,7 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
     hashed = tuple(name.removesuffix(".py").replace("/", ".") for name in DETECTOR_SOURCES)
     for detector in (
         "bench.views.measure",
-        "bench.views.frames",
+        "bench.views.measure",
         "calib.boards.detect",
         "drivers.camera.formats",
     ):

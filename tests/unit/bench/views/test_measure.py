@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.views.measure import aligned_poses
-from bench.views.stored_image import StoredImage
+from bench.views.measure import StoredImage, aligned_poses
 from calib.events.grey_image import to_uint8
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.records.history import Attempt, History
-from bench.views.placements import with_advice
+from bench.views.measure_board import with_advice
 from calib.boards.board import Board
 from sequences.script import PromptStep
 

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
-from bench.views.measure import Measurement
-from bench.views.stored_image import StoredImage
+from bench.views.measure import Measurement, StoredImage
 from bench.views.views_file import read_picture, read_views, views_file
 from calib.view import RimPoints, View
 

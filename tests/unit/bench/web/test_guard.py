@@ -12,9 +12,8 @@ from pages import AppClient
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
-from bench.web.guard import Guard
+from bench.web.guard import Guard, PageToken, client_name
 from bench.web.pages import page_app
-from bench.web.tokens import PageToken, client_name
 
 TOKEN = "0123456789abcdef"
 HTML = {"Accept": "text/html"}

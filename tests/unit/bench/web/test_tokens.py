@@ -7,7 +7,7 @@ import os
 import pytest
 
 from bench.base.errors import UsageError
-from bench.web.tokens import TOKEN_VARIABLE, PageToken, page_token, require_token
+from bench.web.guard import TOKEN_VARIABLE, PageToken, page_token, require_token
 
 
 def test_the_token_comes_from_the_environment_or_a_file(tmp_path):

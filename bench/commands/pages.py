@@ -1,0 +1,75 @@
+"""The commands `align` and `panel`: arguments and options of the pages; `bench.align` and `bench.panel` do the work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from bench.commands.options import SEED, STATION, ExistingFolder, epilog, page_options
+
+# The command `starbench align`: arguments and options only; `bench.align` does the work.
+
+
+@click.command(
+    epilog=epilog(
+        "starbench align --station my_bench.yaml",
+        "starbench align --station simulated --port 8800 --no-browser",
+        status="0 ended, every device confirmed a safe state, 1 a device did not, 2 invalid argument or file.",
+    )
+)
+@STATION
+@page_options
+@click.option("--seed", type=SEED, metavar="N", default=1, help="Random seed of the simulated bench.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="Override a setting of the station file, e.g. camera.biases.bias_diff_on=20. Can be given several times.",
+)
+def align(
+    station: str,
+    port: int,
+    host: str,
+    token_file: Path | None,
+    no_token: bool,
+    no_browser: bool,
+    seed: int,
+    settings: tuple[str, ...],
+) -> int:
+    """Aim and focus the camera, and set light and biases, on a page with the live picture.
+
+    The first line printed is the address of the page, with a token: keep it to yourself. Nothing moves and no light
+    goes on until you ask for it. Ctrl-C stops the stage at once, switches the light off, and ends.
+    """
+    from bench.align.serve import align_on_page
+    from bench.web.guard import page_token
+
+    token = page_token(token_file, none=no_token)
+    return align_on_page(
+        station, settings, seed=seed, host=host, port=port, token=token, open_browser=not no_browser
+    )
+
+
+@click.command(epilog=epilog("starbench panel", "starbench panel runs/night --port 8800 --no-browser"))
+@click.argument("folder", required=False, type=ExistingFolder())
+@page_options
+def panel(
+    folder: Path | None, port: int, host: str, token_file: Path | None, no_token: bool, no_browser: bool
+) -> int:
+    """Show the runs and batches in FOLDER in a browser; without FOLDER, those in runs/.
+
+    The first line of the output is the address of the page, with a token: keep it to yourself. The pages show each run
+    as it is, also one that began before the panel. Their buttons hold, release, skip, abort and answer, as `starbench
+    tell` does. The panel uses no device: if it ends, or is killed, every run continues.
+    """
+    from bench.panel.panel_app import panel_app
+    from bench.web.guard import page_token
+    from bench.web.server import serve_pages
+
+    token = page_token(token_file, none=no_token)
+    serve_pages(
+        panel_app(folder or Path("runs")), host=host, port=port, token=token, open_browser=not no_browser
+    )
+    return 0

@@ -1,0 +1,295 @@
+"""Drift of a parameter with time and with temperature, and the test whether it is more than chance. Pure.
+
+The model of a run's value: a straight line in time and temperature, plus an effect of the run (standard deviation tau,
+the same for all runs), plus the error that the run states. This is a random-effects meta-regression.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+# Control charts of one parameter: individuals with moving ranges (Shewhart), and EWMA. Numbers in, limits
+# out.
+
+Array = NDArray[np.float64]
+
+D2 = 2.0 / math.sqrt(math.pi)
+"""Mean of the range of two normal values, in standard deviations: 1.128 in the published tables."""
+_D3 = math.sqrt(2.0 - 4.0 / math.pi)
+"""Standard deviation of this range: 0.853."""
+E2 = 3.0 / D2
+"""Distance of the limits of individuals from the centre, in mean moving ranges: 2.660."""
+D4 = 1.0 + 3.0 * _D3 / D2
+"""Upper limit of moving ranges, in mean moving ranges: 3.267. The lower limit is 0."""
+EWMA_WEIGHT = 0.2
+EWMA_LIMIT = 2.86
+"""With `EWMA_WEIGHT`, one false alarm in 370 runs on average, as with three sigma (Crowder, J. Quality Technology 21
+(1989) 155)."""
+SHEWHART_CHANCE = 0.0027
+"""Chance of a run in control to lie beyond three sigma."""
+
+
+@dataclass(frozen=True)
+class Individuals:
+    """Chart of individuals and of moving ranges."""
+
+    # centre, sigma: Mean of the baseline, and its short-term standard deviation: mean moving range over `D2`.
+    centre: float
+    sigma: float
+    lower: float
+    upper: float
+    beyond: tuple[int, ...]  # Places of the values beyond the limits
+    ranges: Array  # |x_i - x_(i-1)|, (N - 1,) float64
+    range_mean: float
+    range_upper: float
+    # Places of the values whose distance from the value before is beyond the limit.
+    ranges_beyond: tuple[int, ...]
+    baseline: int
+
+
+@dataclass(frozen=True)
+class Ewma:
+    """Chart of the exponentially weighted moving average."""
+
+    # weight, limit: Weight of the newest value (lambda), and distance of the limits in standard deviations of
+    # the average (L).
+    weight: float
+    limit: float
+    # averages, lower, upper: The average and its control limits at each value, (N,) float64.
+    averages: Array
+    lower: Array
+    upper: Array
+    beyond: tuple[int, ...]  # Places at which the average is beyond its limits
+
+
+def individuals(values: Sequence[float], baseline: int | None = None) -> Individuals:
+    """Compute the chart of individuals and moving ranges.
+
+    Montgomery, Introduction to Statistical Quality Control, section 6.4; ISO 7870-2. The standard deviation comes from
+    the moving ranges of two, so a shift or a slow drift of the mean hardly widens the limits.
+
+    values: Values in the order of time, at least two, finite.
+    baseline: Number of first values from which the limits come; all where None.
+
+    Examples
+    --------
+    >>> chart = individuals([10.0, 12.0, 11.0, 13.0])
+    >>> chart.centre, round(chart.range_mean, 4), round(chart.upper, 3), round(chart.range_upper, 3)
+    (11.5, 1.6667, 15.931, 5.444)
+    """
+    x = np.asarray(values, float)
+    first = len(x) if baseline is None else max(2, min(baseline, len(x)))
+    ranges = np.abs(np.diff(x))
+    centre, range_mean = float(x[:first].mean()), float(ranges[: first - 1].mean())
+    lower, upper = centre - E2 * range_mean, centre + E2 * range_mean
+    slack = 1e-12 * max(abs(centre), range_mean)
+    return Individuals(
+        centre,
+        range_mean / D2,
+        lower,
+        upper,
+        _places((x < lower - slack) | (x > upper + slack)),
+        ranges,
+        range_mean,
+        D4 * range_mean,
+        tuple(place + 1 for place in _places(ranges > D4 * range_mean + slack)),
+        first,
+    )
+
+
+def ewma(
+    values: Sequence[float],
+    centre: float,
+    sigma: float,
+    *,
+    weight: float = EWMA_WEIGHT,
+    limit: float = EWMA_LIMIT,
+) -> Ewma:
+    """Compute the chart of the exponentially weighted moving average. It shows small lasting shifts.
+
+    Roberts, Technometrics 1 (1959) 239; Montgomery, section 9.2; ISO 7870-6. The average begins at the centre. The
+    limits widen from the first values on, as its variance does.
+
+    values: Values in the order of time.
+    centre, sigma: Centre and short-term standard deviation, from `individuals`.
+    weight, limit: See `Ewma`.
+
+    Examples
+    --------
+    >>> chart = ewma([10.0, 11.0], 10.0, 1.0, weight=0.1, limit=2.7)
+    >>> chart.averages.round(3).tolist(), chart.upper.round(3).tolist()
+    ([10.0, 10.1], [10.27, 10.363])
+    """
+    x = np.asarray(values, float)
+    averages, now = np.empty(len(x)), centre
+    for place, value in enumerate(x):
+        now = weight * value + (1.0 - weight) * now
+        averages[place] = now
+    half = limit * ewma_sigma(np.arange(1.0, len(x) + 1.0), sigma, weight)
+    slack = 1e-12 * max(abs(centre), sigma)
+    beyond = _places(np.abs(averages - centre) > half + slack)
+    return Ewma(weight, limit, averages, centre - half, centre + half, beyond)
+
+
+def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
+    """Return the standard deviation of the average after some values.
+
+    Montgomery, section 9.2.
+
+    number: (N,) float64, number of values so far.
+    sigma: Standard deviation of a value.
+    Returns: (N,) float64, in the unit of ``sigma``.
+    """
+    shares = weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2.0 * np.asarray(number, float)))
+    return np.asarray(sigma * np.sqrt(shares))
+
+
+def _places(condition: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(place) for place in np.flatnonzero(condition))
+
+
+LEVEL = 0.05
+"""Chance of one false drift or more on a whole page."""
+LEAST_RUNS = 5
+"""Fewest runs for the test of one slope."""
+LEAST_RUNS_JOINT = 8
+"""Fewest runs for the test of both slopes together."""
+LEAST_RANGE_C = 0.2
+"""Smallest range of temperatures for which a slope is tested, degrees Celsius."""
+INSEPARABLE = 0.9
+"""From this correlation of time and temperature on, their slopes are tested one at a time."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A slope and its test."""
+
+    # value, sigma: Slope per day or per degree Celsius, in the parameter's unit, and its standard
+    # uncertainty.
+    value: float
+    sigma: float
+    p: float  # Chance of a slope at least as large without drift (two-sided)
+    degrees_of_freedom: int  # Of Student's t in the test
+    runs: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content as JSON holds it.
+
+        Returns: All attributes, and ``expanded``: the 95 % half-width by Student's t.
+        """
+        k = float(stats.t.ppf(0.975, self.degrees_of_freedom))
+        return {**vars(self), "expanded": k * self.sigma}
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The drift of one parameter."""
+
+    # per_day, per_c: Slopes; None if they cannot be tested.
+    per_day: Slope | None
+    per_c: Slope | None
+    # Whether both slopes were fitted together, so that each holds with the other quantity unchanged.
+    joint: bool
+    # False if time and temperature changed together, so that the slopes cannot be told apart.
+    separable: bool
+    # tau, the standard deviation between runs that their stated uncertainties do not explain; None with fewer
+    # than `LEAST_RUNS` runs.
+    between_runs: float | None
+    scatter: float | None
+
+
+def find_drift(
+    days: Sequence[float],
+    degrees_c: Sequence[float | None],
+    values: Sequence[float],
+    sigmas: Sequence[float],
+) -> Drift:
+    """Fit the drift of a parameter with time and with temperature.
+
+    degrees_c: Temperature of each run, degrees Celsius; None where it is not known.
+    values, sigmas: Value of each run and its standard uncertainty, greater than 0.
+    Returns: Slopes with their tests. Runs without a temperature are left out of the test of the temperature.
+    """
+    t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
+    warm = np.array([math.nan if c is None else c for c in degrees_c], float)
+    known = np.isfinite(warm)
+    has_time = len(t) >= LEAST_RUNS and float(np.ptp(t)) > 0.0
+    has_warm = int(known.sum()) >= LEAST_RUNS and float(np.ptp(warm[known])) >= LEAST_RANGE_C
+    separable = True
+    if has_time and has_warm:
+        separable = abs(float(np.corrcoef(t[known], warm[known])[0, 1])) < INSEPARABLE
+        if separable and known.all() and len(t) >= LEAST_RUNS_JOINT:
+            (per_day, per_c), tau, scatter = _fit(np.column_stack([t, warm]), y, u)
+            return Drift(per_day, per_c, True, True, tau, scatter)
+    _, tau, scatter = _fit(np.empty((len(y), 0)), y, u)
+    day = slope_of = None
+    if has_time:
+        (day,), tau, scatter = _fit(t[:, None], y, u)
+    if has_warm:
+        (slope_of,), _, _ = _fit(warm[known, None], y[known], u[known])
+    return Drift(day, slope_of, False, separable, tau, scatter)
+
+
+def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float | None]:
+    """Fit a line in some quantities by weighted least squares with an effect of each run.
+
+    The variance of the effect solves sum w r^2 = n - p (Paule and Mandel, J. Res. NBS 87 (1982) 377; with covariates:
+    DerSimonian and Kacker, Contemp. Clin. Trials 28 (2007) 105), w = 1 / (u^2 + tau^2). The covariance of the slopes is
+    multiplied by sum w r^2 / (n - p), and Student's t has n - p degrees of freedom (Knapp and Hartung, Statist. Med. 22
+    (2003) 2693). This factor is below 1 if runs scatter less than they state, as with an error common to all.
+    """
+    n, p = len(y), x.shape[1] + 1
+    if n < max(LEAST_RUNS, p + 1):
+        return [], None, None
+    middle, scale = x.mean(axis=0), np.ptp(x, axis=0)
+    design = np.column_stack([np.ones(n), (x - middle) / scale])
+    size = float(np.median(u))
+    y, u = (y - y.mean()) / size, u / size
+
+    def solve(tau2: float) -> tuple[Array, Array, float]:
+        w = 1.0 / (u**2 + tau2)
+        normal = design.T @ (w[:, None] * design)
+        found = np.linalg.solve(normal, design.T @ (w * y))
+        return found, normal, float(np.sum(w * (y - design @ found) ** 2))
+
+    chi2 = solve(0.0)[2]
+    tau2 = 0.0
+    if chi2 > n - p:
+        high = float(np.sum((y - y.mean()) ** 2)) + 1.0
+        tau2 = float(optimize.brentq(lambda v: solve(v)[2] - (n - p), 0.0, high, xtol=1e-12 * high))
+    found, normal, rest = solve(tau2)
+    covariance = rest / (n - p) * np.linalg.inv(normal)
+    slopes = []
+    for place in range(1, p):
+        value, sigma = float(found[place]), math.sqrt(float(covariance[place, place]))
+        chance = float(2.0 * stats.t.sf(abs(value) / sigma, n - p)) if sigma > 0 else float(value == 0)
+        unit = size / float(scale[place - 1])
+        slopes.append(Slope(value * unit, sigma * unit, chance, n - p, n))
+    return slopes, math.sqrt(tau2) * size, math.sqrt(chi2 / (n - p))
+
+
+def holm(chances: Sequence[float]) -> list[float]:
+    """Adjust the chances of several tests, so that one false alarm or more has at most the level of one test.
+
+    Holm, Scand. J. Statist. 6 (1979) 65.
+
+    Returns: The adjusted chances, in the same order.
+
+    Examples
+    --------
+    >>> [round(p, 3) for p in holm([0.01, 0.04, 0.03])]
+    [0.03, 0.06, 0.06]
+    """
+    order = sorted(range(len(chances)), key=lambda place: chances[place])
+    adjusted, least = [0.0] * len(chances), 0.0
+    for rank, place in enumerate(order):
+        least = max(least, min(1.0, (len(chances) - rank) * chances[place]))
+        adjusted[place] = least
+    return adjusted

@@ -1,0 +1,390 @@
+"""The light section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from bench.stations.sections import AxisConfig, Hertz, LightSection, PortName, StageSection, with_plugins
+from bench.stations.station_fields import SIMULATED_PREFIX, UNKNOWN_PORT, Port, Serial, Text, ToFillIn
+from bench.stations.station_text import TextLightConfig, TextStageConfig
+from drivers.clock import Clock
+from drivers.light import LightSettings
+from drivers.light.scpi import DialectName, Load
+from drivers.stage import Stage
+from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
+from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
+from drivers.wire_log import WireLog
+from sequences.plain_number import Within
+from sequences.schema import Axis
+from sequences.script import Flicker
+from sequences.strict_model import StrictModel
+
+# The stage section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens
+# them.
+#
+# The keys of an axis are the parameter names of the driver's axis, so that the values are passed on
+# unchanged.
+
+# The stage sections of Thorlabs rotation stages and of Dynamixel servos, and how they open their drivers.
+
+
+def _not_zero(scale: float) -> float:
+    if scale == 0:
+        raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
+    return scale
+
+
+_Scale = Annotated[
+    float,
+    AfterValidator(_not_zero),
+    Within(0.01, 1e9, "counts/deg", either_sign=True),
+    ToFillIn,
+]
+
+
+def _each_its_own(key: str) -> AfterValidator:
+    """Return a check that no two axes have the same value of a key; what is not filled in yet does not count."""
+
+    def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
+        given = [value for axis in axes.values() if (value := getattr(axis, key)) != UNKNOWN_PORT]
+        if len(set(given)) < len(given):
+            raise PydanticCustomError("same_address", "two axes have the same {key}.", {"key": key})
+        return axes
+
+    return AfterValidator(check)
+
+
+class ThorlabsAxisConfig(AxisConfig):
+    """One axis, on its own Thorlabs controller."""
+
+    port: Port
+    serial: Annotated[Serial, Field(description="Serial number of the controller, from its label.")]
+    counts_per_deg: Annotated[
+        _Scale,
+        Field(
+            description="136533.333 for a K10CR1, 1919.6418579 for a PRM1Z8; negative if the counter decreases."
+        ),
+    ]
+    tolerance_deg: Annotated[
+        float,
+        Within(1e-6, 1, "deg"),
+        Field(description="Largest distance from the target at the end of a move."),
+    ] = 0.005
+
+
+class ThorlabsStageConfig(StageSection):
+    """One to three Thorlabs rotation stages (K10CR1, or on a KDC101 and the like), each on its own port."""
+
+    driver: Literal["thorlabs_apt"]
+    axes: Annotated[dict[Axis, ThorlabsAxisConfig], Field(min_length=1, max_length=3), _each_its_own("port")]
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Ports of the controllers."""
+        return tuple(axis.port for axis in self.axes.values())
+
+    @property
+    def device_names(self) -> tuple[str, ...]:
+        """Maker and serial number of each controller that is not simulated."""
+        return tuple(
+            f"Thorlabs {axis.serial}"
+            for axis in self.axes.values()
+            if not axis.port.startswith(SIMULATED_PREFIX)
+        )
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `StageSection.open_device`."""
+        axes = [
+            ThorlabsAxis(name=name, limits=axis.limits, **(axis.driver_options() | {"port": port(axis.port)}))
+            for name, axis in self.axes.items()
+        ]
+        return ThorlabsStage.open(axes, clock=clock, wire_log=wire_log)
+
+
+class DynamixelAxisConfig(AxisConfig):
+    """One axis, turned by a Dynamixel servo of the X series."""
+
+    id: Annotated[int, Field(ge=0, le=252, description="Id of the servo on the bus.")]
+    model: Annotated[
+        Text,
+        Field(description="Model of the servo, such as XL430-W250; another one with this id is refused."),
+    ]
+    counts_per_deg: Annotated[
+        _Scale,
+        Field(
+            description="11.377778 without a gear; times the ratio of a gear; negative if the counter decreases."
+        ),
+    ]
+    zero_count: Annotated[
+        int,
+        Field(ge=0, le=4095, description="Count of the servo, within its turn, at the angle zero_deg."),
+    ] = 2048
+    tolerance_deg: Annotated[
+        float,
+        Within(1e-6, 1, "deg"),
+        Field(description="Largest distance from the target at the end of a move."),
+    ] = 0.3
+
+
+class DynamixelStageConfig(StageSection):
+    """One to three Dynamixel servos of the X series on one bus (Protocol 2.0)."""
+
+    driver: Literal["dynamixel"]
+    port: Port
+    baudrate: Annotated[int, Within(50, 20_000_000, "Bd")] = 57_600
+    axes: Annotated[dict[Axis, DynamixelAxisConfig], Field(min_length=1, max_length=3), _each_its_own("id")]
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the adapter."""
+        return (self.port,)
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `StageSection.open_device`."""
+        axes = [
+            DynamixelAxis(name=name, limits=axis.limits, **axis.driver_options())
+            for name, axis in self.axes.items()
+        ]
+        return DynamixelStage.open(
+            port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log
+        )
+
+
+_SCALES = Within(0.01, 1e9, "counts/deg", either_sign=True)
+_BAUD_RATES = Within(50, 20_000_000, "Bd")
+Scale = Annotated[float, AfterValidator(_not_zero), _SCALES, ToFillIn]
+
+
+def _differing(*keys: str) -> AfterValidator:
+    """Return a check that no two axes have the same values of these keys."""
+
+    def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
+        if len({tuple(getattr(axis, key) for key in keys) for axis in axes.values()}) < len(axes):
+            shared = " and ".join(keys)
+            raise PydanticCustomError("same_address", "two axes have the same {shared}.", {"shared": shared})
+        return axes
+
+    return AfterValidator(check)
+
+
+class ZaberAxisConfig(AxisConfig):
+    """One rotary axis of a Zaber chain."""
+
+    device: Annotated[int, Field(ge=1, le=99, description="Address in the chain.")]
+    axis: Annotated[int, Field(ge=1, le=9)] = 1
+    serial: Serial
+    microsteps_per_deg: Annotated[
+        Scale,
+        Field(description="Negative if the counter decreases while the angle increases."),
+    ]
+    encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
+
+
+class ZaberStageConfig(StrictModel):
+    """One to three rotary axes with Zaber's ASCII protocol on one serial line."""
+
+    driver: Literal["zaber_ascii"]
+    port: Port
+    baudrate: Annotated[int, _BAUD_RATES] = 115_200
+    axes: Annotated[dict[Axis, ZaberAxisConfig], Field(min_length=1), _differing("device", "axis")]
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+
+class XimcAxisConfig(AxisConfig):
+    """One axis, on its own Standa 8SMC4 or 8SMC5 controller."""
+
+    port: Port
+    serial: Serial
+    steps_per_deg: Annotated[Scale, Field(description="Full steps; negative if the counter decreases.")]
+    encoder_counts_per_deg: Scale | None = None
+    encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
+
+
+class XimcStageConfig(StrictModel):
+    """One to three rotary axes on Standa controllers with the XIMC protocol, each on its own port."""
+
+    driver: Literal["ximc"]
+    axes: Annotated[dict[Axis, XimcAxisConfig], Field(min_length=1), _differing("port")]
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Ports of the controllers."""
+        return tuple(axis.port for axis in self.axes.values())
+
+
+class GrblAxisConfig(AxisConfig):
+    """One axis of a home-built gimbal."""
+
+    letter: Annotated[
+        Literal["X", "Y", "Z", "A", "B", "C"], Field(description="Letter of the axis on the board.")
+    ]
+    steps_per_deg: Annotated[
+        float,
+        Within(0.01, 1e9, "steps/deg"),
+        ToFillIn,
+        Field(description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
+    ]
+
+
+class GrblStageConfig(StrictModel):
+    """One to three rotary axes on a board that runs GRBL 1.1."""
+
+    driver: Literal["grbl"]
+    port: Port
+    baudrate: Annotated[int, _BAUD_RATES] = 115_200
+    serial: Annotated[
+        Serial | None,
+        Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
+    ] = None
+    axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), _differing("letter")]
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+
+class EspAxisConfig(AxisConfig):
+    """One axis of a Newport ESP controller, which works in degrees."""
+
+    number: Annotated[int, Field(ge=1, le=3)]
+    serial: Annotated[
+        Serial, Field(description="Serial number of the stage, from the controller's answer to 1ID?.")
+    ]
+    home_mode: Annotated[
+        Literal[1, 2, 3, 4, 5, 6],
+        Field(description="Method of the reference search: the number of the command OR."),
+    ] = 1
+    direction: Literal[1, -1] = 1
+
+    @field_validator("direction", "home_mode", mode="before")
+    @classmethod
+    def _whole(cls, value: Any) -> Any:
+        return int(value) if isinstance(value, str) and value in {"-1", "+1", *"123456"} else value
+
+
+class EspStageConfig(StrictModel):
+    """One to three rotary axes on a Newport ESP300, ESP301 or ESP302."""
+
+    driver: Literal["esp30x"]
+    port: Port
+    baudrate: Annotated[int, _BAUD_RATES] = 19_200
+    axes: Annotated[dict[Axis, EspAxisConfig], Field(min_length=1), _differing("number")]
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+
+if TYPE_CHECKING:
+    _Stages = ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig | StageSection
+else:
+    _OWN = (ZaberStageConfig, XimcStageConfig, GrblStageConfig, EspStageConfig)
+    _BUILT_IN = (*_OWN, ThorlabsStageConfig, DynamixelStageConfig, TextStageConfig)
+    _Stages = with_plugins("stage", _BUILT_IN)
+
+StageConfig = _Stages
+
+
+Volts = Annotated[float, Field(ge=-20, le=20)]
+Percent = Annotated[float, Within(0.01, 1000, "%")]
+
+
+class ScpiLightConfig(StrictModel):
+    """A function generator that drives the lamp. Its sync output is connected to the camera's trigger input."""
+
+    driver: Literal["scpi"]
+    port: Port
+    baudrate: Annotated[int, _BAUD_RATES] = 9600
+    serial: Serial | None = None
+    dialect: Annotated[
+        DialectName, Field(description="Command dialect of the generator; see docs/stations.md.")
+    ] = "keysight"
+    load: Annotated[Load, Field(description="Load impedance for which the levels are stated.")] = "high-z"
+    low_v: Annotated[Volts, Field(description="Level at which the lamp is dark, V.")] = 0.0
+    high_v: Annotated[Volts, ToFillIn, Field(description="Level at which the lamp is brightest, V.")] = 5.0
+    frequency_range_hz: tuple[Hertz, Hertz] = (0.1, 10_000.0)
+    sync_output: bool = True
+
+    @model_validator(mode="after")
+    def _in_order(self) -> ScpiLightConfig:
+        if self.low_v >= self.high_v:
+            raise PydanticCustomError("levels_order", "low_v must be below high_v.")
+        if self.frequency_range_hz[0] >= self.frequency_range_hz[1]:
+            raise PydanticCustomError("range_order", "frequency_range_hz must be [lowest, highest].")
+        return self
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+    def settings(self, flicker: Flicker) -> LightSettings:
+        """Convert the flicker of a sequence to settings of the driver.
+
+        Returns: With the levels of this lamp, V.
+        """
+        return LightSettings(
+            waveform=flicker.waveform,
+            frequency_hz=flicker.frequency_hz,
+            duty_percent=flicker.duty_percent,
+            low_v=self.low_v,
+            high_v=self.low_v + (self.high_v - self.low_v) * flicker.level_percent / 100,
+            sync_output=self.sync_output,
+        )
+
+
+class GardasoftLightConfig(StrictModel):
+    """A Gardasoft RT strobe controller. One channel drives the lamp, another one the camera's trigger input."""
+
+    driver: Literal["gardasoft"]
+    port: Port
+    baudrate: Annotated[int, _BAUD_RATES] = 115_200
+    model: Annotated[
+        Text | None,
+        Field(description="Model that the controller reports (RT420F-20). Without it, any is accepted."),
+    ] = None
+    channel: Annotated[int, Field(ge=1, le=8)] = 1
+    sync_channel: Annotated[int, Field(ge=1, le=8)] | None = 2
+    full_percent: Annotated[Percent, Field(description="Brightness of the lamp at level 100 %.")] = 100.0
+    sync_percent: Percent = 100.0
+    frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+    @property
+    def sync_output(self) -> bool:
+        """Whether a channel drives the camera's trigger input."""
+        return self.sync_channel is not None
+
+    def settings(self, flicker: Flicker) -> LightSettings:
+        """Convert the flicker of a sequence to settings of the driver, which takes 5 V as full brightness.
+
+        Returns: The level is in ``high_v``, V.
+        """
+        return LightSettings(
+            waveform=flicker.waveform,
+            frequency_hz=flicker.frequency_hz,
+            duty_percent=flicker.duty_percent,
+            high_v=LightSettings.high_v * flicker.level_percent / 100,
+            sync_output=self.sync_output,
+        )
+
+
+if TYPE_CHECKING:
+    _Lights = ScpiLightConfig | GardasoftLightConfig | LightSection
+else:
+    _Lights = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
+
+LightConfig = _Lights

@@ -1,0 +1,482 @@
+"""The description of a stage's protocol: keys, checks, and its form for the driver. Opens nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Final, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from bench.stations.station_fields import Text
+from drivers.described import description as of
+from drivers.described.description import Template, TemplateFault, parse_template
+from sequences.plain_number import Within, is_plain_number
+from sequences.strict_model import StrictModel
+
+# What all descriptions of devices share: requests and replies, the line, refusals, notices, states.
+#
+# The module checks templates; it reads no file and opens no device.
+
+ADDRESS = frozenset({"address"})
+NOTHING: frozenset[str] = frozenset()
+_ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
+
+
+def template(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
+    """Read a template; a fault of it becomes one of the document.
+
+    known, readable: See `drivers.described.description.parse_template`.
+    Raises PydanticCustomError: When it cannot be used.
+    """
+    try:
+        return parse_template(text, known=known, readable=readable)
+    except TemplateFault as fault:
+        raise PydanticCustomError("template", "{fault}", {"fault": str(fault)}) from fault
+
+
+def request_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
+    """Return a check of a request that may carry one value, and then must.
+
+    known: Names that may stand without a kind.
+    value: Name of the value; empty for none.
+    """
+
+    def check(text: str) -> str:
+        found = template(text, known, frozenset({value} - {""}))
+        if value and value not in found.read_names:
+            raise PydanticCustomError(
+                "no_value",
+                "the value is missing; write {name} where it belongs.",
+                {"name": f"{{{value}:...}}"},
+            )
+        return text
+
+    return check
+
+
+def reply_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
+    """Return a check of a reply that must have one value, or need not have any.
+
+    known: Names that may stand without a kind, besides ``request``.
+    value: Name of the value; empty for none.
+    """
+
+    def check(text: str) -> str:
+        found = template(text, known | {"request"}, None)
+        if value and value not in found.read_names:
+            raise PydanticCustomError(
+                "no_value",
+                "the value is missing; write {name} where it stands.",
+                {"name": f"{{{value}:...}}"},
+            )
+        return text
+
+    return check
+
+
+def make_exchange(send: str, reply: str | None, known: frozenset[str], value: str = "") -> of.Exchange:
+    """Return an exchange for the driver, from templates that were checked.
+
+    send, reply: The templates; None for no reply.
+    known: Names that may stand without a kind.
+    value: Name of the value that the request carries; empty for none.
+    """
+    return of.Exchange(
+        template(send, known, frozenset({value} - {""})),
+        None if reply is None else template(reply, known | {"request"}, None),
+    )
+
+
+Line = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class Command(StrictModel):
+    """A command to the whole device, with the reply that confirms it."""
+
+    send: Annotated[Line, AfterValidator(request_check(NOTHING))]
+    reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
+
+    def exchange(self) -> of.Exchange:
+        """Return the exchange for the driver."""
+        return make_exchange(self.send, self.reply, NOTHING)
+
+
+class SerialQuery(StrictModel):
+    """A query of the serial number."""
+
+    send: Annotated[Line, AfterValidator(request_check(NOTHING))]
+    reply: Annotated[Line, AfterValidator(reply_check(NOTHING, "serial"))]
+
+
+class StateQuery(StrictModel):
+    """A query of a state. ``when`` lists the answers that mean: idle, homed, on, no fault."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "state"))]
+    when: Annotated[list[Text], Field(min_length=1, max_length=20)]
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> StateQuery:
+        read = template(self.reply, ADDRESS | {"request"}, None)
+        kinds = {getattr(part, "kind", "") for part in read.parts if getattr(part, "name", "") == "state"}
+        if kinds & {"integer", "number"} and not all(map(is_plain_number, self.when)):
+            raise PydanticCustomError("when_number", "when must list numbers, as the reply has one.")
+        return self
+
+    def switch(self) -> of.Switch:
+        """Return the query for the driver."""
+        return of.Switch(make_exchange(self.send, self.reply, ADDRESS), tuple(self.when))
+
+
+Tolerance = Annotated[float, Within(0, 50, "%")]
+Factor = Annotated[float, Within(1e-12, 1e12, either_sign=True)]
+
+
+class LineConfig(StrictModel):
+    """The line to the device."""
+
+    baudrate: Annotated[int, Within(50, 20_000_000, "Bd")]
+    request_end: Annotated[Literal["CR", "LF", "CRLF", "space"], Field(description="Ends each request.")] = (
+        "LF"
+    )
+    reply_end: Annotated[Literal["CR", "LF", "CRLF"], Field(description="Ends each reply.")] = "LF"
+    reply_s: Annotated[float, Within(0.05, 10, "s"), Field(description="Longest wait for a reply.")] = 0.75
+    quiet_s: Annotated[
+        float, Within(0.02, 2, "s"), Field(description="Without a byte for this time, the line is silent.")
+    ] = 0.1
+    start_s: Annotated[
+        float,
+        Within(0, 30, "s"),
+        Field(
+            description="Longest time from opening the port to the first answer, if the device restarts then."
+        ),
+    ] = 0.0
+    checksum: Annotated[
+        Literal["none", "xor"], Field(description="xor: *HH after each request and each reply.")
+    ] = "none"
+    clear: Annotated[
+        str,
+        Field(
+            max_length=8,
+            pattern=r"^[!-~]*$",
+            description="Text that makes a request invalid that was cut on its way; then it is ended.",
+        ),
+    ] = ""
+    setup: Annotated[
+        tuple[Annotated[Line, AfterValidator(request_check(NOTHING))], ...],
+        Field(max_length=10, description="Requests that set the form of the replies, and nothing else."),
+    ] = ()
+
+
+class RefusalConfig(StrictModel):
+    """A reply by which the device refuses a request."""
+
+    reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
+    means: Text | None = None
+    codes: Annotated[
+        dict[Annotated[str, Field(max_length=20)], Text],
+        Field(default_factory=dict, max_length=200, description="Meaning by {code:...} of the reply."),
+    ]
+
+
+class NoticeConfig(StrictModel):
+    """A text that the device sends without a request."""
+
+    text: Annotated[str, Field(min_length=2, max_length=100, pattern=r"^[ -~]+$")]
+    means: Annotated[Text | None, Field(description="What has happened; a move then fails.")] = None
+
+
+class Described(StrictModel):
+    """Keys of every description."""
+
+    maker: Text
+    model: Text
+    line: LineConfig
+    identity: Command
+    serial: SerialQuery | None = None
+    refusals: Annotated[tuple[RefusalConfig, ...], Field(max_length=20)] = ()
+    notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
+
+    def of_line(self) -> of.LineDescription:
+        """Return the line for the driver."""
+        return of.LineDescription(
+            maker=self.maker,
+            model=self.model,
+            baudrate=self.line.baudrate,
+            request_end=_ENDS[self.line.request_end],
+            reply_end=_ENDS[self.line.reply_end],
+            reply_s=self.line.reply_s,
+            quiet_s=self.line.quiet_s,
+            start_s=self.line.start_s,
+            checksum=self.line.checksum,
+            clear=self.line.clear.encode("ascii"),
+            setup=tuple(template(text, NOTHING, NOTHING) for text in self.line.setup),
+            identity=self.identity.exchange(),
+            serial=None
+            if self.serial is None
+            else make_exchange(self.serial.send, self.serial.reply, NOTHING),
+            refusals=tuple(
+                of.Refusal(
+                    template(one.reply, frozenset({"request"}), None), one.means or "", dict(one.codes)
+                )
+                for one in self.refusals
+            ),
+            notices=tuple(of.Notice(one.text, one.means or "") for one in self.notices),
+        )
+
+
+# The description of a light's protocol: keys, checks, and its form for the driver. Opens nothing.
+
+
+class _Set(StrictModel):
+    """A command that sets a value of a light."""
+
+    send: Annotated[Line, AfterValidator(request_check(NOTHING, "value"))]
+    reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
+
+
+class _Get(StrictModel):
+    """A query of a value of a light."""
+
+    send: Annotated[Line, AfterValidator(request_check(NOTHING))]
+    reply: Annotated[Line, AfterValidator(reply_check(NOTHING, "value"))]
+
+
+_WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}}
+
+
+class LightSettingConfig(StrictModel):
+    """A setting of a light: written in the order of the file, and read back."""
+
+    quantity: Literal["waveform", "frequency_hz", "duty_percent", "level_percent", "sync", "constant"]
+    set: _Set
+    query: _Get
+    words: Annotated[
+        dict[Text, Text],
+        Field(
+            default_factory=dict, max_length=5, description="The device's words for square, steady, on, off."
+        ),
+    ]
+    takes: Annotated[
+        Literal["value", "reciprocal"], Field(description="reciprocal: a period instead of a frequency.")
+    ] = "value"
+    factor: Annotated[Factor, Field(description="1000 for a period in ms.")] = 1.0
+    range: tuple[float, float] | None = None
+    value: Annotated[float | None, Field(description="Value of a constant.")] = None
+    tolerance_percent: Tolerance = 0.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> LightSettingConfig:
+        if (self.quantity == "constant") != (self.value is not None):
+            raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
+        known = _WORDS.get(self.quantity, set())
+        if bool(known) != bool(self.words) or not set(self.words) <= known:
+            named = ", ".join(sorted(known)) or "none"
+            raise PydanticCustomError("words", "words of this setting: {named}.", {"named": named})
+        if len(set(self.words.values())) < len(self.words):
+            raise PydanticCustomError("same_words", "two words are the same for the device.")
+        if self.range is not None and self.range[0] >= self.range[1]:
+            raise PydanticCustomError("range_order", "range must be [lowest, highest].")
+        return self
+
+    def setting(self) -> of.LightSetting:
+        """Return the setting for the driver."""
+        lowest, highest = self.range or (float("-inf"), float("inf"))
+        return of.LightSetting(
+            quantity=self.quantity,
+            set=make_exchange(self.set.send, self.set.reply, NOTHING, "value"),
+            query=make_exchange(self.query.send, self.query.reply, NOTHING),
+            factor=self.factor,
+            inverse=self.takes == "reciprocal",
+            words=dict(self.words),
+            constant=self.value or 0.0,
+            lowest=lowest,
+            highest=highest,
+            tolerance_percent=self.tolerance_percent,
+        )
+
+
+class LightProtocol(Described):
+    """The description of a light."""
+
+    format: Literal["starbench/light-protocol/1"]
+    on: Command
+    off: Command
+    output: StateQuery
+    faults: StateQuery | None = None
+    settings: Annotated[list[LightSettingConfig], Field(min_length=1, max_length=20)]
+
+    @model_validator(mode="after")
+    def _needed(self) -> LightProtocol:
+        names = [one.quantity for one in self.settings if one.quantity != "constant"]
+        missing = {"frequency_hz", "level_percent"} - set(names)
+        if missing:
+            listed = " and ".join(sorted(missing))
+            raise PydanticCustomError("settings_missing", "settings needs {listed}.", {"listed": listed})
+        if len(names) > len(set(names)):
+            raise PydanticCustomError("settings_twice", "a quantity stands twice in settings.")
+        return self
+
+    @property
+    def has_sync(self) -> bool:
+        """Whether the light has a sync output."""
+        return any(one.quantity == "sync" for one in self.settings)
+
+    @property
+    def frequency_range_hz(self) -> tuple[float, float] | None:
+        """Range of the flicker frequency, Hz; None if the description states none."""
+        return next((one.range for one in self.settings if one.quantity == "frequency_hz"), None)
+
+    def for_driver(self) -> of.LightDescription:
+        """Return the description for the driver."""
+        return of.LightDescription(
+            line=self.of_line(),
+            on=self.on.exchange(),
+            off=self.off.exchange(),
+            is_on=self.output.switch(),
+            faults=None if self.faults is None else self.faults.switch(),
+            settings=tuple(one.setting() for one in self.settings),
+        )
+
+
+class _AxisQuery(StrictModel):
+    """A query to an axis whose reply has the value ``counts``."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "counts"))]
+
+    def exchange(self) -> of.Exchange:
+        """Return the exchange for the driver."""
+        return make_exchange(self.send, self.reply, ADDRESS)
+
+
+class _AxisCommand(StrictModel):
+    """A command to an axis, with the reply that confirms it."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS))]
+
+    def exchange(self) -> of.Exchange:
+        """Return the exchange for the driver."""
+        return make_exchange(self.send, self.reply, ADDRESS)
+
+
+class _Home(_AxisCommand):
+    """The search of the reference of an axis."""
+
+    reply_comes: Annotated[
+        Literal["at_once", "at_end"],
+        Field(description="Whether the device replies at once, or when the search has ended."),
+    ] = "at_once"
+
+
+class _Move(StrictModel):
+    """A move to an absolute position, which stands as ``{target:...}`` in counts."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS, "target"))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS))]
+
+    def exchange(self) -> of.Exchange:
+        """Return the exchange for the driver."""
+        return make_exchange(self.send, self.reply, ADDRESS, "target")
+
+
+class _Scale(StrictModel):
+    """A query of the scale of an axis."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "scale"))]
+    unit: Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
+
+
+class _SetAxis(StrictModel):
+    """A command that sets a value of an axis."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS, "value"))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS))]
+
+
+class _GetAxis(StrictModel):
+    """A query of a value of an axis."""
+
+    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
+    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "value"))]
+
+
+class AxisSettingConfig(StrictModel):
+    """A setting of an axis, in counts (``speed``: counts/s): written when the device is opened, and read back."""
+
+    quantity: Literal["speed", "acceleration", "lowest", "highest", "constant"]
+    set: _SetAxis
+    query: _GetAxis
+    value: Annotated[float | None, Field(description="Value of a constant.")] = None
+    tolerance_percent: Tolerance = 0.0
+
+    @model_validator(mode="after")
+    def _constant_has_value(self) -> AxisSettingConfig:
+        if (self.quantity == "constant") != (self.value is not None):
+            raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
+        return self
+
+    def setting(self) -> of.AxisSetting:
+        """Return the setting for the driver."""
+        return of.AxisSetting(
+            quantity=self.quantity,
+            set=make_exchange(self.set.send, self.set.reply, ADDRESS, "value"),
+            query=make_exchange(self.query.send, self.query.reply, ADDRESS),
+            constant=self.value or 0.0,
+            tolerance_percent=self.tolerance_percent,
+        )
+
+
+class AxisProtocol(StrictModel):
+    """Requests to one axis; ``{address}`` is the axis's address in the station file."""
+
+    position: _AxisQuery
+    idle: StateQuery
+    move: _Move
+    home: _Home
+    encoder: _AxisQuery | None = None
+    reference: StateQuery | None = None
+    faults: StateQuery | None = None
+    scale: _Scale | None = None
+    lowest: _AxisQuery | None = None
+    highest: _AxisQuery | None = None
+    settings: Annotated[tuple[AxisSettingConfig, ...], Field(max_length=20)] = ()
+    setup: Annotated[tuple[_AxisCommand, ...], Field(max_length=20)] = ()
+
+
+class StageProtocol(Described):
+    """The description of a stage."""
+
+    format: Literal["starbench/stage-protocol/1"]
+    stop: Command
+    axis: AxisProtocol
+
+    @property
+    def has_addresses(self) -> bool:
+        """Whether moves name their axis, so that there may be several."""
+        return "{address}" in self.axis.move.send
+
+    def for_driver(self) -> of.StageDescription:
+        """Return the description for the driver."""
+        axis = self.axis
+        return of.StageDescription(
+            line=self.of_line(),
+            move=axis.move.exchange(),
+            stop=self.stop.exchange(),
+            position=axis.position.exchange(),
+            idle=axis.idle.switch(),
+            home=axis.home.exchange(),
+            home_replies_at_end=axis.home.reply_comes == "at_end",
+            encoder=None if axis.encoder is None else axis.encoder.exchange(),
+            reference=None if axis.reference is None else axis.reference.switch(),
+            faults=None if axis.faults is None else axis.faults.switch(),
+            scale=None if axis.scale is None else make_exchange(axis.scale.send, axis.scale.reply, ADDRESS),
+            scale_unit=axis.scale.unit if axis.scale else "counts_per_deg",
+            lowest=None if axis.lowest is None else axis.lowest.exchange(),
+            highest=None if axis.highest is None else axis.highest.exchange(),
+            settings=tuple(one.setting() for one in axis.settings),
+            setup=tuple(one.exchange() for one in axis.setup),
+        )

@@ -1,0 +1,121 @@
+"""Function generators of Siglent's SDG series: their command language, on the instrument of all makes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from simulators.lights.generators import Generator, Setting, Shape
+from simulators.world.world import LightState
+
+_HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC)(\?)?(?:\s+(.*))?", re.IGNORECASE)
+_SIGLENT_NUMBER: Final = re.compile(
+    r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE
+)
+_FACTORS: Final = {"UHZ": 1e-6, "KHZ": 1e3, "MHZ": 1e6, "MV": 1e-3}
+_SIGLENT_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine", "DC": "dc"}
+_VALUES: Final[Mapping[str, Setting]] = {
+    "FRQ": "frequency",
+    "DUTY": "duty",
+    "AMP": "amplitude",
+    "OFST": "offset",
+    "HLEV": "high",
+    "LLEV": "low",
+}
+
+
+class SiglentGenerator(Generator):
+    """A generator of Siglent's SDG series: it ignores unknown commands and clips values, and reports neither."""
+
+    def __init__(
+        self,
+        serial: str,
+        clock: Callable[[], float],
+        drive: Callable[[LightState], None] = lambda _state: None,
+    ) -> None:
+        super().__init__(clock, drive, 9600)
+        self._serial = serial
+
+    def exchange(self, serial: str) -> None:
+        """See `LightDriver.exchange`."""
+        self._serial = serial
+        self.reset()
+
+    # ------------------------------------------------------------------ commands
+    def _execute(self, message: str) -> list[str]:
+        answers = (self._said(command.strip()) for command in message.split(";"))
+        return [answer for answer in answers if answer]
+
+    def _said(self, command: str) -> str:
+        if command.upper() == "*IDN?":
+            return f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
+        if command.upper() == "*OPC?":
+            return "1"
+        if command.upper() == "*RST":
+            self.reset()
+            return ""
+        match = _HEADER.fullmatch(command)
+        if match is None:
+            return ""
+        name, asks, words = (
+            match[1].upper(),
+            match[2],
+            [word.strip().upper() for word in (match[3] or "").split(",")],
+        )
+        if asks:
+            return {"BSWV": self._wave, "OUTP": self._output, "SYNC": self._sync_output}[name]()
+        {"BSWV": self._set_wave, "OUTP": self._set_output, "SYNC": self._set_sync}[name](words)
+        return ""
+
+    def _set_wave(self, words: list[str]) -> None:
+        for name, value in zip(words[::2], words[1::2], strict=False):
+            number = _siglent_number(value)
+            if name == "WVTP" and value in _SIGLENT_SHAPES:
+                self.set_shape(_SIGLENT_SHAPES[value])
+            elif name in _VALUES and number is not None:
+                self.set(_VALUES[name], number)
+
+    def _set_output(self, words: list[str]) -> None:
+        if words[0] in {"ON", "OFF"}:
+            self.switch(output=words[0] == "ON")
+        if "LOAD" in words[:-1]:
+            load = words[words.index("LOAD") + 1]
+            ohm = math.inf if load == "HZ" else _siglent_number(load)
+            if ohm is not None and ohm >= 1.0:
+                self.set_load(ohm)
+
+    def _set_sync(self, words: list[str]) -> None:
+        if words[0] in {"ON", "OFF"}:
+            self.switch(sync=words[0] == "ON")
+
+    def _wave(self) -> str:
+        now = self.settings
+        if now.shape == "dc":
+            return f"C1:BSWV WVTP,DC,OFST,{now.offset_v:g}V"
+        shape = "SQUARE" if now.shape == "square" else "SINE"
+        duty = f",DUTY,{now.duty_percent:g}" if now.shape == "square" else ""
+        return (
+            f"C1:BSWV WVTP,{shape},FRQ,{now.frequency_hz:.10g}HZ,PERI,{1.0 / now.frequency_hz:.6g}S,"
+            f"AMP,{now.amplitude_v:g}V,OFST,{now.offset_v:g}V,HLEV,{now.high_v:g}V,LLEV,{now.low_v:g}V,PHSE,0{duty}"
+        )
+
+    def _output(self) -> str:
+        now = self.settings
+        load = "HZ" if math.isinf(now.load_ohm) else f"{now.load_ohm:g}"
+        return f"C1:OUTP {'ON' if now.output else 'OFF'},LOAD,{load},PLRT,NOR"
+
+    def _sync_output(self) -> str:
+        return f"C1:SYNC {'ON' if self.settings.sync else 'OFF'}"
+
+
+def _siglent_number(text: str) -> float | None:
+    """Read a number with an optional unit; None if the text is no number."""
+    match = _SIGLENT_NUMBER.fullmatch(text)
+    if match is None:
+        return None
+    try:
+        return float(match[1]) * _FACTORS.get((match[2] or "").upper(), 1.0)
+    except ValueError:
+        return None

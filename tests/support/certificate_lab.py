@@ -1,0 +1,53 @@
+"""A laboratory that issues certificates from a sealed run, for tests and benchmarks."""
+
+import pytest
+from certificate_sample import LAB, NOW, verified, write_sealed_run
+
+from bench.certificate.issue import Laboratory, amend, issue
+from bench.certificate.series import numbers
+from bench.evidence.keys import ensure_key
+from bench.records.ledger import Ledger
+from sequences.errors import DocumentFaults
+
+FIRST = "SIMULATED-SB-2026-00001"
+
+
+class Lab:
+    """A laboratory with one sealed run, whose clock is set by hand."""
+
+    def __init__(self, path):
+        self.path, self.now, self.says = path, NOW, {}
+        self.home = path / "home"
+        self.run = write_sealed_run(path / "run", self.home)
+        self.lab = path / "lab.yaml"
+        self.lab.write_text(LAB, encoding="utf-8")
+        self.ledger = Ledger(self.home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
+        place = self.ledger.begin(run_id="run", folder=self.run, camera="00050423", simulated=True)
+        self.ledger.end(place["number"], how="finished", folder=self.run)
+
+    def laboratory(self):
+        return Laboratory(
+            self.ledger, lambda: ensure_key(self.home), lambda: self.now, lambda f: verified(f, **self.says)
+        )
+
+    def issue(self, name="certificate", **facts):
+        return issue(self.run, self.lab, self.path / name, self.laboratory(), **facts)
+
+    def amend(self, old, name, reason="wrong address", old_text="Mill Lane 3", new_text="Mill Lane 4"):
+        self.lab.write_text(LAB.replace(old_text, new_text), encoding="utf-8")
+        return amend(self.path / old, self.lab, self.path / name, self.laboratory(), reason=reason)
+
+    def numbers(self):
+        return {one.number: one.how for one in numbers(self.ledger.entries()).values()}
+
+    def faults(self, text):
+        self.lab.write_text(text, encoding="utf-8")
+        with pytest.raises(DocumentFaults) as found:
+            self.issue()
+        assert self.numbers() == {}, "a number was taken for a refused certificate"
+        return [str(fault) for fault in found.value.faults]
+
+
+def quick_files(certificate, found, results, lab, plots, sign=None):
+    """The files without PDF, DCC and plots, which take half a second."""
+    return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
