@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.calibration import CalibrationOptions
+from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
 from calib.joint.layout import CENTRE, RADIAL, Layout
@@ -240,7 +241,17 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
 
 
 def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
-    """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out."""
+    """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out.
+
+    Raises InputMismatch: If its common field has another number of coefficients: the same names are then others.
+    """
+    field = [name for name in passport.names if name.startswith("common_")]
+    if field and len(field) != len(layout.common):
+        raise InputMismatch(
+            f"Its common field has {len(field)} coefficients; the adjustment has {len(layout.common)}.",
+            where="passport",
+            remedy="Make the passport again from its run, with this version of Starbench.",
+        )
     known = passport.subset([name for name in passport.names if name in layout.index])
     at = layout.places(known.names)
     matrix = np.zeros((len(at), len(layout.names)))
