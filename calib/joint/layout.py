@@ -32,6 +32,8 @@ DECENTRING = ("decentring_x", "decentring_y")
 RIM, RIM_POWERS = ("rim_4", "rim_10"), (4, 10)
 #: rim_10 is typically this share of rim_4.
 _RIM_RATIO = 0.3
+#: Change of the focal length, or of the radius, from the first pose to the last, as a share.
+DRIFT = "drift"
 #: radial_4 is typically so many times radial.
 _RADIAL_RATIO = 20.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
@@ -83,7 +85,7 @@ class Layout:
         fields = [f"common_{k}" for k in self.common]
         for turns, degree in ((_TURNS, amp.TURN_DEGREE), (_TURNS_2, amp.TURN_2_DEGREE)):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
-        errors = (*RADIAL, *self.turning, *self.rim, *fields, *self.terms)
+        errors = (*RADIAL, *self.turning, DRIFT, *self.rim, *fields, *self.terms)
         return (*self.camera, *CENTRE, *errors, *self.gimbal)
 
     @cached_property
@@ -134,7 +136,9 @@ class Layout:
             places = both((amp.TURN_DEGREE if name in _TURNS else amp.TURN_2_DEGREE) >= DEGREES)
             size = np.prod((pupils / amp.UNIT_TURN) ** powers, axis=1)
             found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
+        times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
+            found[pose, field:, self.index[DRIFT]] = times[pose] * self.basis.shape(partial(_scale, turn))
             for name in self.turning:
                 own = _prism if name in PRISM else _decentring
                 axis = across[0] if name.endswith("x") else across[1]
@@ -238,6 +242,11 @@ def _prism(turn: Array, axis: Array, h: Array) -> Array:
     """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
     away = h - turn
     return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
+
+
+def _scale(turn: Array, h: Array) -> Array:
+    """Return the field x of an image that is turned, on the target. h: (N, 2)."""
+    return np.asarray(h - turn)
 
 
 def _decentring(turn: Array, axis: Array, h: Array) -> Array:
