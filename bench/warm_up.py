@@ -9,13 +9,13 @@ import os
 import sys
 import tempfile
 from contextlib import suppress
-from datetime import UTC, datetime
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
 import click
 
-from bench.base.clock import BenchClock, VirtualClock
+from bench.base.clock import BenchClock
 from bench.base.home import PARTS, remove_stale_kernels, set_kernel_cache
 from bench.terminal.compiling import compile_missing
 from drivers.errors import RecordingFailed
@@ -31,15 +31,38 @@ def compile_part(part: str) -> None:
       computer.
     """
     with tempfile.TemporaryDirectory() as folder:
-        {"adjustment": _rehearse, "stars": _record_and_measure}[part](Path(folder))
+        {"adjustment": _calibrate, "stars": _record_and_measure}[part](Path(folder))
 
 
-def _rehearse(folder: Path) -> None:
-    """Calibrate from the stars of a rehearsed run."""
-    from bench.rehearsal.rehearsal import rehearse_run
+def _calibrate(_folder: Path) -> None:
+    """Calibrate from the stars that three poses will show, with noise."""
+    import numpy as np
 
-    clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
-    rehearse_run("three_pose", "simulated", seed=0, operator=None, folder=folder / "run", clock=clock)
+    from bench.results.solution import planar_calibration
+    from calib import (
+        CalibrationOptions,
+        CameraModel,
+        Collimator,
+        ExpectedBench,
+        StarTarget,
+        calibrate,
+        predicted_view,
+    )
+
+    camera = CameraModel(3345.0, 3345.0, 639.5, 359.5, (1280, 720), {"k1": -0.1, "k2": 0.0})
+    bench = ExpectedBench(camera, Collimator(*StarTarget().tag_centre_mm, 255.0), half_angle_deg=12.0)
+    noise = np.random.default_rng(0)
+    views = []
+    for name, pose in {
+        "right": {"pan_deg": 3.0},
+        "left": {"pan_deg": -3.0},
+        "down": {"tilt_deg": -2.0},
+    }.items():
+        view, _ = predicted_view(bench, pose, name)
+        views.append(replace(view, points_px=view.points_px + noise.normal(0.0, 0.02, (len(view), 2))))
+    options = CalibrationOptions()
+    calibrate(views, options)
+    planar_calibration(views, options)
 
 
 def _record_and_measure(folder: Path) -> None:

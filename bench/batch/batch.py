@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Unpack, overload
@@ -33,6 +33,7 @@ from bench.batch.batch_record import (
 from bench.batch.batch_requests import Request, RequestInbox, refusal
 from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
+from bench.batch.summary_text import summary_lines
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
@@ -85,24 +86,15 @@ class BatchMessages:
         own_message = _journal_head(run) if end.how == "failed" else ""
         courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
 
-    def batch_ended(
-        self,
-        name: str,
-        how: str,
-        why: str,
-        runs: Iterable[str],
-        folder: Path,
-        line: str,
-        *,
-        place: tuple[int, str] | None = None,
-    ) -> None:
-        """Send a message about the end of the batch to all recipients of its runs.
+    def batch_ended(self, summary: Mapping[str, Any], folder: Path, line: str) -> None:
+        """Send what the terminal prints at the end of the batch to all recipients of its runs.
 
+        summary: Content of summary.json.
         line: Hash of the line in the batch's journal that records the end.
-        place: Number and line in the bench's ledger of the newest run of the batch; None if there is none.
         """
+        name, how, why = (summary[key] for key in ("queue", "how", "why"))
         what = f"{how}{': ' if why else ''}{why}"
-        text = "\n".join([f"Batch {name}: {what}", "", *runs])
+        text = "\n".join(summary_lines(summary))
         for courier in self._couriers.values():
             courier.write(
                 "end" if how in {"finished", "aborted"} else "failure",
@@ -111,7 +103,7 @@ class BatchMessages:
                 run=name,
                 folder=folder,
                 key=line,
-                place=place,
+                place=newest_place(summary),
             )
 
     def add_recipients(self, stations: Iterable[str]) -> None:
@@ -255,14 +247,8 @@ class Batch:
             requests.close()
         self._journal_event(BatchEvent.ENDED, how=how, why=why)
         if not self._rehearsal:
-            runs = [
-                f"{key}: {end.how}{': ' if end.why else ''}{end.why}"
-                for key, end in self._record.ends.items()
-            ]
-            place = newest_place(summarise(self.folder, self._record))
-            self._messages.batch_ended(
-                self._queue.value.name, how, why, runs, self.folder, self._journal.head, place=place
-            )
+            summary = summarise(self.folder, self._record)
+            self._messages.batch_ended(summary, self.folder, self._journal.head)
 
     def _files(self) -> dict[str, str]:
         """Return the full path of each file that the queue names by a shorter name."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,9 @@ import click
 
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
-from bench.commands.calibration_text import unit_text
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
 from bench.commands.output import JSON, STOPPED, show
-from bench.records.run_facts import REPEATS_TEXT, factors_text
-from bench.report.text import with_uncertainty
 
-_K = 2.0
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 
 
@@ -116,41 +112,8 @@ def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
     summary: Content of `summary.json`.
     Returns: Exit status: 0 every run has a result, 3 stopped on request, else 1.
     """
-    show(summary, _summary_lines(folder, summary))
-    return {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)
-
-
-def _summary_lines(folder: Path, summary: Mapping[str, Any]) -> Iterator[str]:
     from bench.batch.batch_summary import PAGE
+    from bench.batch.summary_text import summary_lines
 
-    how = summary["how"] or "not ended"
-    rehearsal = "REHEARSAL of batch" if summary["rehearsal"] else "Batch"
-    yield f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}"
-    for item in summary["items"]:
-        why = f": {item['why']}" if item["why"] else ""
-        attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
-        yield f"  {item['item']:<30} {item['how']:<10} {attempts}{why}"
-    for camera in summary["cameras"]:
-        yield from _trend_lines(camera)
-    yield f"Summary: {folder / PAGE}"
-
-
-def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
-    """Return one line per parameter of a camera, if more than one of its runs has a result."""
-    lines = []
-    for trend in camera["parameters"]:
-        mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
-        unit = unit_text(trend["name"])
-        line = f"  {trend['name']:<3} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
-        line += "  REPEATS" if trend["repeats"] else ""
-        if trend["per_hour"] is not None:
-            slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
-            line += f"  {slope:>10} ± {slope_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
-        lines.append(line)
-    if lines:
-        factors = factors_text(trend["coverage_factor"] for trend in camera["parameters"])
-        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with {factors}:"
-        lines.insert(0, head)
-    if any(trend["repeats"] for trend in camera["parameters"]):
-        lines.append(f"  REPEATS: {REPEATS_TEXT}")
-    return lines
+    show(summary, [*summary_lines(summary), f"Summary: {folder / PAGE}"])
+    return {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)

@@ -13,14 +13,14 @@ from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
 from bench.cluster.tasks import Task, find_places
-from bench.commands.calibration_text import offline_dict, offline_lines, unit_text
+from bench.commands.calibration_text import offline_dict, offline_lines
 from bench.commands.engine_options import engine_options
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, epilog
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
 from bench.records.run_facts import coverage_factor, factors_text
-from bench.report.text import with_uncertainty, words_for
+from bench.report.text import unit_text, with_uncertainty, words_for
 from bench.results.forms import forms
 from bench.results.offline_options import OfflineOptions
 from bench.terminal.encoding import clock_text, printable

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
 from bench.records.run_facts import coverage_factor
-from bench.report.text import TargetWords, exact, unit_of, with_uncertainty, words_for
+from bench.report.text import TargetWords, exact, unit_text, with_uncertainty, words_for
 
 if TYPE_CHECKING:
     from bench.records.results import CalibrationData
@@ -75,15 +75,6 @@ def _planar_text(calibration: CalibrationData) -> str:
         "collimator stands between them and the camera.\n"
         f"  {', '.join(shown)}; rms {calibration['rms_px']:.4f} px"
     )
-
-
-def unit_text(name: str) -> str:
-    """Return the unit of a parameter, as it is printed after a number.
-
-    Returns: The unit; empty for a number without unit.
-    """
-    unit = unit_of(name)
-    return "" if unit == "1" else unit
 
 
 def _baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.calibration_text import calibration_text, unit_text
+from bench.commands.calibration_text import calibration_text
 from bench.commands.options import (
     RUN,
     RUN_STATUS,
@@ -23,7 +23,7 @@ from bench.commands.options import (
 from bench.commands.output import JSON, STOPPED, ask_passphrase, error_object, show
 from bench.records.journal import CAPTURES
 from bench.records.run_folder import REPORT
-from bench.report.text import fixed, with_uncertainty, words_of
+from bench.report.text import fixed, unit_text, with_uncertainty, words_of
 
 if TYPE_CHECKING:
     from bench.run.runner import RunEnd

@@ -140,6 +140,7 @@ def _fault_lines(found: Verification) -> Iterator[str]:
     yield "NOT VERIFIED:"
     for fault in found.faults:
         yield f"  {fault}"
+    yield from found.statements
     yield f"State by its signatures alone: {found.state}"
 
 

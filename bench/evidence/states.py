@@ -15,6 +15,7 @@ from pathlib import Path
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.authorisation import NOTHING_KNOWN, Known, check_authorisation, compare_authorisation
+from bench.evidence.ended_page import check_ended_page
 from bench.evidence.findings import SealFault
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
@@ -144,6 +145,11 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
         proofs = [stamps.stamps.get(TIMESTAMP), own if check.person is not None else None]
         proven = min(filter(None, proofs), key=lambda stamp: stamp.utc, default=None)
         _judge_seal(found, seal_key, trust, Moments(now, proven, at, sealed, sealed))
+    if seal_key is None and not (folder / MANIFEST).exists():
+        with storage_errors(folder):
+            faults, statements = check_ended_page(folder, trust, now, sealed)
+        found.faults += faults
+        found.statements += statements
     if check.unchecked:
         found.unchecked.append(f"{AUTHORISATION}: {check.unchecked}")
     if check.fault:

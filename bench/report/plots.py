@@ -29,6 +29,7 @@ from bench.report.pose_plot import (
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, WIDE, Axes, Picture, Scale, painted, shade
 from bench.report.text import STARS, TargetWords, words_of
 from bench.report.view_picture import PLOTS, ViewPicture, thinned
+from calib.model.budget_row import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import ARCSEC, camera_difference, projection_uncertainty
 
 Array = NDArray[np.float64]
@@ -302,7 +303,7 @@ def _camera_plots(results: Results, stars: Sequence[Array]) -> dict[str, str]:
         return {}
     camera, k = (
         camera_of(calibration["camera"], calibration["image_size"]),
-        coverage_factor(calibration),
+        coverage_factor(calibration, WORST_CORNER),
     )
     found, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
     plots = {

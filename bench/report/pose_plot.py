@@ -13,6 +13,7 @@ from bench.records.run_facts import coverage_factor
 from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Picture, Scale, text_width
 from bench.report.text import STARS, TargetWords
+from calib.model.budget_row import WORST_CORNER
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.lens import is_fisheye
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
@@ -206,7 +207,7 @@ def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array]
             return None
         camera = camera_of(one["camera"], one["image_size"])
         sigma = projection_uncertainty(camera, covariance).sigma_px
-        found.append((camera, coverage_factor(one) * sigma))
+        found.append((camera, coverage_factor(one, WORST_CORNER) * sigma))
     difference = camera_difference(found[1][0], found[0][0])
     expanded = np.hypot(found[0][1], found[1][1])
     return difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), expanded

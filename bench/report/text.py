@@ -190,6 +190,15 @@ def unit_of(parameter: str) -> str:
     return _UNITS.get(parameter, "1")
 
 
+def unit_text(name: str) -> str:
+    """Return the unit of a parameter, as it is printed after a number.
+
+    Returns: The unit; empty for a number without unit.
+    """
+    unit = unit_of(name)
+    return "" if unit == "1" else unit
+
+
 def meaning_of(parameter: str) -> str:
     """Return the meaning of a parameter in words.
 

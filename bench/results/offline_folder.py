@@ -25,7 +25,13 @@ from bench.report.view_picture import ViewPicture
 from bench.results.offline import OfflineResult
 from bench.results.offline_options import options_data
 from bench.results.result import json_bytes, shown_files
-from bench.results.results_content import collimator_data, files_software, projection_facts, target_data
+from bench.results.results_content import (
+    collimator_data,
+    files_software,
+    point_factor,
+    projection_facts,
+    target_data,
+)
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 from bench.views.views_file import VIEWS, views_file
 from calib.view import View
@@ -176,7 +182,7 @@ def offline_results(
         "projection": projection_facts(
             calibration.camera,
             calibration.camera_covariance,
-            calibration.coverage_factor,
+            point_factor(calibration),
             [view.points_px for view in result.views],
         ),
         "planar": result.planar.to_dict() if result.planar else None,

@@ -24,6 +24,7 @@ from bench.stations.sections import GROUPS, Plugin, plugins
 from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind
 from calib.calibration import ENGINES, Calibration, ViewSummary
+from calib.model.budget_row import WORST_CORNER
 from calib.model.camera import CameraModel
 from calib.uncertainty.projection_uncertainty import ARCSEC, ProjectionMap, projection_uncertainty
 from calib.view import View
@@ -40,6 +41,11 @@ _CORNERS = {
     "bottom left": (-1, 0),
     "bottom right": (-1, -1),
 }
+
+
+def point_factor(calibration: Calibration) -> float:
+    """Return the k of an image point: that of the worst corner, else the common one."""
+    return calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)
 
 
 def projection_facts(
@@ -178,7 +184,7 @@ def projection(calibration: Calibration, views: Sequence[View]) -> dict[str, Any
 
     Returns: ``projection`` of results.json; None if no corner of the sensor has an uncertainty.
     """
-    camera, k = calibration.camera, calibration.coverage_factor
+    camera, k = calibration.camera, point_factor(calibration)
     return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
 
 

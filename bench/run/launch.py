@@ -34,7 +34,15 @@ from bench.records.journal import Entry, Journal, read_journal
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import EXPLAIN
 from bench.records.results import Results
-from bench.records.run_folder import JOURNAL, PLAN, REPORT, RESULTS, RunFolder, require_resumable
+from bench.records.run_folder import (
+    JOURNAL,
+    PAGE_SIGNATURE,
+    PLAN,
+    REPORT,
+    RESULTS,
+    RunFolder,
+    require_resumable,
+)
 from bench.records.run_index import RunIndex
 from bench.records.storage import read_json, storage_errors
 from bench.results.result import Outcome
@@ -52,8 +60,6 @@ from drivers.wire_log import WireLogFile
 # The page of a run that failed or was aborted, with the bench's signature of it.
 #
 # The folder is not sealed, so that the run can be continued. A resumed run removes page and signature.
-
-PAGE_SIGNATURE = f"{REPORT}.sig"
 
 
 def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:

@@ -17,6 +17,8 @@ from contextlib import suppress
 from bench.base.home import missing_parts
 
 _SAID_EVERY_S = 20.0
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+"""The other processor has work of its own."""
 
 
 def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
@@ -37,6 +39,7 @@ def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
             [sys.executable, "-m", "bench.warm_up", part],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            env={**os.environ, **_ONE_THREAD},
         )
         for part in missing
     }

@@ -12,7 +12,14 @@ import numpy as np
 from numba import njit
 
 from calib.adjustment.product_kernels import add_columns, add_pinhole, gather
-from calib.adjustment.star_kernels import CENTRE_AT, LENS_AT, RADIUS_AT, SKEW_AT, project
+from calib.adjustment.star_kernels import (
+    ABERRATIONS_AT,
+    CENTRE_AT,
+    LENS_AT,
+    RADIUS_AT,
+    SKEW_AT,
+    project,
+)
 from calib.adjustment.star_kernels import CHUNK as _CHUNK
 
 
@@ -62,7 +69,8 @@ def _write_lens(
     """Write the derivatives (2, M) of M image points by a lens coefficient or the skew in place ``at``."""
     fx, fy, count = state[0], state[1], len(x)
     if at == SKEW_AT:
-        column[0], column[1] = bent[1], 0.0
+        for k in range(count):
+            column[0, k], column[1, k] = bent[1, k], 0.0
         return
     at -= LENS_AT
     if not fisheye and 2 <= at < 4:
@@ -132,16 +140,21 @@ def _write_geometry(
 
 
 @njit(cache=True, error_model="numpy")
-def _write_centre(column: Any, at: int, moved: Any, count: int) -> None:
-    """Write the derivatives (2, M) by the shared centre, in place ``at`` of the state.
+def _write_centre(column: Any, at: int, moved: Any, shifts: Any) -> None:
+    """Write the derivatives (2, M) by the shared centre or an aberration, in place ``at`` of the state.
 
-    ``moved`` (3, 2, M) are those by a shift of the centre.
+    ``moved`` (3, 2, M) are those by a shift of the centre, ``shifts`` (M, 2, T) the displacements of the stars by a
+    unit of each aberration, mm.
     """
-    sign = -1.0 if at == RADIUS_AT else 1.0
     for axis in range(2):
-        along = moved[at - CENTRE_AT, axis]
-        for k in range(count):
-            column[axis, k] = sign * along[k]
+        if at <= RADIUS_AT:
+            sign, along = -1.0 if at == RADIUS_AT else 1.0, moved[at - CENTRE_AT, axis]
+            for k in range(len(shifts)):
+                column[axis, k] = sign * along[k]
+            continue
+        t, by_x, by_y = at - ABERRATIONS_AT, moved[0, axis], moved[1, axis]
+        for k in range(len(shifts)):
+            column[axis, k] = -(by_x[k] * shifts[k, 0, t] + by_y[k] * shifts[k, 1, t])
 
 
 @njit(cache=True, error_model="numpy")
@@ -160,6 +173,7 @@ def _dense(places: Any, local: int) -> tuple[Any, int]:
 @njit(cache=True, error_model="numpy")
 def view_equations(
     target: Any,
+    displacements: Any,
     bounds: Any,
     state: Any,
     fisheye: bool,
@@ -171,11 +185,12 @@ def view_equations(
     normal: Any,
     right: Any,
 ) -> None:
-    """Compute the normal matrix and the gradient of each view: J^T C J and J^T g.
+    """Compute the normal matrix and the gradient of each view, without priors: J^T C J and J^T g.
 
-    target, bounds, state, fisheye, rotations, offsets: As for
+    target, displacements, bounds, state, fisheye, rotations, offsets: As for
       `calib.adjustment.star_kernels.residuals_px`. All stars must be in front of the camera.
-    places: (G,) int64 places of the free shared parameters in the state.
+    places: (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no
+      star.
     gradient, curvature: (2, M) and (3, M) float64 from `calib.adjustment.star_kernels.robust_curvature`.
     normal, right: (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each
       view.
@@ -186,7 +201,7 @@ def view_equations(
     moved, p, plane = np.empty((3, 2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((2, _CHUNK))
     bent, by_normalised, radial = np.empty((2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((3, _CHUNK))
     pinhole, by_pinhole, own = np.empty((4, 4)), np.empty((len(dense), 4)), np.empty((len(dense), len(dense)))
-    scores, centre, at = np.empty(LENS_AT + len(dense)), np.empty(3), 0
+    scores, centre, at = np.empty(LENS_AT + len(dense)), np.empty(3), int(np.int64(0))
     for i in range(len(rotations)):
         pinhole[:], by_pinhole[:], own[:], scores[:] = 0.0, 0.0, 0.0, 0.0
         centre[0] = state[CENTRE_AT] + offsets[i, 0]
@@ -194,7 +209,7 @@ def view_equations(
         centre[2] = -state[RADIUS_AT] + offsets[i, 2]
         for first in range(bounds[i, 0], bounds[i, 1], _CHUNK):
             size = min(_CHUNK, bounds[i, 1] - first)
-            project(target, rotations[i], centre, first, size, p, plane)
+            project(target, displacements, state, rotations[i], centre, first, size, p, plane)
             u, v = plane[0, :size], plane[1, :size]
             _bend(u, v, state, fisheye, bent, by_normalised, radial)
             turned = columns[freed : freed + 3]
@@ -203,11 +218,14 @@ def view_equations(
                 _skewed(turned[axis], state)
                 _skewed(moved[axis], state)
             if len(dense) > freed + 3:
-                columns[freed + 3 :] = moved
+                for k in range(size):
+                    for a in range(3):
+                        columns[freed + 3 + a, 0, k] = moved[a, 0, k]
+                        columns[freed + 3 + a, 1, k] = moved[a, 1, k]
             for d in range(freed):
                 place = places[dense[d]]
                 if place >= CENTRE_AT:
-                    _write_centre(columns[d], place, moved, size)
+                    _write_centre(columns[d], place, moved, displacements[first : first + size])
                 else:
                     _write_lens(columns[d], place, u, v, state, fisheye, bent, radial)
             add_columns(

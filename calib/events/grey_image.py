@@ -53,7 +53,9 @@ def _clipped_ends(values: Any, share: float) -> tuple[float, float]:
         return 0.0, 0.0
     low, high = _quantile(keys, counts, n, share), _quantile(keys, counts, n, 1.0 - share)
     if high <= low:
-        return float(_nth_and_next(keys, counts, 0)[0]), float(_nth_and_next(keys, counts, n - 1)[0])
+        return float(_nth_and_next(keys, counts, int(np.int64(0)))[0]), float(
+            _nth_and_next(keys, counts, n - 1)[0]
+        )
     return low, high
 
 

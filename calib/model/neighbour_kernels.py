@@ -42,7 +42,7 @@ def nearest(points: Any, order: Any, which: Any, distance: Any) -> None:
     for place in range(count):
         i = order[place]
         squares[:] = np.inf
-        found, below, above = 0, place - 1, place + 1
+        found, below, above = int(np.int64(0)), place - 1, place + 1
         while below >= 0 or above < count:
             left = points[i, 0] - points[order[below], 0] if below >= 0 else np.inf
             right = points[order[above], 0] - points[i, 0] if above < count else np.inf

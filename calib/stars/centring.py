@@ -35,6 +35,7 @@ SYMMETRY_REACH = 0.49
 #: A step that is shorter is the last one, px. Each step is about a hundredth of the one before.
 LAST_STEP_PX = 1e-3
 _MAX_STEPS = 12
+_MAX_SWEEPS = 30
 
 
 class SymmetryFit(NamedTuple):
@@ -101,13 +102,22 @@ def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
     for k in range(SYMMETRY_UNKNOWNS):
         for m in range(SYMMETRY_UNKNOWNS):
             scaled[k, m] = normal[k, m] / scale[k] / scale[m]
-    if not _clearly_regular(scaled, factor):
-        if not np.linalg.cond(scaled) < 1e12:
-            return False
-        step[:] = np.linalg.solve(normal, right)
-        return True
     for k in range(SYMMETRY_UNKNOWNS):
-        step[k] = right[k] / scale[k]
+        right[k] /= scale[k]
+    if _clearly_regular(scaled, factor):
+        _substitute(factor, right, step)
+    elif not _solve_by_eigenvalues(scaled, right, step):
+        return False
+    for k in range(SYMMETRY_UNKNOWNS):
+        step[k] /= scale[k]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _substitute(factor: Any, right: Any, step: Any) -> None:
+    """Solve a system by its Cholesky factor: forward, then back substitution (Golub and Van Loan, 2013)."""
+    for k in range(SYMMETRY_UNKNOWNS):
+        step[k] = right[k]
         for m in range(k):
             step[k] -= factor[k, m] * step[m]
         step[k] /= factor[k, k]
@@ -115,9 +125,6 @@ def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
         for m in range(k + 1, SYMMETRY_UNKNOWNS):
             step[k] -= factor[m, k] * step[m]
         step[k] /= factor[k, k]
-    for k in range(SYMMETRY_UNKNOWNS):
-        step[k] /= scale[k]
-    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -144,6 +151,60 @@ def _clearly_regular(scaled: Any, factor: Any) -> bool:
                 determinant *= rest
     smallest = determinant * ((n - 1.0) / n) ** (n - 1)
     return bool(smallest > n * 1e-10)
+
+
+@njit(cache=True, error_model="numpy")
+def _solve_by_eigenvalues(matrix: Any, right: Any, solution: Any) -> bool:
+    """Solve a symmetric system by Jacobi's rotations (Golub and Van Loan, 2013); the matrix is overwritten.
+
+    Rare systems come here. LAPACK in a compiled loop would take ten seconds of every first compilation.
+
+    Returns: False if the condition is not below 1e12.
+    """
+    n = len(matrix)
+    vectors = np.zeros((n, n))
+    for k in range(n):
+        vectors[k, k] = 1.0
+    for _ in range(_MAX_SWEEPS):
+        most = 0.0
+        for p in range(n):
+            for q in range(p + 1, n):
+                most = max(most, abs(matrix[p, q]))
+                _rotate(matrix, vectors, p, q)
+        if most < 1e-17:
+            break
+    smallest, largest = np.inf, 0.0
+    for k in range(n):
+        smallest, largest = min(smallest, abs(matrix[k, k])), max(largest, abs(matrix[k, k]))
+        solution[k] = 0.0
+    if not smallest * 1e12 > largest > 0.0:
+        return False
+    for i in range(n):
+        along = 0.0
+        for k in range(n):
+            along += vectors[k, i] * right[k]
+        for k in range(n):
+            solution[k] += vectors[k, i] * along / matrix[i, i]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _rotate(matrix: Any, vectors: Any, p: int, q: int) -> None:
+    """Make element (p, q) of a symmetric matrix zero by a rotation, which the columns of ``vectors`` follow."""
+    if matrix[p, q] == 0.0:
+        return
+    theta = 0.5 * (matrix[q, q] - matrix[p, p]) / matrix[p, q]
+    tangent = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+    sine = tangent * cosine
+    for k in range(len(matrix)):
+        one, other = matrix[k, p], matrix[k, q]
+        matrix[k, p], matrix[k, q] = cosine * one - sine * other, sine * one + cosine * other
+        one, other = vectors[k, p], vectors[k, q]
+        vectors[k, p], vectors[k, q] = cosine * one - sine * other, sine * one + cosine * other
+    for k in range(len(matrix)):
+        one, other = matrix[p, k], matrix[q, k]
+        matrix[p, k], matrix[q, k] = cosine * one - sine * other, sine * one + cosine * other
 
 
 @njit(cache=True, error_model="numpy")

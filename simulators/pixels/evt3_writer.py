@@ -142,7 +142,8 @@ def _write(
     t, x, y, p = events
     edge_t, edge_value = edges
     end = np.int64(until)
-    n, i, k, entered = 0, 0, 0, 0
+    # A plain 0 is a type of its own: numba would compile all that is called once more, for it.
+    n = i = k = entered = int(np.int64(0))
     while True:
         t_event = t[i] if i < t.size else end
         t_edge = edge_t[k] if k < edge_t.size else end

@@ -49,7 +49,7 @@ _SQRT_HALF_BITS: Final = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
 _MANTISSA: Final = np.int32(0x007FFFFF)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def exp32(x: Any) -> Any:
     """Return exp(x) of a float32 x <= 80; below -87 it is exp(-87).
 
@@ -69,7 +69,7 @@ def exp32(x: Any) -> Any:
     return p * np.int32(power).view(np.float32)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def log32(x: Any) -> Any:
     """Return the natural logarithm of a positive, finite, normal float32.
 

@@ -80,7 +80,7 @@ def stored_light(drive: Drive, light: float) -> float:
     return min(level, ATLAS_LEVELS - 1.001)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
     """Return U_RISE and U_FALL of a pixel.
 
@@ -103,7 +103,7 @@ def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None
             batch[U_RISE, k], batch[U_FALL, k] = _steady_square(drive, batch[LIGHT, k])
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
     """Return u of one pixel at a phase."""
     if d.kind != SQUARE:
@@ -111,7 +111,7 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
     return _square_level(d, light, u_rise, u_fall, phase)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
     """Return the first crossing of one pixel at or after a phase.
 
@@ -160,7 +160,7 @@ def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: floa
             )
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
     """Return u at the rising and the falling edge in the periodic steady state, in closed form."""
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
@@ -173,7 +173,7 @@ def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
     return u_rise, bright + (u_rise - bright) * decay_high
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
     """Return u at a phase: it relaxes towards 1 / I from its value at the last edge."""
     rising = phase >= d.high_us  # u rises in the low part
@@ -183,7 +183,7 @@ def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) 
     return end + ((u_fall if rising else u_rise) - end) * exp32(-since * i)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _square_crossing(
     d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float
 ) -> Any:

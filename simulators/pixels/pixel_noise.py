@@ -28,7 +28,7 @@ _TO_UNIT: Final = np.float32(2.0**-23)
 _HALF_UNIT: Final = np.float32(2.0**-24)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _bits(key: Any, count: Any) -> Any:
     """Return 64 random bits: number ``count`` of the generator (SplitMix64)."""
     z = key + count * _GOLDEN
@@ -37,20 +37,20 @@ def _bits(key: Any, count: Any) -> Any:
     return z ^ (z >> np.uint64(31))
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _next_bits(random: NDArray[np.uint64]) -> Any:
     """Return the next 64 random bits."""
     random[COUNTER] += np.uint64(1)
     return _bits(random[KEY], random[COUNTER])
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def uniform(random: NDArray[np.uint64]) -> float:
     """Return the next random number, uniform in (0, 1)."""
     return (np.int64(_next_bits(random) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def reset_error(normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64]) -> Any:
     """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order."""
     if spread == 0.0:
@@ -80,7 +80,7 @@ def reset_errors(
     random[COUNTER] = count + np.uint64(n)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def earlier_reset_error(
     normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64], back: int
 ) -> Any:

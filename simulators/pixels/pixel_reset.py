@@ -40,7 +40,7 @@ LANES: Final = 16
 _GAIN: Final = np.float32(1.0 / 65536.0)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
     """Return the levels at which a pixel fires.
 
@@ -51,7 +51,7 @@ def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
     return u * on, u / off
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _gains_of(gains: Any) -> tuple[float, float]:
     """Return the ON and the OFF gain of a pixel."""
     return np.int64(gains & np.uint32(0xFFFF)) / 65536.0, np.int64(gains >> np.uint32(ON_BITS)) / 65536.0

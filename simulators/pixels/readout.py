@@ -82,7 +82,7 @@ def _place_noise(px: Pixels, at: int, width: int, t: float) -> Any:
     return t32
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def _block_words(n: int) -> int:
     """Return the EVT3 words of n events of one polarity in a block: single events, or a vector triple with its base."""
     return n if n < VECTOR_FROM else VECTOR_WORDS
@@ -241,7 +241,7 @@ def read_rows(
     """
     room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])
-    n = 0
+    n = int(np.int64(0))
     state[FULL] = 0.0
     oldest32 = smallest(px.group_min)
     while True:

@@ -30,7 +30,7 @@ TIME_STEP_US: Final = 4.0 / 1024.0
 """The coarsest step of a float32 time after the epoch, about 4 ns."""
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def tail_width(d: Drive) -> float:
     """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``.
 
@@ -39,7 +39,7 @@ def tail_width(d: Drive) -> float:
     return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
     """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period."""
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
@@ -124,7 +124,7 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
 # Digits of a reference beyond float32: its relative rounding error, at most 2^-24, as -63 to 63 steps in bits 1 to 7.
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def lower_digits(u: float, u32: Any) -> Any:
     """Return the digits of u that its float32 value lacks, to be stored beside it.
 
@@ -135,7 +135,7 @@ def lower_digits(u: float, u32: Any) -> Any:
     return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
 
 
-@njit(inline="always", **JIT)
+@njit(forceinline=True, **JIT)
 def join_digits(u32: Any, digits: Any) -> float:
     """Return a reference with its lower digits.
 

@@ -1,5 +1,6 @@
 """What a batch tells: of workers that cannot tell themselves, of its own end; nothing twice."""
 
+import re
 from datetime import UTC, datetime
 
 import pytest
@@ -10,8 +11,11 @@ from bench.base.device_ends import DeviceEnd
 from bench.batch.batch import BatchMessages
 from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
+from bench.commands.batch import show_summary
 from bench.messaging.outbox import Message, Outbox
 from bench.records.journal import Journal
+from bench.records.run_facts import Estimate
+from bench.results.trends import Trend, agreement
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"
@@ -80,32 +84,56 @@ def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messa
     assert "safe" not in delivery.message.text
 
 
+def item(key, number=None, head=None):
+    return {
+        "item": key,
+        "how": "finished",
+        "why": "",
+        "attempts": 1,
+        "ledger_number": number,
+        "ledger_head": head,
+    }
+
+
+def summary(how, items, cameras=()):
+    return {"queue": "Night", "how": how, "why": "", "rehearsal": False, "items": items, "cameras": cameras}
+
+
+def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, outbox, messages, capsys):
+    runs = [Estimate(3346.0 + n, 1.2, 2.2, 1.0) for n in range(3)]
+    trend = Trend("fx", agreement("fx", runs), repeats=False, per_hour=None, per_c=None)
+    camera = {"camera": "00050423", "model": "radial", "runs": runs, "parameters": [trend.to_dict()]}
+    ended = summary("finished", [item("cam-001")], [camera])
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(ended, tmp_path, "b" * 64)
+    show_summary(tmp_path, ended)
+    (delivery,) = outbox.deliveries()
+    mean = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("  fx"))
+    assert f"± {trend.agreed.expanded:.1f}" in mean
+    assert mean in delivery.message.text
+    assert "U with k = 2.2:" in delivery.message.text
+
+
 @pytest.mark.parametrize(
     ("how", "occasion"),
     [("finished", "end"), ("aborted", "end"), ("failed", "failure"), ("stopped", "failure")],
 )
 def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, occasion):
     messages.add_recipients([station(tmp_path)])
-    messages.batch_ended("Night", how, "", ["cam-001: finished"], tmp_path, "b" * 64)
+    messages.batch_ended(summary(how, [item("cam-001")]), tmp_path, "b" * 64)
     (delivery,) = outbox.deliveries()
     assert (delivery.message.occasion, delivery.message.subject) == (
         occasion,
         f"Starbench: batch Night {how}",
     )
-    assert "cam-001: finished" in delivery.message.text
+    assert re.search("cam-001 +finished +1 attempt", delivery.message.text)
 
 
 def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
-    items = [
-        {"ledger_number": 10, "ledger_head": "b" * 64},
-        {"ledger_number": 9, "ledger_head": "a" * 64},
-        {"ledger_number": None, "ledger_head": None},
-    ]
+    items = [item("c", 10, "b" * 64), item("b", 9, "a" * 64), item("a")]
     assert newest_place({"items": items[2:]}) is None
     messages.add_recipients([station(tmp_path)])
-    messages.batch_ended(
-        "Night", "finished", "", [], tmp_path, "c" * 64, place=newest_place({"items": items})
-    )
+    messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
     (delivery,) = outbox.deliveries()
     assert (delivery.message.ledger_number, delivery.message.ledger_head) == (10, "b" * 64)
     assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text

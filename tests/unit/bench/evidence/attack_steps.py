@@ -1,9 +1,11 @@
 """Changes of a sealed run by somebody who has the bench's own key, and the verification that must find them."""
 
+import json
 import shutil
 from dataclasses import replace
 
 import h5py
+import numpy as np
 
 from bench.evidence.verify import verify_folder
 from bench.results.again_run import check_run_again
@@ -11,6 +13,8 @@ from bench.results.compare_trees import HeldViews
 from bench.results.recorded_with import check_recorded_with
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
+ADDR_X = 2
+"""Type of the EVT3 word of a single event; bit 11 is its polarity."""
 
 
 def copied(folder, to):
@@ -208,6 +212,38 @@ def in_results(f):
 
     f.edit_results(change)
     f.tell_of_files()
+
+
+def everywhere(change):
+    """Change the text of every file but the pictures, and put right what follows. ``change`` gets bytes."""
+
+    def attack(f, job):
+        for path in f.folder.rglob("*"):
+            if path.is_file() and path.name not in {"journal.jsonl", "views.h5"}:
+                path.write_bytes(change(path.read_bytes()))
+        f.chain(json.loads(change(json.dumps(f.lines).encode())))
+        in_results(f)
+        rederive(f, job)
+
+    return attack
+
+
+def a_year_earlier(f, job):
+    day = f.results["run"]["started_utc"][:10]
+    earlier = f"{int(day[:4]) - 1}{day[4:]}"
+    everywhere(lambda data: data.replace(day.encode(), earlier.encode()))(f, job)
+
+
+def unused_event(f, job):
+    """The polarity of an event before the first whole period is turned over."""
+    data = (f / (CAPTURE % 1)).read_bytes()
+    start = data.index(b"% end\n") + len(b"% end\n")
+    words = np.frombuffer(data[start:], "<u2").copy()
+    at = int(np.argmax(words >> 12 == ADDR_X))
+    words[at] ^= 1 << 11
+    (f / (CAPTURE % 1)).write_bytes(data[:start] + words.tobytes())
+    in_results(f)
+    rederive(f, job)
 
 
 def half_wire(f):

@@ -5,11 +5,15 @@ import random
 
 import pytest
 
+from bench.evidence.ledger_check import ledger_faults_of_run
+from bench.records.ledger import Ledger
 from bench.results.again_run import check_run_again
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
+    a_year_earlier,
     checked,
     copied,
+    everywhere,
     forged_focal_length,
     in_views,
     move_star,
@@ -17,6 +21,7 @@ from tests.unit.bench.evidence.attack_steps import (
     paint,
     rederive,
     swap_captures,
+    unused_event,
 )
 from tests.unit.bench.evidence.resealed import Forger
 
@@ -56,11 +61,33 @@ AGAIN = {
         ],
         "journal.jsonl",
     ),
+    "serial number of the camera in every file and every head": (
+        everywhere(lambda data: data.replace(b"00050423", b"00050999")),
+        "results.json",
+    ),
     "recordings exchanged, every hash put right": (
         lambda f, job: [swap_captures(f), rederive(f, job)],
         "journal.jsonl",
     ),
 }
+
+
+ONLY_A_NEW_RECORDING = {
+    "operator in every file": everywhere(lambda data: data.replace(b"Ada", b"Eve")),
+    "every date a year earlier": a_year_earlier,
+    "polarity of one event that no star uses": unused_event,
+}
+"""Whoever has key and program writes a run that is whole. The ledger of the bench tells, and so does a new recording."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ONLY_A_NEW_RECORDING)
+def test_what_only_a_new_recording_could_tell_is_told_by_the_ledger(forger, trusted, job, name, bench_home):
+    ONLY_A_NEW_RECORDING[name](forger, job)
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert found.faults == (), [str(fault) for fault in found.faults]
+    assert ledger_faults_of_run(forger.folder, Ledger(bench_home, utc_now=None, monotonic=None))
 
 
 @pytest.mark.parametrize(

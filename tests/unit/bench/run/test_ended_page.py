@@ -6,11 +6,13 @@ import pytest
 
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import NAMESPACE, create_key
+from bench.evidence.signers import read_signers
 from bench.evidence.sshsig import is_valid, read_signature
+from bench.evidence.verify import verify_folder
 from bench.records.events import Event
 from bench.records.journal import Journal
-from bench.records.run_folder import REPORT, RunFolder
-from bench.run.launch import PAGE_SIGNATURE, remove_ended_page, write_ended_page
+from bench.records.run_folder import JOURNAL, PAGE_SIGNATURE, REPORT, RunFolder
+from bench.run.launch import remove_ended_page, write_ended_page
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 ERROR = {
@@ -62,6 +64,36 @@ def test_the_bench_has_signed_the_page(folder, key):
     assert is_valid(found, page)
     assert (found.public_key, found.namespace) == (key.public_key, NAMESPACE)
     assert not is_valid(found, page.replace(b"failed", b"passed"))
+
+
+def verified(folder, tmp_path):
+    found = verify_folder(folder.path, read_signers(tmp_path / "home" / "allowed_signers"), now=NOW)
+    assert not found.ok
+    assert ("unsealed", "SHA256SUMS") in {(fault.kind, fault.where) for fault in found.faults}
+    return {(fault.kind, fault.where) for fault in found.faults[1:]}, found.statements
+
+
+def test_verify_says_that_the_bench_signed_the_page(folder, key, tmp_path):
+    write_ended_page(folder, lambda: key, pytest.fail)
+    faults, said = verified(folder, tmp_path)
+    assert faults == set()
+    assert said[0].startswith("report.html is the page of a run that did not finish, signed by ")
+    assert key.fingerprint in said[0]
+
+
+def test_verify_finds_a_changed_page_a_foreign_key_and_another_journal(folder, key, tmp_path):
+    write_ended_page(folder, lambda: key, pytest.fail)
+    page = (folder.path / REPORT).read_bytes()
+    (folder.path / REPORT).write_bytes(page.replace(b"0 of 1", b"1 of 1"))
+    assert verified(folder, tmp_path) == ({("signature", PAGE_SIGNATURE)}, ())
+    write_ended_page(folder, lambda: create_key(tmp_path / "other"), pytest.fail)
+    assert verified(folder, tmp_path) == ({("key", PAGE_SIGNATURE)}, ())
+    write_ended_page(folder, lambda: key, pytest.fail)
+    lines = (folder.path / JOURNAL).read_bytes().splitlines(keepends=True)
+    (folder.path / JOURNAL).write_bytes(b"".join(lines[:-1]))
+    assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, ())
+    (folder.path / JOURNAL).write_bytes(b"".join(lines).replace(b"49893", b"49894"))
+    assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, ())
 
 
 def test_a_run_that_goes_on_has_no_page_of_its_earlier_end(folder, key):

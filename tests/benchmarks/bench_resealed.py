@@ -1,0 +1,68 @@
+"""Changes of a sealed run that are sealed again with the bench's own key: which check finds each?
+
+    python tests/benchmarks/bench_resealed.py [--write]
+
+Whoever changes a file also puts right every hash and file that follows from it, as far as the change says. A run of the
+simulated bench is made once and copied for each change.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import tempfile
+from pathlib import Path
+
+import measured
+
+sys.path.append(str(Path(__file__).parents[2]))
+sys.path.append(str(Path(__file__).parents[1] / "support"))
+
+from bench.evidence.keys import load_key
+from bench.evidence.ledger_check import ledger_faults_of_run
+from bench.evidence.signers import read_signers
+from bench.plan.job import Job
+from bench.records.ledger import Ledger
+from tests.unit.bench.evidence.attack_steps import checked, copied
+from tests.unit.bench.evidence.attacked_run import kept_in_memory, make_run
+from tests.unit.bench.evidence.resealed import Forger
+from tests.unit.bench.evidence.test_attacks import ATTACKS
+from tests.unit.bench.evidence.test_attacks_on_recordings import AGAIN, ONLY_A_NEW_RECORDING
+
+
+def main() -> int:
+    """Print for each check the changes that it is the first to find; return 1 if an expected one is missed."""
+    changes = {attack.name: lambda forger, _job, do=attack.do: do(forger) for attack in ATTACKS}
+    changes |= {name: attack for name, (attack, _where) in AGAIN.items()}
+    changes |= ONLY_A_NEW_RECORDING
+    found: dict[str, list[str]] = {
+        "`verify`": [],
+        "`verify --again` only": [],
+        "only a new recording could tell": [],
+    }
+    by_ledger = 0
+    with tempfile.TemporaryDirectory() as place, kept_in_memory():
+        home, folder = Path(place, "home"), Path(place, "made")
+        folder.mkdir()
+        run = make_run(folder, home)
+        key, trusted = load_key(home), read_signers(home / "allowed_signers")
+        job = Job.from_run_folder(run, seed=1, operator="Ada")
+        ledger = Ledger(home, utc_now=None, monotonic=None)
+        for number, (name, attack) in enumerate(changes.items()):
+            forger = Forger(copied(run, Path(place, str(number))), key)
+            attack(forger, job)
+            forger.seal()
+            plain, again = checked(forger.folder, trusted, again=False), checked(forger.folder, trusted)
+            column = 0 if plain.faults else 1 if again.faults else 2
+            list(found.values())[column].append(name)
+            by_ledger += bool(ledger_faults_of_run(forger.folder, ledger))
+    print("| found by | changes | which |\n| --- | --- | --- |")
+    for column, names in found.items():
+        print(f"| {column} | {len(names)} | {'; '.join(names)} |")
+    print(f"| the ledger of the bench that made the run | {by_ledger} | |")
+    return set(found["only a new recording could tell"]) != set(ONLY_A_NEW_RECORDING)
+
+
+if __name__ == "__main__":
+    logging.disable()
+    measured.run(main, "evidence", "Changes sealed again with the bench's own key")

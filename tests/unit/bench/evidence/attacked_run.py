@@ -1,0 +1,79 @@
+"""A sealed run of the simulated bench to be attacked; and what is made again is made once for the same input."""
+
+import io
+import json
+import os
+from contextlib import contextmanager
+from unittest import mock
+
+from quick_runs import write_sequence, write_station
+
+from bench.base.clock import BenchClock
+from bench.base.home import HOME_VARIABLE
+from bench.plan.job import Job
+from bench.report import plots
+from bench.results.solution import solve_run
+from bench.run.launch import Launch, start_run
+from bench.views.camera_kinds import EventKind
+
+POSES = (
+    "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2},"
+    " {name: below, pan_deg: 0, tilt_deg: -3}]"
+)
+CERTIFICATE = (
+    "nominal_r_mm: 255, certificate: {number: C-7, r_mm: 255, uncertainty_mm: 0.1, date: 2026-01-12}}"
+)
+KEPT = {"drawn": {}, "measured": {}, "solved": {}, "truth": {}}
+DOCUMENTS = ("sequence.yaml", "station.yaml", "passport.json")
+
+
+@contextmanager
+def kept_in_memory():
+    """Plots, stars of a recording and calibrations are made once for the same input."""
+    draw, measure, solve, truth = plots.report_plots, EventKind.measure, solve_run, Job.read_truth
+
+    def once(kind, key, make):
+        if key not in KEPT[kind]:
+            KEPT[kind][key] = make()
+        return KEPT[kind][key]
+
+    def report_plots(results, views):
+        stars = b"".join(view.detected.tobytes() + view.residuals.tobytes() for view in views)
+        return once("drawn", (json.dumps(results), stars), lambda: draw(results, views))
+
+    def measure_one(kind, path, *given, **more):
+        return once("measured", (path.read_bytes(), repr(given)), lambda: measure(kind, path, *given, **more))
+
+    def solve_one(job, folder, step, history, measured):
+        kept = [(folder / name).read_bytes() for name in DOCUMENTS if (folder / name).is_file()]
+        found = [(index, one.image.decoded().tobytes()) for index, one in sorted(measured.items())]
+        states = [one.stored["measured_deg"] for _, one in sorted(history.accepted().items())]
+        key = repr((kept, found, states, history.started["sequence"], history.started_utc[:10]))
+        return once("solved", key, lambda: solve(job, folder, step, history, measured))
+
+    def read_truth(job):
+        return once("truth", repr((job.station, job.seed)), lambda: truth(job))
+
+    with (
+        mock.patch("bench.report.plots.report_plots", report_plots),
+        mock.patch.object(Job, "read_truth", read_truth),
+        mock.patch.object(EventKind, "measure", measure_one),
+        mock.patch("bench.results.again_run.solve_run", solve_one),
+    ):
+        yield
+
+
+def make_run(folder, home):
+    """Make a sealed run on a bench whose home is ``home``; return its folder."""
+    station = write_station(folder / "station.yaml")
+    text = station.read_text()
+    assert "nominal_r_mm: 255}" in text
+    station.write_text(text.replace("nominal_r_mm: 255}", CERTIFICATE))
+    sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1)
+    launch = Launch(BenchClock(), stream=io.StringIO())
+    with mock.patch.dict(os.environ, {HOME_VARIABLE: str(home)}):
+        end = start_run(
+            str(sequence), str(station), output=folder / "run", seed=1, operator="Ada", launch=launch
+        )
+    assert end.how == "finished", end.why
+    return folder / "run"
