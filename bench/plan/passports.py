@@ -27,7 +27,7 @@ from bench.records.storage import storage_errors
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
 from calib.errors import InputMismatch
-from calib.model.aberrations import EXPECTED_SIGMA
+from calib.model.aberrations import ABERRATIONS
 from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
 from sequences.reader import Located
@@ -203,7 +203,7 @@ def parse_passport(data: bytes, where: str) -> Passport:
 
 def _is_known(name: str) -> bool:
     """Return whether a parameter is a term of the collimator, or a coefficient of its common field (``common_7``)."""
-    return name in EXPECTED_SIGMA or (name.startswith("common_") and name.removeprefix("common_").isdecimal())
+    return name in ABERRATIONS or (name.startswith("common_") and name.removeprefix("common_").isdecimal())
 
 
 def passport_bytes(passport: Passport) -> bytes:

@@ -12,14 +12,7 @@ import numpy as np
 from numba import njit
 
 from calib.adjustment.product_kernels import add_columns, add_pinhole, gather
-from calib.adjustment.star_kernels import (
-    ABERRATIONS_AT,
-    CENTRE_AT,
-    LENS_AT,
-    RADIUS_AT,
-    SKEW_AT,
-    project,
-)
+from calib.adjustment.star_kernels import CENTRE_AT, LENS_AT, RADIUS_AT, SKEW_AT, project
 from calib.adjustment.star_kernels import CHUNK as _CHUNK
 
 
@@ -140,21 +133,16 @@ def _write_geometry(
 
 
 @njit(cache=True, error_model="numpy")
-def _write_centre(column: Any, at: int, moved: Any, shifts: Any) -> None:
-    """Write the derivatives (2, M) by the shared centre or an aberration, in place ``at`` of the state.
+def _write_centre(column: Any, at: int, moved: Any, count: int) -> None:
+    """Write the derivatives (2, M) by the shared centre, in place ``at`` of the state.
 
-    ``moved`` (3, 2, M) are those by a shift of the centre, ``shifts`` (M, 2, T) the displacements of the stars by a
-    unit of each aberration, mm.
+    ``moved`` (3, 2, M) are those by a shift of the centre.
     """
+    sign = -1.0 if at == RADIUS_AT else 1.0
     for axis in range(2):
-        if at <= RADIUS_AT:
-            sign, along = -1.0 if at == RADIUS_AT else 1.0, moved[at - CENTRE_AT, axis]
-            for k in range(len(shifts)):
-                column[axis, k] = sign * along[k]
-            continue
-        t, by_x, by_y = at - ABERRATIONS_AT, moved[0, axis], moved[1, axis]
-        for k in range(len(shifts)):
-            column[axis, k] = -(by_x[k] * shifts[k, 0, t] + by_y[k] * shifts[k, 1, t])
+        along = moved[at - CENTRE_AT, axis]
+        for k in range(count):
+            column[axis, k] = sign * along[k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -173,7 +161,6 @@ def _dense(places: Any, local: int) -> tuple[Any, int]:
 @njit(cache=True, error_model="numpy")
 def view_equations(
     target: Any,
-    displacements: Any,
     bounds: Any,
     state: Any,
     fisheye: bool,
@@ -185,12 +172,11 @@ def view_equations(
     normal: Any,
     right: Any,
 ) -> None:
-    """Compute the normal matrix and the gradient of each view, without priors: J^T C J and J^T g.
+    """Compute the normal matrix and the gradient of each view: J^T C J and J^T g.
 
-    target, displacements, bounds, state, fisheye, rotations, offsets: As for
+    target, bounds, state, fisheye, rotations, offsets: As for
       `calib.adjustment.star_kernels.residuals_px`. All stars must be in front of the camera.
-    places: (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no
-      star.
+    places: (G,) int64 places of the free shared parameters in the state.
     gradient, curvature: (2, M) and (3, M) float64 from `calib.adjustment.star_kernels.robust_curvature`.
     normal, right: (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each
       view.
@@ -209,7 +195,7 @@ def view_equations(
         centre[2] = -state[RADIUS_AT] + offsets[i, 2]
         for first in range(bounds[i, 0], bounds[i, 1], _CHUNK):
             size = min(_CHUNK, bounds[i, 1] - first)
-            project(target, displacements, state, rotations[i], centre, first, size, p, plane)
+            project(target, rotations[i], centre, first, size, p, plane)
             u, v = plane[0, :size], plane[1, :size]
             _bend(u, v, state, fisheye, bent, by_normalised, radial)
             turned = columns[freed : freed + 3]
@@ -225,7 +211,7 @@ def view_equations(
             for d in range(freed):
                 place = places[dense[d]]
                 if place >= CENTRE_AT:
-                    _write_centre(columns[d], place, moved, displacements[first : first + size])
+                    _write_centre(columns[d], place, moved, size)
                 else:
                     _write_lens(columns[d], place, u, v, state, fisheye, bent, radial)
             add_columns(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from calib.adjustment import left_out_kernel, search_kernel, star_kernels
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import MAX_ITERATIONS, Loss, tolerances
-from calib.adjustment.linearisation import shifts_of
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.state import packed
 
@@ -18,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def costs_of_views(bundle: Bundle, candidates: Sequence[AdjustmentParameters], loss: Loss) -> Array:
-    """Return the robust cost of the stars of each view with each of several parameters, without priors.
+    """Return the robust cost of the stars of each view with each of several parameters.
 
     The costs are those of `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
 
@@ -29,7 +28,6 @@ def costs_of_views(bundle: Bundle, candidates: Sequence[AdjustmentParameters], l
     costs = np.empty((len(candidates), len(obs.slices)))
     left_out_kernel.costs_of_views(
         obs.target_rows,
-        shifts_of(obs, bundle.displacements),
         obs.point_rows,
         obs.factors,
         obs.bounds,
@@ -62,21 +60,19 @@ def rms_alone(
     Returns: (n,) root mean square residual, px.
     """
     obs, loss = bundle.observations, Loss("l2")
-    shifts, limits = shifts_of(obs, bundle.displacements), tolerances(bundle, tolerance)
+    limits, held = tolerances(bundle, tolerance), np.empty(0, np.int64)
     turns, rms = rotations.copy(), np.empty(len(rotations))
-    nowhere, none, no_prior = np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
     for i, (one, free) in enumerate(zip(others, by_hand.tolist(), strict=True)):
         own, state, turn = obs.bounds[i : i + 1], packed(one), turns[i : i + 1]
         offset = centres[i : i + 1] - one.collimator.centre if free else np.zeros((1, 3))
         # The kernels that adjusted all views are loaded already; a kernel of their own would take longer to load.
         search_kernel.search(
-            obs.target_rows, shifts, obs.point_rows, obs.factors, own, one.camera.is_fisheye, nowhere, state, turn,
-            offset, free, loss.number, loss.limit, 0.0, nowhere, no_prior, none, MAX_ITERATIONS, limits,
+            obs.target_rows, obs.point_rows, obs.factors, own, one.camera.is_fisheye, held, state, turn,
+            offset, free, loss.number, loss.limit, MAX_ITERATIONS, limits,
         )  # fmt: skip
         residuals = np.empty((2, len(obs.point_rows[0, obs.slices[i]])))
         star_kernels.residuals_px(
             obs.target_rows,
-            shifts,
             obs.point_rows,
             own,
             state,

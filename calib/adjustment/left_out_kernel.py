@@ -16,7 +16,6 @@ from calib.adjustment.star_kernels import residuals_px, robust_cost, whiten
 @njit(cache=True, error_model="numpy")
 def costs_of_views(
     target: Any,
-    displacements: Any,
     points: Any,
     factors: Any,
     bounds: Any,
@@ -30,17 +29,15 @@ def costs_of_views(
 ) -> None:
     """Compute the robust cost of each view with each of P sets of parameters (Huber, 1964; Holland and Welsch, 1977).
 
-    target, displacements, points, factors, bounds, fisheye: As for `calib.adjustment.search_kernel.search`.
-    states, rotations, offsets: (P, 16 + T), (P, n, 3, 3) and (P, n, 3) float64 parameters.
+    target, points, factors, bounds, fisheye: As for `calib.adjustment.search_kernel.search`.
+    states, rotations, offsets: (P, 16), (P, n, 3, 3) and (P, n, 3) float64 parameters.
     loss, limit: As for `calib.adjustment.star_kernels.robust_cost`.
     costs: (P, n) float64 result; infinite if a star cannot be projected.
     """
     views, first = len(bounds), 0
     residuals = np.empty((2, (bounds[:, 1] - bounds[:, 0]).sum()))
     for p in range(len(states)):
-        residuals_px(
-            target, displacements, points, bounds, states[p], fisheye, rotations[p], offsets[p], residuals
-        )
+        residuals_px(target, points, bounds, states[p], fisheye, rotations[p], offsets[p], residuals)
         whiten(residuals, factors, bounds)
         first = 0
         for i in range(views):

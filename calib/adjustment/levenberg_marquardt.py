@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from calib.adjustment import search_kernel
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.linearisation import shifts_of
-from calib.adjustment.loss import Loss, lengths
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.adjustment.search_kernel import FIRST_DAMPING, MAX_DAMPING
 from calib.adjustment.state import packed, state_places, unpacked
 
 __all__ = [
@@ -28,7 +26,6 @@ __all__ = [
     "Loss",
     "Refinement",
     "refine",
-    "search_with_readings",
     "tolerances",
 ]
 
@@ -70,76 +67,21 @@ def refine(
     Returns: ``converged`` is False if the number of steps was reached, or if a star cannot be projected at
       the start.
     """
-    if bundle.gimbal is None or start.gimbal is None:
-        return _search(bundle, start, loss, max_iterations, tolerance, views)
-    part = bundle if views is None else bundle.subset(views)
-    return search_with_readings(part, start, loss, max_iterations, tolerance)
-
-
-def search_with_readings(
-    bundle: Bundle, start: AdjustmentParameters, loss: Loss, max_iterations: int, tolerance: float
-) -> Refinement:
-    """Minimise the cost of a bundle that may have readings of the gimbal (Marquardt, 1963; Nielsen, 1999).
-
-    bundle, start, loss, max_iterations, tolerance: As for `refine`.
-    Returns: As from `refine`.
-    """
-    parameters, cost = start, _cost(bundle, start, loss)
-    equations = bundle.robust_equations(start, loss) if np.isfinite(cost) else None
-    damping, growth, iteration = FIRST_DAMPING, 2.0, 0
-    while equations is not None and iteration < max_iterations and damping < MAX_DAMPING:
-        iteration += 1
-        try:
-            shared, local = equations.damped(damping).step()
-        except np.linalg.LinAlgError:
-            damping, growth = damping * growth, growth * 2.0
-            continue
-        predicted = equations.decrement(shared, local)
-        if predicted * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
-            return Refinement(parameters, cost, converged=True, iterations=iteration)
-        candidate = parameters.after_step(bundle.names, shared, local)
-        candidate_cost = _cost(bundle, candidate, loss)
-        gain = 2.0 * (cost - candidate_cost) / predicted
-        if gain > 0.0:
-            parameters, cost, equations = candidate, candidate_cost, bundle.robust_equations(candidate, loss)
-            damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
-        elif predicted * (1.0 + damping) <= _rounding(bundle, cost):
-            return Refinement(parameters, cost, converged=True, iterations=iteration)
-        else:
-            damping, growth = damping * growth, growth * 2.0
-    return Refinement(parameters, cost, converged=False, iterations=iteration)
-
-
-def _search(
-    bundle: Bundle,
-    start: AdjustmentParameters,
-    loss: Loss,
-    max_iterations: int,
-    tolerance: float,
-    views: Sequence[int] | None,
-) -> Refinement:
-    """Minimise the cost without readings of the gimbal: the same search, compiled."""
-    obs, prior, state = bundle.observations, bundle.prior, packed(start)
+    obs, state = bundle.observations, packed(start)
     rotations, offsets = start.rotations.copy(), start.offsets.copy()
-    at = [bundle.names.index(name) for name in prior.names] if prior else []
     cost, converged, iterations = search_kernel.search(
         obs.target_rows,
-        shifts_of(obs, bundle.displacements),
         obs.point_rows,
         obs.factors,
         obs.bounds if views is None else obs.bounds[list(views)],
         start.camera.is_fisheye,
-        state_places(start, bundle.names, bundle.displacements),
+        state_places(bundle.names),
         state,
         rotations,
         offsets,
         bundle.free_centres,
         loss.number,
         float(loss.limit),
-        float(bundle.local_prior_information[-1, -1]) if bundle.has_drift_prior else 0.0,
-        np.array(at, np.int64),
-        np.ascontiguousarray(bundle.noise_variance * prior.information) if prior else np.empty((0, 0)),
-        prior.mean if prior else np.empty(0),
         max_iterations,
         tolerances(bundle, tolerance),
     )
@@ -165,15 +107,3 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     """
     obs = bundle.observations
     return _ROUNDED_OPERATIONS * _EPSILON * obs.farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)
-
-
-def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
-    """Return the robust cost with priors and readings; infinite if a star cannot be projected."""
-    return loss.cost(lengths(_residuals(bundle, parameters))) + bundle.prior_cost(parameters)
-
-
-def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:
-    """Return (N, 2) weighted residuals; infinite for a star that cannot be projected."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        residuals = bundle.weighted_residuals(parameters)
-    return np.where(np.isfinite(residuals), residuals, np.inf)

@@ -144,7 +144,7 @@ def gather(
     pinhole, by_pinhole, own: (4, 4), (D, 4) and (D, D) float64 products of `add_pinhole` and of
       `add_columns`.
     scores: (4 + D,) float64 gradients by fx, fy, cx and cy, and by the others.
-    normal, right: (G + L, G + L) and (G + L,) float64 results; zero for a parameter that moves no star.
+    normal, right: (G + L, G + L) and (G + L,) float64 results.
     """
     normal[:] = 0.0
     right[:] = 0.0

@@ -12,13 +12,7 @@ import numpy as np
 from numba import njit
 
 from calib.adjustment.equation_kernels import view_equations
-from calib.adjustment.star_kernels import (
-    NOWHERE,
-    residuals_px,
-    robust_cost,
-    robust_curvature,
-    whiten,
-)
+from calib.adjustment.star_kernels import residuals_px, robust_cost, robust_curvature, whiten
 
 #: The search stops when the damping exceeds this.
 MAX_DAMPING = 1e12
@@ -91,48 +85,6 @@ def _turn(rotation: Any, vector: Any, out: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _prior_cost(
-    state: Any, offsets: Any, places: Any, drift: float, prior_at: Any, prior: Any, mean: Any
-) -> float:
-    """Return the contribution of the priors to the cost, as `Bundle.prior_cost`."""
-    total = 0.0
-    if drift > 0.0:
-        for i in range(len(offsets)):
-            for j in range(3):
-                total += drift * offsets[i, j] * offsets[i, j]
-    for i in range(len(mean)):
-        for j in range(len(mean)):
-            left = state[places[prior_at[i]]] - mean[i]
-            total += left * prior[i, j] * (state[places[prior_at[j]]] - mean[j])
-    return 0.5 * total
-
-
-@njit(cache=True, error_model="numpy")
-def _add_priors(
-    normal: Any,
-    right: Any,
-    state: Any,
-    offsets: Any,
-    places: Any,
-    drift: float,
-    prior_at: Any,
-    prior: Any,
-    mean: Any,
-) -> None:
-    """Add the priors to the equations; those of shared parameters to the equations of the first view."""
-    shared = len(places)
-    if drift > 0.0:
-        for i in range(len(offsets)):
-            for j in range(3):
-                normal[i, shared + 3 + j, shared + 3 + j] += drift
-                right[i, shared + 3 + j] -= drift * offsets[i, j]
-    for i in range(len(mean)):
-        for j in range(len(mean)):
-            normal[0, prior_at[i], prior_at[j]] += prior[i, j]
-            right[0, prior_at[i]] -= prior[i, j] * (state[places[prior_at[j]]] - mean[j])
-
-
-@njit(cache=True, error_model="numpy")
 def _eliminate(
     normal: Any, right: Any, damping: float, block: Any, solved: Any, information: Any, score: Any
 ) -> bool:
@@ -200,7 +152,7 @@ def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> b
 
 @njit(cache=True, error_model="numpy")
 def _decrement(right: Any, shared: Any, local: Any) -> float:
-    """Return gradient times step, as `NormalEquations.decrement`."""
+    """Return gradient times step, which is twice the predicted reduction of the cost."""
     total, count = 0.0, len(shared)
     for i in range(len(local)):
         for g in range(count):
@@ -226,8 +178,7 @@ def _move(
     for g in range(len(state)):
         new_state[g] = state[g]
     for g in range(len(places)):
-        if places[g] != NOWHERE:
-            new_state[places[g]] += shared[g]
+        new_state[places[g]] += shared[g]
     for i in range(len(local)):
         _turn(rotations[i], local[i], new_rotations[i])
         for a in range(3, local.shape[1]):
@@ -251,7 +202,6 @@ def _keep(
 @njit(cache=True, error_model="numpy")
 def search(
     target: Any,
-    displacements: Any,
     points: Any,
     factors: Any,
     bounds: Any,
@@ -263,23 +213,16 @@ def search(
     free_centres: bool,
     loss: int,
     limit: float,
-    drift: float,
-    prior_at: Any,
-    prior: Any,
-    mean: Any,
     max_iterations: int,
     tolerances: Any,
 ) -> tuple[float, bool, int]:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999), in place.
 
-    target, displacements, points, bounds, fisheye: As for `calib.adjustment.star_kernels.residuals_px`.
+    target, points, bounds, fisheye: As for `calib.adjustment.star_kernels.residuals_px`.
     factors: (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
     places: (G,) int64 places of the free shared parameters in the state.
     free_centres: Whether the centre of each view is free.
     loss, limit: As for `calib.adjustment.star_kernels.robust_cost`.
-    drift: Prior information on a free centre, times the noise variance; 0 for none.
-    prior_at, prior, mean: (K,) int64 indices of the free parameters that have a prior, (K, K) float64 its
-      information times the noise variance, and (K,) float64 its mean.
     tolerances: (3,) float64 relative and absolute tolerance of the predicted reduction, and how much rounding
       changes the root of twice the cost.
     Returns: Cost at the end, whether no further step promises a reduction, and the number of steps tried.
@@ -292,10 +235,9 @@ def search(
     new_state, new_rotations, new_offsets = state.copy(), rotations.copy(), offsets.copy()
     damping, growth, iteration = FIRST_DAMPING, 2.0, 0
 
-    residuals_px(target, displacements, points, bounds, state, fisheye, rotations, offsets, residuals)
+    residuals_px(target, points, bounds, state, fisheye, rotations, offsets, residuals)
     whiten(residuals, factors, bounds)
     cost = robust_cost(residuals, 0, stars, loss, limit)
-    cost += _prior_cost(state, offsets, places, drift, prior_at, prior, mean)
     if not np.isfinite(cost):
         return np.inf, False, 0
     fresh = True
@@ -303,10 +245,9 @@ def search(
         if fresh:
             robust_curvature(residuals, factors, bounds, loss, limit, gradient, curvature)
             view_equations(
-                target, displacements, bounds, state, fisheye, rotations, offsets, places, gradient,
+                target, bounds, state, fisheye, rotations, offsets, places, gradient,
                 curvature, normal, right,
             )  # fmt: skip
-            _add_priors(normal, right, state, offsets, places, drift, prior_at, prior, mean)
             fresh = False
         iteration += 1
         if not _step(normal, right, damping, step, local):
@@ -316,12 +257,9 @@ def search(
         if predicted * (1.0 + damping) <= tolerances[0] * cost + tolerances[1]:
             return cost, True, iteration
         _move(state, rotations, offsets, places, step, local, new_state, new_rotations, new_offsets)
-        residuals_px(
-            target, displacements, points, bounds, new_state, fisheye, new_rotations, new_offsets, residuals
-        )
+        residuals_px(target, points, bounds, new_state, fisheye, new_rotations, new_offsets, residuals)
         whiten(residuals, factors, bounds)
         new_cost = robust_cost(residuals, 0, stars, loss, limit)
-        new_cost += _prior_cost(new_state, new_offsets, places, drift, prior_at, prior, mean)
         gain = 2.0 * (cost - new_cost) / predicted
         if gain > 0.0:
             _keep(state, rotations, offsets, new_state, new_rotations, new_offsets)

@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, the skew, the centre
-#: (x, y, r), and the aberrations.
+#: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, the skew, and the
+#: centre (x, y, r).
 LENS_AT = 4
 SKEW_AT = 12
 CENTRE_AT = 13
 RADIUS_AT = 15
-ABERRATIONS_AT = 16
-#: Place of a parameter that moves no star.
-NOWHERE = -1
 #: Stars that are handled at a time: their derivatives by 12 parameters take 50 kilobytes.
 CHUNK = 256
 #: Robust losses by number.
@@ -33,8 +30,6 @@ _HUBER, _CAUCHY = LOSSES["huber"], LOSSES["cauchy"]
 @njit(cache=True, error_model="numpy")
 def project(
     target: Any,
-    displacements: Any,
-    state: Any,
     rotation: Any,
     centre: Any,
     first: int,
@@ -44,9 +39,7 @@ def project(
 ) -> None:
     """Write points in the camera frame, R (X - c) (arXiv:2512.16092, eq. 2), and their normalised coordinates.
 
-    A star appears at its position X on the target plus its displacement by the aberrations.
-
-    target, displacements, state: As for `residuals_px`.
+    target: As for `residuals_px`.
     rotation, centre: (3, 3) rotation R, camera <- target, and (3,) centre c, mm.
     first, count: The first of M stars, and their number, at most `CHUNK`.
     p, plane: (3, `CHUNK`) float64 points, mm, and (2, `CHUNK`) float64 x / z and y / z; NaN for a point
@@ -61,11 +54,6 @@ def project(
         u[k] = tx[k] - cx
     for k in range(count):
         v[k] = ty[k] - cy
-    for t in range(displacements.shape[2]):
-        size = state[ABERRATIONS_AT + t]
-        for k in range(count):
-            u[k] += displacements[first + k, 0, t] * size
-            v[k] += displacements[first + k, 1, t] * size
     a, b, c = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     for k in range(count):
         x[k] = a * u[k] + b * v[k] + c * (tz[k] - cz)
@@ -105,7 +93,6 @@ def _distort(x: Any, y: Any, state: Any, fisheye: bool) -> None:
 @njit(cache=True, error_model="numpy")
 def residuals_px(
     target: Any,
-    displacements: Any,
     points: Any,
     bounds: Any,
     state: Any,
@@ -117,10 +104,9 @@ def residuals_px(
     """Write the residuals of all stars: image point found minus image point predicted (arXiv:2512.16092, eq. 6).
 
     target: (3, N) float64 positions on the target, mm.
-    displacements: (N, 2, T) float64 displacement of each star by a unit of each aberration, mm.
     points: (2, N) float64 image points, px.
     bounds: (n, 2) int64 first star of each of n views, and the first behind it.
-    state: (16 + T,) float64 the shared parameters.
+    state: (16,) float64 the shared parameters.
     fisheye: Whether the lens is a fisheye lens.
     rotations, offsets: (n, 3, 3) float64 rotations, and (n, 3) float64 centres of the views minus the shared
       one, mm.
@@ -136,7 +122,7 @@ def residuals_px(
         centre[2] = -state[RADIUS_AT] + offsets[i, 2]
         for first in range(bounds[i, 0], bounds[i, 1], CHUNK):
             size = min(CHUNK, bounds[i, 1] - first)
-            project(target, displacements, state, rotations[i], centre, first, size, p, plane)
+            project(target, rotations[i], centre, first, size, p, plane)
             u, v, along_u, along_v = plane[0, :size], plane[1, :size], out[0, at:], out[1, at:]
             _distort(u, v, state, fisheye)
             found_u, found_v = points[0, first : first + size], points[1, first : first + size]

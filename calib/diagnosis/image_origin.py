@@ -73,7 +73,7 @@ def find_other_origins(
     """
     if len(views) < 3 or not np.isfinite(typical_noise_px(views)):
         return None
-    plain = plain_bundle(bundle, parameters, _STARS)
+    plain = plain_bundle(bundle, _STARS)
     equations = image_shifts(plain, parameters)
     factor = _variance_factor(views, plain, parameters)
     found = max((_joined(equations, sign, factor) for sign in (1, -1)), key=lambda one: one[0])

@@ -42,14 +42,9 @@ class ShiftEquations:
         return np.asarray(np.maximum(self.squares + change, 0.0))
 
 
-def plain_bundle(bundle: Bundle, parameters: AdjustmentParameters, stars: int) -> Bundle:
-    """Return a bundle of some of the stars, with shared camera and centre, and without priors and readings.
-
-    Free aberrations are held, so that no prior is needed.
-    """
-    known = (*parameters.camera.parameter_names, "x", "y", "r")
-    names = tuple(name for name in bundle.names if name in known)
-    return Bundle(bundle.observations, names, displacements=bundle.displacements).thinned(stars)
+def plain_bundle(bundle: Bundle, stars: int) -> Bundle:
+    """Return a bundle of some of the stars, with shared camera and centre."""
+    return Bundle(bundle.observations, bundle.names).thinned(stars)
 
 
 def target_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquations:

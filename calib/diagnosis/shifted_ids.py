@@ -116,7 +116,7 @@ def find_shifted_ids(
     noise = typical_noise_px(views)
     if not np.isfinite(noise):
         return None
-    bundle = plain_bundle(bundle, parameters, _STARS)
+    bundle = plain_bundle(bundle, _STARS)
     start = AdjustmentParameters(
         parameters.camera, parameters.collimator, parameters.rotations, np.zeros((len(views), 3))
     )

@@ -70,7 +70,7 @@ def fit_model(
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
     bundle, start = initialize(kept, options, model)
-    bundle, refined, loss = refine_robustly(bundle, start, options)
+    refined, loss = refine_robustly(bundle, start, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     estimate = _constrained(kept, options, bundle, refined, loss)
     left_out = None

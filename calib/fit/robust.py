@@ -1,4 +1,4 @@
-"""Adjustment with a robust loss, whose limit and whose weight of priors come from the residuals."""
+"""Adjustment with a robust loss, whose limit comes from the residuals."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _RAYLEIGH_MEDIAN = 1.1774100225154747
 
 def refine_robustly(
     bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
-) -> tuple[Bundle, Refinement, Loss]:
-    """Adjust with the chosen loss; its limit and the weight of the priors come from the residuals.
+) -> tuple[Refinement, Loss]:
+    """Adjust with the chosen loss; its limit comes from the residuals.
 
     The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
     each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
@@ -29,20 +29,19 @@ def refine_robustly(
     normal components.
 
     options: Loss, its limit if given, and the largest number of steps.
-    Returns: The bundle with its final noise variance, the optimum, and the loss with its final limit.
+    Returns: The optimum, and the loss with its final limit.
     """
     given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)
     refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
     robust = options.loss != "l2" and given is None
-    for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.has_drift_prior else 0):
+    for _ in range(_LIMIT_ROUNDS if robust else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
         spread = median(lengths(residuals)) / _RAYLEIGH_MEDIAN
         if not spread > 0:
             break
-        loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss
-        bundle = replace(bundle, noise_variance=spread**2)
+        loss = Loss(options.loss, _LIMIT_SIGMAS * spread)
         refined = refine(bundle, refined.parameters, loss, options.max_iterations)
         iterations += refined.iterations
-    return bundle, replace(refined, iterations=iterations), loss
+    return replace(refined, iterations=iterations), loss

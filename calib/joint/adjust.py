@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +16,14 @@ from calib.adjustment.poses import poses_of
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, State, ViewStars, turns_of
+from calib.joint.equations import Bench, State, ViewStars, places_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
-from calib.joint.layout import POSE_PLACES, Layout
+from calib.joint.layout import POSE_PLACES, RIM, Layout
 from calib.joint.marginal import Problem
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
-from calib.model.beam import visible_discs
+from calib.model.beam import Disc, visible_discs
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -37,8 +36,6 @@ ROUNDS = 40
 #: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by a tenth of it, and discs
 #: that the image cuts off scatter by half of it.
 _WANDERS = 0.03
-#: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
-_PUPIL_TURNS = 3.0
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
 
@@ -67,9 +64,13 @@ def first_parameters(
 
 
 def posed(
-    views: Sequence[View], options: CalibrationOptions, start: AdjustmentParameters, lens: Sequence[str]
+    views: Sequence[View],
+    options: CalibrationOptions,
+    start: AdjustmentParameters,
+    lens: Sequence[str],
+    discs: Sequence[Disc] = (),
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state."""
+    """Return the problem and its first state. discs: Of the views, if the pupil wanders."""
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -85,6 +86,7 @@ def posed(
         term_shapes(options.budget, basis),
         readings.names if readings else (),
         wavefront(options.budget),
+        RIM if discs else (),
     )
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}
@@ -97,32 +99,31 @@ def posed(
     hyper = amp.hyperprior(options.parallax_sigma)
     blocks = layout.random_blocks(hyper, knowledge.in_passport, parallax_known=knowledge.parallax_known)
     poses = np.array(poses_of(start.rotations), np.int64)
+    around: Sequence[Disc | None] = discs or [None] * len(views)
     bench = Bench(
         layout,
         views[0].image_size,
-        tuple(ViewStars.of(view, layout) for view in views),
+        tuple(ViewStars.of(view, layout, disc) for view, disc in zip(views, around, strict=True)),
         poses,
         readings,
         *turns_of(start.rotations, poses),
+        tuple(discs),
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
     return Problem(bench, knowledge, blocks, hyper), state
 
 
-def wandering_pupils(views: Sequence[View], poses: NDArray[np.int64], r_mm: float) -> Array | None:
-    """Return (n, 2) where the pupil looks through the beam in each pose, if it wanders farther than a gimbal lets it.
+def wandering_discs(views: Sequence[View], poses: NDArray[np.int64], r_mm: float) -> tuple[Disc, ...]:
+    """Return the visible discs if they show that the pupil wanders farther than a gimbal lets it; else none.
 
-    The visible discs show it. On a gimbal the pupil follows the turn, which is known far better than a disc.
+    On a gimbal the pupil follows the turn, which is known far better than a disc.
     """
     discs = visible_discs(views)
     if not all(disc.rim_visible or disc.uses_other_views for disc in discs):
-        return None
-    places = np.array([disc.centre_mm for disc in discs]) / r_mm
-    places = np.array([places[poses == pose].mean(axis=0) for pose in range(poses.max() + 1)])
-    places = places - places.mean(axis=0)
-    wander = float(np.sqrt((places**2).sum(axis=1).mean()))
-    return _PUPIL_TURNS * places if wander > _WANDERS else None
+        return ()
+    wander_mm = float(np.sqrt((places_of(discs, poses) ** 2).sum(axis=1).mean()))
+    return tuple(discs) if wander_mm > _WANDERS * r_mm else ()
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
@@ -166,8 +167,8 @@ def _searched(
     start = AdjustmentParameters(
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
-    problem, state = posed(views, options, start, lens)
+    discs: tuple[Disc, ...] = ()
     if not problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
-        pupils = wandering_pupils(views, problem.bench.poses, named["r"])
-        problem = replace(problem, bench=replace(problem.bench, pupils=pupils))
-    return search(problem, state, rounds)
+        poses = np.array(poses_of(start.rotations), np.int64)
+        discs = wandering_discs(views, poses, start.collimator.r)
+    return search(*posed(views, options, start, lens, discs), rounds)

@@ -14,40 +14,65 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.joint.fields import DEGREE
+
 Array = NDArray[np.float64]
 
+#: Highest degrees of the fields of a pose, by turn and by turn squared.
+POSE_DEGREE, TURN_DEGREE, TURN_2_DEGREE = 4, 4, 1
 STAR, READING = "star noise", "readings"
-POSE = tuple(f"pose field, degree {d}" for d in range(1, 5))
-COMMON = tuple(f"common field, degree {d}" for d in range(1, 6))
-TURN = tuple(f"field by turn, degree {d}" for d in range(1, 3))
-TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(2))
+POSE = tuple(f"pose field, degree {d}" for d in range(1, POSE_DEGREE + 1))
+COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
+TURN = tuple(f"field by turn, degree {d}" for d in range(1, TURN_DEGREE + 1))
+TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(TURN_2_DEGREE + 1))
 RADIAL, SHIFTED, SHIFTED_TURN = "radial", "shifted axis", "shifted axis by turn"
-PARALLAX, TANGENTIAL, PRISM = "parallax", "tangential", "prism"
+PARALLAX, TANGENTIAL, PRISM, RIM = "parallax", "tangential", "prism", "rim"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
 
 
 @dataclass(frozen=True)
 class Family:
-    """Amplitudes that are alike."""
+    """Amplitudes that are alike: a level that all share, a slope over their numbers, and a scatter about these."""
 
     names: tuple[str, ...]
     medians: tuple[float, ...]
     level: float  # 1-sigma of the logarithm of their common level
-    scatter: float  # 1-sigma of each logarithm about that level
+    scatter: float  # 1-sigma of each logarithm about level and slope
+    slope: float = 0.0  # 1-sigma of how much the logarithm changes from one to the next
+    glass: float = (
+        0.0  # 1-sigma of the level that it shares with the other families of the collimator's glass
+    )
+
+    @property
+    def covariance(self) -> Array:
+        """(N, N) covariance of the logarithms within the family."""
+        size = len(self.names)
+        steps = self.slope * (np.arange(size) - 0.5 * (size - 1))
+        shared = self.level**2 + self.glass**2 + np.outer(steps, steps)
+        return np.asarray(shared + self.scatter**2 * np.eye(size))
 
 
+def _smooth(first: float, count: int) -> tuple[float, ...]:
+    """Return medians that fall from degree to degree, as those of smooth fields do."""
+    return tuple(first * _FALL**k for k in range(count))
+
+
+#: From degree to degree, fields of drawn and real collimators fall by 0.5 to 0.8.
+_FALL = 0.65
 #: Fields in units of r (at 3345 px, 1e-6 is .0033 px); stars and readings relative to what is stated. The medians are
 #: those of good collimators and gimbals; the widths leave a factor of 20 to 50 to both sides (2 sigma).
 FAMILIES = (
     Family((STAR,), (1.0,), 1.5, 0.0),
     Family((READING,), (1.0,), 0.4, 0.0),
-    Family(POSE, (2e-6,) * 4, 1.3, 0.8),
-    Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.3, 0.7),
-    Family((RADIAL, PARALLAX), (0.05, 0.5), 1.3, 0.7),
-    Family((SHIFTED, SHIFTED_TURN), (1e-3, 1e-4), 0.9, 0.5),
+    Family(POSE, _smooth(2e-6, POSE_DEGREE), 1.3, 0.5, 0.25),
+    Family(COMMON, _smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
+    Family(TURN, _smooth(3e-6, TURN_DEGREE), 1.0, 0.5, 0.25, 0.9),
+    Family(TURN_2, _smooth(1e-6, TURN_2_DEGREE + 1), 1.0, 0.5, 0.0, 0.9),
+    Family((RADIAL, PARALLAX, SHIFTED, SHIFTED_TURN), (0.05, 0.5, 1e-3, 2e-4), 1.3, 0.7),
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 0.3, 0.0),
+    Family((RIM,), (2e-3,), 1.3, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
 _REACH = 3.0
@@ -95,11 +120,12 @@ def hyperprior(parallax_sigma: float, known: Mapping[str, tuple[float, float]] |
     names = tuple(name for family in FAMILIES for name in family.names)
     mean = np.log([median for family in FAMILIES for median in family.medians])
     mean[names.index(PARALLAX)] += np.log(parallax_sigma)
-    covariance = np.zeros((len(names), len(names)))
+    glass = np.array([family.glass for family in FAMILIES for _ in family.names])
+    covariance = np.outer(glass, glass)
     begin = 0
     for family in FAMILIES:
         own = slice(begin, begin + len(family.names))
-        covariance[own, own] = family.level**2 + family.scatter**2 * np.eye(len(family.names))
+        covariance[own, own] = family.covariance
         begin = own.stop
     for name, (median, width) in (known or {}).items():
         at = names.index(name)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from calib.joint import amplitudes as amp
 from calib.joint.knowledge import Statement
 from calib.joint.marginal import Marginal
-from calib.joint.posterior import Node, Posterior
+from calib.joint.posterior import Posterior
+from calib.joint.samples import Node
 from calib.model import budget_row as names
 from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.uncertainty.projection_uncertainty import worst_point

@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.joint.layout import Layout
+from calib.joint.layout import RIM_POWERS, Layout
 from calib.joint.readings import Readings
+from calib.model.beam import Disc
 from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
 from calib.model.rotation import exp_map, skew
@@ -24,10 +25,14 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
+#: Stars outside of the visible disc are displaced as those at so many of its radii.
+_BEYOND = 1.05
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
 _LIMIT_SIGMAS = 3.5
 #: Smallest scale of the weights, sigmas: points without any noise all count.
 _LEAST_LENGTH = 1e-9
+#: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
+_PUPIL_TURNS = 3.0
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
 #: Stars whose places agree to so many decimals of a millimetre are the same.
@@ -55,16 +60,22 @@ class ViewStars:
     points_px: Array  # (N, 2)
     whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
     polynomials: Array  # (N, K)
+    rim: Array  # (N, 2, R) displacements about the visible disc, in units of r
 
     def whitened(self, values: Array) -> Array:
         """Return (N, 2, ...) values of the image times the whitening."""
         return np.asarray(np.einsum("nab,nb...->na...", self.whitening, values))
 
     @classmethod
-    def of(cls, view: View, layout: Layout) -> ViewStars:
-        """Return the fixed part of a view."""
+    def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
+        """Return the fixed part of a view. disc: Where the layout has displacements about it."""
         whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2))
-        return cls(view.target_mm, view.points_px, whitening, layout.basis.polynomials(view.target_mm))
+        rim = np.zeros((len(view), 2, len(layout.rim)))
+        if disc is not None:
+            away = view.target_mm - disc.centre_mm
+            rho = np.minimum(np.hypot(*away.T) / disc.radius_mm, _BEYOND)
+            rim = (away / layout.basis.reference[2])[:, :, None] * (rho[:, None] ** RIM_POWERS)[:, None]
+        return cls(view.target_mm, view.points_px, whitening, layout.basis.polynomials(view.target_mm), rim)
 
 
 @dataclass(frozen=True)
@@ -99,13 +110,18 @@ class Bench:
     # target. They are data, so that no step changes them.
     turns: Array
     axes: Array
-    # (n, 2) where the pupil looks through the beam, in place of the turns; None if it follows them.
-    pupils: Array | None = None
+    # Visible disc of each view, if the pupil wanders through the beam; empty if it follows the turns.
+    discs: tuple[Disc, ...] = ()
 
     @cached_property
     def maps(self) -> Array:
         """(n, B, S) what the shared unknowns do to the bases of the poses."""
-        return self.layout.maps(self.turns, self.axes, self.turns if self.pupils is None else self.pupils)
+        return self.layout.maps(self.turns, self.axes, self.pupils if self.discs else self.turns)
+
+    @property
+    def pupils(self) -> Array:
+        """(n, 2) places of a wandering pupil, as turns."""
+        return _PUPIL_TURNS * places_of(self.discs, self.poses) / self.layout.basis.reference[2]
 
     @cached_property
     def n_poses(self) -> int:
@@ -130,8 +146,8 @@ class Bench:
 
     def fields(self, state: State) -> Array:
         """Return (n, 2, K) the coefficients of each pose's field; the shift by the centre is in it."""
-        whole = self.maps[:, len(self.layout.camera) + 1 :] @ state.shared
-        whole[:, self.layout.pose_places - len(self.layout.camera) - 1] += state.fields
+        whole = self.maps[:, self.layout.field :] @ state.shared
+        whole[:, self.layout.pose_places - self.layout.field] += state.fields
         return np.asarray(whole.reshape(self.n_poses, 2, -1))
 
     def points(self, state: State) -> list[Array]:
@@ -142,7 +158,9 @@ class Bench:
     def _points(self, v: int, state: State, fields: Array) -> Array:
         """Return (N, 3) the displaced stars of a view, as `points`."""
         one, depth = self.stars[v], state.shared[self.layout.index["r"]]
-        moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
+        moved = one.polynomials @ fields[self.poses[v]].T
+        moved = moved + one.rim @ state.shared[self.layout.places(self.layout.rim)]
+        moved *= self.layout.basis.reference[2]
         return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
 
     def view_residuals(self, state: State, v: int) -> Array:
@@ -277,7 +295,8 @@ class Bench:
         columns = np.empty((len(points), 2, size + 4))
         columns[:, :, :k] = root[:, :, None] * one.whitened(by_camera)
         columns[:, :, k] = by_star[:, :, 2]
-        fields = columns[:, :, k + 1 : size].reshape(len(points), 2, 2, -1)
+        columns[:, :, k + 1 : self.layout.field] = r_mm * by_star[:, :, :2] @ one.rim
+        fields = columns[:, :, self.layout.field : size].reshape(len(points), 2, 2, -1)
         np.multiply((r_mm * by_star[:, :, :2])[..., None], one.polynomials[:, None, None], out=fields)
         columns[:, :, size] = root * residual
         columns[:, :, size + 1 :] = -by_point @ skew(in_camera)
@@ -354,6 +373,16 @@ def robust_weights(lengths: Array, limit: float) -> Array:
 def robust_sigma(lengths: Sequence[Array]) -> float:
     """Return the sigma of the stars over the stated one, from the median length of their residuals."""
     return float(np.median(np.concatenate(list(lengths)))) / _RAYLEIGH_MEDIAN
+
+
+def places_of(discs: Sequence[Disc], poses: NDArray[np.int64]) -> Array:
+    """Return (n, 2) the middles of the visible discs of the poses, mm, from their mean.
+
+    poses: (m,) pose of each view.
+    """
+    middles = np.array([disc.centre_mm for disc in discs])
+    places = np.array([middles[poses == pose].mean(axis=0) for pose in range(poses.max() + 1)])
+    return np.asarray(places - places.mean(axis=0))
 
 
 def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:

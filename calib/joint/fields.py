@@ -19,7 +19,7 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 #: Highest degree of a field.
-DEGREE = 5
+DEGREE = 7
 #: Degree of each polynomial.
 DEGREES = np.array([d for d in range(DEGREE + 1) for _ in range(d + 1)])
 #: Where a passport's conditions keep the radius of the disc of its fields, mm.

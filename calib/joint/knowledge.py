@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.calibration import CalibrationOptions
+from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
-from calib.joint.layout import CENTRE, RADIAL, Layout
+from calib.joint.layout import CENTRE, DRIFT, RADIAL, Layout
 from calib.model import budget_row as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings
@@ -36,6 +37,7 @@ FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
 CERTIFICATE, PASSPORT = "certificate of the collimator", "passport of the collimator"
 SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a right angle"
 ASPECT, READINGS = "square pixels", "readings of the gimbal"
+STEADY = "steady focal length"
 
 #: 1-sigma of lens coefficients: the share of the distance from the axis by which they move a point at the corner of the
 #: sensor. p1 and p2 have an amplitude (`calib.joint.amplitudes`).
@@ -44,6 +46,8 @@ _FISHEYE_SHARE = {"kb1": 0.3, "kb2": 0.1, "kb3": 0.03, "kb4": 0.01}
 _SKEW_PX = 5.0
 #: Pixels are square to this share; if not, to the second.
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
+#: Focal length and radius change by this share from first to last pose: 4 K of aluminium; if not, by the second.
+_DRIFT_SIGMA, _FREE_DRIFT = 1e-4, 5e-3
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
@@ -180,7 +184,7 @@ def gather(
 
 
 def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
-    """Return what is known of every camera: square pixels, and a lens that is not absurd."""
+    """Return what is known of every camera: square pixels, a focal length that stays, a lens that is not absurd."""
     f = float(np.sqrt(start["fx"] * start["fy"]))
     aspect = _scalar(
         layout,
@@ -191,8 +195,17 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
         (0.0, _ASPECT_SIGMA),
         _FREE_ASPECT,
     )
+    steady = _scalar(
+        layout,
+        STEADY,
+        rows.PRIORS,
+        "nothing changes while the poses are recorded",
+        {DRIFT: 1.0},
+        (0.0, _DRIFT_SIGMA),
+        _FREE_DRIFT,
+    )
     corner = 0.5 * float(np.hypot(*image_size)) / f
-    found = [aspect]
+    found = [aspect, steady]
     for name in layout.camera[4:]:
         if name == "skew":
             sigma = _SKEW_PX
@@ -240,7 +253,17 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
 
 
 def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
-    """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out."""
+    """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out.
+
+    Raises InputMismatch: If its common field has another number of coefficients: the same names are then others.
+    """
+    field = [name for name in passport.names if name.startswith("common_")]
+    if field and len(field) != len(layout.common):
+        raise InputMismatch(
+            f"Its common field has {len(field)} coefficients; the adjustment has {len(layout.common)}.",
+            where="passport",
+            remedy="Make the passport again from its run, with this version of Starbench.",
+        )
     known = passport.subset([name for name in passport.names if name in layout.index])
     at = layout.places(known.names)
     matrix = np.zeros((len(at), len(layout.names)))

@@ -27,6 +27,13 @@ RADIAL = ("radial", "radial_4")
 PRISM = ("prism_x", "prism_y")
 #: Errors (x e) x of the image: with the prism terms the decentring of a lens whose family has no p1 and p2, a fisheye.
 DECENTRING = ("decentring_x", "decentring_y")
+#: Displacements rho^4 g and rho^10 g from the middle of a view's visible disc, if it is not where the turn says: g in
+#: units of r, rho in radii of the disc. At the rim, the beam fills the camera's pupil only partly.
+RIM, RIM_POWERS = ("rim_4", "rim_10"), (4, 10)
+#: rim_10 is typically this share of rim_4.
+_RIM_RATIO = 0.3
+#: Change of the focal length, or of the radius, from the first pose to the last, as a share.
+DRIFT = "drift"
 #: radial_4 is typically so many times radial.
 _RADIAL_RATIO = 20.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
@@ -37,9 +44,8 @@ ECCENTRICITY = tuple(
 #: Products of the turns along X and Y, with the highest degree of their fields.
 _TURNS = {"turn_x": (1, 0), "turn_y": (0, 1)}
 _TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}
-_TURN_DEGREE, _TURN_2_DEGREE = 2, 1
 #: The degrees of a pose's own field.
-POSE_DEGREES = (1, 4)
+POSE_DEGREES = (1, amp.POSE_DEGREE)
 POSE_PLACES = both((POSE_DEGREES[0] <= DEGREES) & (POSE_DEGREES[1] >= DEGREES))
 
 
@@ -66,6 +72,7 @@ class Layout:
     terms: Mapping[str, Array]  # Type B terms by name: (2 K,) field of a unit
     gimbal: tuple[str, ...]  # Names of the gimbal's unknowns; empty without readings
     wavefront: float = 0.0  # RMS slope of the collimator's wavefront that a station states, rad
+    rim: tuple[str, ...] = ()  # Names of the displacements about the visible discs
 
     @cached_property
     def common(self) -> Places:
@@ -76,9 +83,10 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of all shared unknowns."""
         fields = [f"common_{k}" for k in self.common]
-        for turns, degree in ((_TURNS, _TURN_DEGREE), (_TURNS_2, _TURN_2_DEGREE)):
+        for turns, degree in ((_TURNS, amp.TURN_DEGREE), (_TURNS_2, amp.TURN_2_DEGREE)):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
-        return (*self.camera, *CENTRE, *RADIAL, *self.turning, *fields, *self.terms, *self.gimbal)
+        errors = (*RADIAL, *self.turning, DRIFT, *self.rim, *fields, *self.terms)
+        return (*self.camera, *CENTRE, *errors, *self.gimbal)
 
     @cached_property
     def turning(self) -> tuple[str, ...]:
@@ -96,13 +104,18 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """Number of entries of a pose's basis: camera, radius, one field."""
-        return len(self.camera) + 1 + COEFFICIENTS
+        """Number of entries of a pose's basis: camera, radius, rim, one field."""
+        return self.field + COEFFICIENTS
+
+    @property
+    def field(self) -> int:
+        """Place of the field in a pose's basis."""
+        return len(self.camera) + 1 + len(self.rim)
 
     @cached_property
     def pose_places(self) -> Places:
         """Places of the pose's own field in its basis."""
-        return POSE_PLACES + len(self.camera) + 1
+        return POSE_PLACES + self.field
 
     def maps(self, turns: Array, axes: Array, pupils: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.
@@ -114,15 +127,18 @@ class Layout:
         found = np.zeros((len(turns), self.size, len(self.names)))
         found[:, range(k), range(k)] = 1.0
         found[:, k, self.index["r"]] = 1.0
-        field, half = k + 1, COEFFICIENTS // 2
+        found[:, range(k + 1, self.field), self.places(self.rim)] = 1.0
+        field, half = self.field, COEFFICIENTS // 2
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
         found[:, field:, self.places(RADIAL)] = self.basis.radial
         found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
         for name, powers in {**_TURNS, **_TURNS_2}.items():
-            places = both((_TURN_DEGREE if name in _TURNS else _TURN_2_DEGREE) >= DEGREES)
+            places = both((amp.TURN_DEGREE if name in _TURNS else amp.TURN_2_DEGREE) >= DEGREES)
             size = np.prod((pupils / amp.UNIT_TURN) ** powers, axis=1)
             found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
+        times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
+            found[pose, field:, self.index[DRIFT]] = times[pose] * self.basis.shape(partial(_scale, turn))
             for name in self.turning:
                 own = _prism if name in PRISM else _decentring
                 axis = across[0] if name.endswith("x") else across[1]
@@ -145,6 +161,9 @@ class Layout:
         ]
         if not known & set(RADIAL):
             blocks.append(self._radial(hyper))
+        if self.rim:
+            shape = np.diag([1.0, _RIM_RATIO])
+            blocks.append(RandomBlock(rows.TURN_FIELDS, self.places(self.rim), ((hyper.at(amp.RIM), shape),)))
         if not any(name.startswith("common_") for name in known):
             blocks.append(self._common(hyper))
         if not parallax_known:
@@ -191,7 +210,7 @@ class Layout:
 
     def _turn(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the fields by turn of degree 1 and above: the axis of the radial terms moves along the turn too."""
-        places = both((DEGREES > 0) & (DEGREES <= _TURN_DEGREE))
+        places = both((DEGREES > 0) & (DEGREES <= amp.TURN_DEGREE))
         degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
         shifted = np.concatenate([self.basis.shifted(e)[places] for e in ((1.0, 0.0), (0.0, 1.0))])
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN, start=1)]
@@ -201,7 +220,7 @@ class Layout:
         )
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
-        places = both(_TURN_2_DEGREE >= DEGREES)
+        places = both(amp.TURN_2_DEGREE >= DEGREES)
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN_2)]
         names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
@@ -223,6 +242,11 @@ def _prism(turn: Array, axis: Array, h: Array) -> Array:
     """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
     away = h - turn
     return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
+
+
+def _scale(turn: Array, h: Array) -> Array:
+    """Return the field x of an image that is turned, on the target. h: (N, 2)."""
+    return np.asarray(h - turn)
 
 
 def _decentring(turn: Array, axis: Array, h: Array) -> Array:

@@ -41,6 +41,7 @@ _PLAIN = (
     amp.PARALLAX,
     amp.TANGENTIAL,
     amp.PRISM,
+    amp.RIM,
 )
 
 
@@ -173,7 +174,9 @@ def _residuals(
     """Return the residuals of all stars at the mean, and their weights; 0 for stars that were not used."""
     optimum = found.optimum
     bench, solution = optimum.marginal.problem.bench, optimum.solution
-    whole = replace(bench, stars=tuple(ViewStars.of(view, bench.layout) for view in views), readings=None)
+    discs = bench.discs or [None] * len(views)
+    stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
+    whole = replace(bench, stars=stars, readings=None)
     state = replace(
         optimum.state,
         shared=optimum.state.shared + solution.step,

@@ -2,7 +2,7 @@
 
 Behind a collimator, the target is at infinity. A camera that rotates in front of it sees the target as if the camera
 moved on a sphere about one fixed point (x, y, -r) of the target frame: the spherical motion model (Liang et al., 2024;
-arXiv:2512.16092, eq. 2). Real collimators deviate from this by the aberrations of `calib.model.aberrations`.
+arXiv:2512.16092, eq. 2). Real collimators deviate from this by their aberrations.
 """
 
 from __future__ import annotations

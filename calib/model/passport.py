@@ -17,13 +17,10 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
 from calib.model.collimator import CENTRE, Collimator
-from calib.model.prior import Prior
 
 Array = NDArray[np.float64]
 
 SCHEMA = "starbench/collimator-passport/1"
-#: Smallest standard uncertainty of a prior, as a share of its value: an exact value would make the equations singular.
-_MIN_RELATIVE_SIGMA = 1e-9
 
 
 @dataclass(frozen=True)
@@ -164,28 +161,6 @@ class Passport:
         """
         at = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(at, at)]
-
-    def prior(self, names: Sequence[str]) -> Prior | None:
-        """Return some of the parameters as a prior of the adjustment.
-
-        The information is the inverse of the covariance. Own floor: the square of 1e-9 times each value (of 1e-3 at
-        least) is added to its variance, so that the covariance of exact values can be inverted.
-
-        Parameters
-        ----------
-        names
-            Names of parameters of the passport.
-
-        Returns
-        -------
-        Prior or None
-            None if there are no names.
-        """
-        if not names:
-            return None
-        mean = np.array([self.values_by_name[name] for name in names])
-        floor = np.diag((_MIN_RELATIVE_SIGMA * np.maximum(np.abs(mean), 1e-3)) ** 2)
-        return Prior(tuple(names), mean, np.asarray(np.linalg.inv(self.covariance_of(names) + floor)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the passport as plain numbers, lists and names, ready for JSON.

@@ -20,8 +20,9 @@ from calib.joint.adjust import lens_names, posed
 from calib.joint.curvature import expected_curvature
 from calib.joint.equations import State
 from calib.joint.marginal import Marginal, Problem, Solution
-from calib.joint.posterior import Node, Posterior
+from calib.joint.posterior import Posterior
 from calib.joint.prior import NO_FAULT
+from calib.joint.samples import Node
 from calib.joint.solve import Optimum
 from calib.model.lens import is_fisheye
 from calib.studies.predicted_views import ExpectedBench

@@ -87,10 +87,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     lengths = np.hypot(residuals[:, 0], residuals[:, 1])
     views = bundle.scores(parameters, loss, curved=False)
     count = len(bundle.names) + views.answer[:, :, 0].size
-    prior_count = len(bundle.prior.names) if bundle.prior else 0
-    prior_count += parameters.offsets.size if bundle.has_drift_prior else 0
-    read = 0 if bundle.gimbal is None else bundle.gimbal.angles_deg.size
-    freedom = 2 * len(lengths) + read - count + prior_count
+    freedom = 2 * len(lengths) - count
     if freedom <= 0:
         raise DegenerateViews(
             f"{2 * len(lengths)} measurements cannot determine {count} parameters.",
@@ -101,13 +98,10 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     slope = 0.5 * (loss.weights(lengths) + loss.second_derivatives(lengths)).mean()
     variance = float((influence**2).sum() / freedom)
     factor = variance / float(slope) ** 2
-    # Priors are weighted by noise_variance in these equations, so the inverse is scaled by it.
-    scale = bundle.noise_variance if prior_count else factor
-    inverse = inverse_information(views.information.sum(axis=0) + bundle.prior_information, bundle.names)
+    inverse = inverse_information(views.information.sum(axis=0), bundle.names)
     growth, (information, scores) = noise_growth(bundle, residuals), pose_scores(bundle, views)
-    covariance = scale * (inverse + _added_by_repeats(information, inverse, growth))
-    prior_names = len(bundle.prior.names) if bundle.prior else 0
-    ratio, views_freedom = _birge(information, scores, variance, growth, len(bundle.names) - prior_names)
+    covariance = factor * (inverse + _added_by_repeats(information, inverse, growth))
+    ratio, views_freedom = _birge(information, scores, variance, growth, len(bundle.names))
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -167,7 +161,7 @@ def enlarged(nominal: Uncertainty) -> Uncertainty:
 def _birge(
     information: Array, scores: Array, variance: float, growth: Array, count: int
 ) -> tuple[float, int]:
-    """Return the squared Birge ratio of P poses and its degrees of freedom; `count` parameters have no prior.
+    """Return the squared Birge ratio of P poses and its degrees of freedom; `count` parameters are shared.
 
     At the optimum the scores s_i (P, G) of the poses cancel. Star noise gives s_i the covariance variance * A_i, where
     A_i is the pose's information (P, G, G) on the shared parameters; repeated views multiply it by `growth` (P,). The

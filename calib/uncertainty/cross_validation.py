@@ -65,8 +65,7 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     without: list[AdjustmentParameters] = []
     for left_out, step, costs in zip(poses, near, after_step, strict=True):
         others = [j for j in range(len(parameters.rotations)) if j not in left_out]
-        now = at_optimum[others].sum() + _prior_cost(bundle, parameters, others)
-        far = not costs[others].sum() + _prior_cost(bundle, step, others) <= now
+        far = not costs[others].sum() <= at_optimum[others].sum()
         start = (parameters if far else step).subset(others)
         if far or len(poses) <= _STEP_VIEWS:
             start = refine(bundle, start, loss, tolerance=_TOLERANCE, views=others).parameters
@@ -80,14 +79,6 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     )
 
 
-def _prior_cost(bundle: Bundle, parameters: AdjustmentParameters, kept: Sequence[int]) -> float:
-    """Return the contribution of the priors, and of the readings of some views, to the cost."""
-    if not bundle.has_priors:
-        return 0.0
-    fewer = replace(bundle, gimbal=bundle.gimbal.subset(kept)) if bundle.gimbal else bundle
-    return fewer.prior_cost(parameters.subset(kept))
-
-
 def _steps_without(
     bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
 ) -> list[AdjustmentParameters]:
@@ -98,7 +89,7 @@ def _steps_without(
     """
     views = bundle.scores(parameters, loss, curved=True)
     own, scores = pose_scores(bundle, views)
-    left = views.information.sum(axis=0) + bundle.prior_information - own
+    left = views.information.sum(axis=0) - own
     # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(left, axis1=1, axis2=2), np.finfo(float).tiny))
     inverse = np.linalg.pinv(left * scale[:, :, None] * scale[:, None], rcond=len(left[0]) * _EPSILON)
@@ -117,12 +108,11 @@ def _rms_left_out(
 
     Of a view only the rotation is adjusted; of a board, its whole pose.
     """
-    free = bundle.free_centres and not bundle.has_drift_prior
     by_hand = np.zeros(len(parameters.rotations), np.bool_)
     others = [parameters] * len(by_hand)
     for views, one in zip(poses, without, strict=True):
         found = one
-        if free:
+        if bundle.free_centres:
             x, y, z = one.centres.mean(axis=0).tolist()
             by_hand[views] = bool(np.linalg.norm(one.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
             found = replace(one, collimator=Collimator(x, y, -z))

@@ -75,10 +75,6 @@ def test_a_run_with_a_frame_camera_ends_with_focal_length_and_principal_point_wi
     assert told["calibration"]["rms_px"] < 0.2  # most of it is the collimator's
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="stars of 0.001 px show the glass beyond the 5th degree; the fields of the adjustment end there",
-)
 def test_the_distortion_of_a_frame_camera_lies_within_its_uncertainty(finished):
     told = results(finished)
     k = told["calibration"]["coverage_factor"]

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import RELATIVE_TOLERANCE, Loss, refine, search_with_readings
+from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
-from calib.model.prior import Prior
 from calib.model.rotation import exp_map
 from calib.uncertainty.covariance import covariance_at_optimum
 
@@ -98,28 +97,3 @@ def test_where_rounding_hides_the_last_steps_the_optimum_is_reached_all_the_same
         ]
         result = calibrate(views, CalibrationOptions("spherical"))
         assert result.camera.fx == pytest.approx(bench.fx, abs=5 * result.sigma["fx"])
-
-
-@pytest.mark.parametrize("drift_mm", [None, 0.3, np.inf])
-@pytest.mark.parametrize("loss", [Loss("l2"), Loss("huber", 1.5), Loss("cauchy", 1.5)])
-def test_the_compiled_search_takes_the_same_steps_as_the_one_with_readings(bench, loss, drift_mm):
-    rng = np.random.default_rng(12)
-    prior = Prior(("r", "fx"), np.array([255.0, 3300.0]), np.diag([4.0, 1e-4]))
-    centred = {} if drift_mm is None else {"free_centres": True, "drift_mm": drift_mm}
-    names = NAMES[:6] if drift_mm == np.inf else NAMES
-    held = None if drift_mm == np.inf else prior
-    obs = Observations.from_views(bench.views(rng, 0.05))
-    bundle = Bundle(obs, names, prior=held, noise_variance=1.3, **centred)
-    start = start_of(bench, rng, 0.05)
-
-    found = refine(bundle, start, loss)
-    expected = search_with_readings(bundle, start, loss, 100, RELATIVE_TOLERANCE)
-
-    assert found.converged == expected.converged
-    assert found.cost == pytest.approx(expected.cost, rel=1e-11)
-    assert found.iterations == pytest.approx(expected.iterations, abs=1)
-    assert np.allclose(
-        found.parameters.values(names), expected.parameters.values(names), rtol=1e-6, atol=1e-6
-    )
-    assert np.allclose(found.parameters.rotations, expected.parameters.rotations, atol=1e-8)
-    assert np.allclose(found.parameters.offsets, expected.parameters.offsets, atol=1e-4)

@@ -8,7 +8,8 @@ from scipy.optimize import minimize
 
 from calib import CalibrationOptions, Passport, calibrate
 from calib.diagnosis.gross_stars import part_of
-from calib.joint.adjust import adjust, wandering_pupils
+from calib.errors import InputMismatch
+from calib.joint.adjust import adjust, wandering_discs
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
@@ -120,10 +121,10 @@ def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders)
     for view, x in zip(views[:3], (-mm, mm, 0.0), strict=True):
         away = view.target_mm - middle - [x, 0.0]
         seen.append(part_of(view, np.hypot(*away.T) < 25.0))
-    pupils = wandering_pupils(seen if wanders else views[:3], np.arange(3), 255.0)
-    assert (pupils is not None) == wanders
-    if pupils is not None:
-        assert 3.0 * 2.0 * mm / 255.0 == pytest.approx(pupils[1, 0] - pupils[0, 0], rel=0.3)
+    discs = wandering_discs(seen if wanders else views[:3], np.arange(3), 255.0)
+    assert bool(discs) == wanders
+    if discs:
+        assert 2.0 * mm == pytest.approx(discs[1].centre_mm[0] - discs[0].centre_mm[0], rel=0.3)
 
 
 def test_ideal_stars_give_the_truth(bench):
@@ -155,6 +156,13 @@ def test_result_has_amplitudes_witnesses_and_factors(views):
     assert result.coverage_factor == result.coverage_factors["fx"]
     shares = [row.share["fx"] for row in result.budget_rows]
     assert sum(shares) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_passport_whose_common_field_has_other_coefficients_is_refused(views):
+    passport = calibrate(views, KNOWN).passport()
+    fewer = passport.subset([name for name in passport.names if name != "common_1"])
+    with pytest.raises(InputMismatch, match="Its common field has 69 coefficients; the adjustment has 70"):
+        calibrate(views[:1], CalibrationOptions("joint", passport=fewer))
 
 
 def test_passport_of_a_result_calibrates_from_one_view(views, bench):

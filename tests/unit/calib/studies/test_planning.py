@@ -38,7 +38,7 @@ def test_the_forecast_is_what_a_calibration_then_states(bench):
 def test_the_sizes_of_errors_that_a_run_found_replace_the_expected_ones(bench):
     result = calibrate(bench.views(np.random.default_rng(91), 0.05), CalibrationOptions("joint"))
     found = {one.name: one.plain for one in result.amplitudes}
-    wrong = replace(BENCH, errors=CollimatorErrors(rms_px=1.0))
+    wrong = replace(BENCH, errors=CollimatorErrors(rms_px=0.5))
     known = forecast(replace(wrong, amplitudes=found), POSES)
     assert known.sigma["fx"] == pytest.approx(result.sigma["fx"], rel=0.4)
     assert forecast(wrong, POSES).sigma["fx"] > 5 * known.sigma["fx"]

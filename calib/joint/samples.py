@@ -1,0 +1,124 @@
+"""Samples of the amplitudes about a mode of their posterior, for the mixture over them.
+
+In standardised logarithms the posterior about a mode is nearly a normal distribution of many dimensions. The camera's
+posterior changes along few of them. Along these, the samples lie at the quantiles of a normal distribution (a Latin
+hypercube; McKay, Beckman and Conover, 1979); along all others together at their root mean square distance. Nothing is
+drawn at random, so that the result follows the data without steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint import amplitudes as amp
+from calib.joint.marginal import Marginal, Solution
+from calib.joint.prior import Faults
+from calib.joint.solve import relative_step
+
+Array = NDArray[np.float64]
+
+#: Quantities whose variances say which directions of the logarithms matter.
+_QUANTITIES = ("fx", "cx", "cy")
+_DIRECTIONS = len(_QUANTITIES)
+#: Along these directions, the samples are stretched by this, so that they reach the tails.
+_STRETCH = 1.2
+#: No sample counts more than this many times the median one.
+_LARGEST_WEIGHT = 10.0
+#: The linear equations hold for steps of this share of focal length and radius; samples beyond lose their weight.
+HOLDS = 0.02
+
+
+@dataclass(frozen=True)
+class Node:
+    """The Gaussian posterior at one sample of the amplitudes."""
+
+    weight: float
+    eta: Array
+    faults: Faults
+    solution: Solution
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A maximum of the posterior of the amplitudes."""
+
+    faults: Faults
+    eta: Array  # (A,)
+    solution: Solution
+    odds: float  # Against the first mode
+
+
+def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share: float) -> list[Node]:
+    """Return the nodes about a mode; their weights add up to its share.
+
+    lower: (A, A) triangle L, L L^T the curvature of the likelihood. pairs: Half of their number.
+    """
+    eta, solution = mode.eta, mode.solution
+    found, logs = [(eta, solution)], [0.0]
+    bounds = np.array(marginal.problem.hyper.bounds).T
+    main = _main_directions(marginal, eta, solution, lower)
+    for along, direction in _design(len(eta), pairs):
+        beside = direction - main @ (main.T @ direction)
+        beside *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(beside)
+        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + beside), *bounds)
+        try:
+            one = marginal.solve(at, mode.faults, slope=False)
+        except np.linalg.LinAlgError:
+            continue
+        found.append((at, one))
+        beyond = relative_step(marginal, one.step - solution.step) / HOLDS
+        away = float(along @ along) + float(beside @ beside)
+        logs.append(0.5 * (solution.value - one.value) + 0.5 * away - np.log1p(beyond**4))
+    weights = np.exp(np.array(logs) - max(logs))
+    weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
+    weights *= share / weights.sum()
+    return [Node(float(w), at, mode.faults, one) for w, (at, one) in zip(weights, found, strict=True)]
+
+
+def _main_directions(marginal: Marginal, eta: Array, found: Solution, lower: Array) -> Array:
+    """Return (A, D) orthonormal standardised directions along which the variances of the camera change."""
+    problem, random = marginal.problem, marginal.problem.random
+    squares = np.exp(2.0 * eta)
+    shapes = np.sqrt(squares[random.amplitudes])[:, None] * (random.shapes.T @ found.inside)
+    scale = np.sqrt(problem.own_information(squares))
+    columns = []
+    for at in problem.bench.layout.places(_QUANTITIES):
+        row = found.covariance[at] / np.sqrt(found.covariance[at, at])
+        change = np.bincount(random.amplitudes, (shapes @ row[random.places]) ** 2, len(eta))
+        own = ((scale * (found.follow @ row)) ** 2).sum(axis=0)
+        change += np.bincount(problem.pose_amplitudes, own, len(eta))
+        change[problem.hyper.at(amp.READING)] += _by_readings(marginal, squares, found, row)
+        columns.append(change)
+    q, upper = np.linalg.qr(np.linalg.solve(lower, np.column_stack(columns)))
+    return np.asarray(q * np.where(np.diag(upper) < 0.0, -1.0, 1.0))
+
+
+def _by_readings(marginal: Marginal, squares: Array, found: Solution, row: Array) -> float:
+    """Return the share of a variance that the readings make.
+
+    row: (S,) covariance with the quantity, over its sigma.
+    """
+    if not marginal.uses_readings:
+        return 0.0
+    direct = marginal.rows - marginal.own_rows @ found.follow[marginal.problem.bench.poses]
+    seen = marginal.reading_weights(squares) * (direct @ row)
+    return marginal.reading_variance(squares) * float((seen**2).sum())
+
+
+@cache
+def _design(size: int, pairs: int) -> list[tuple[Array, Array]]:
+    """Return for each sample its coordinates along the main directions, and another direction; in pairs."""
+    from scipy.special import ndtri
+
+    rng = np.random.default_rng(0)
+    heights = ndtri(0.5 + (np.arange(pairs) + 0.5) / (2 * pairs))
+    heights *= np.sqrt(pairs / (heights**2).sum())
+    along = np.column_stack(
+        [rng.permutation(heights) * rng.choice((-1.0, 1.0), pairs) for _ in range(_DIRECTIONS)]
+    )
+    others = np.linalg.qr(rng.standard_normal((size, size)))[0][:pairs]
+    return [(sign * a, sign * b) for sign in (1.0, -1.0) for a, b in zip(along, others, strict=True)]
