@@ -29,6 +29,8 @@ from tests.unit.bench.evidence.resealed import Forger
 from tests.unit.bench.evidence.test_attacks import ATTACKS
 from tests.unit.bench.evidence.test_attacks_on_recordings import AGAIN, ONLY_A_NEW_RECORDING
 
+UNSEEN = "only a new recording could tell"
+
 
 def main() -> int:
     """Print for each check the changes that it is the first to find; return 1 if an expected one is missed."""
@@ -38,7 +40,7 @@ def main() -> int:
     found: dict[str, list[str]] = {
         "`verify`": [],
         "`verify --again` only": [],
-        "only a new recording could tell": [],
+        UNSEEN: [],
     }
     by_ledger = 0
     with tempfile.TemporaryDirectory() as place, kept_in_memory():
@@ -58,9 +60,11 @@ def main() -> int:
             by_ledger += bool(ledger_faults_of_run(forger.folder, ledger))
     print("| found by | changes | which |\n| --- | --- | --- |")
     for column, names in found.items():
-        print(f"| {column} | {len(names)} | {'; '.join(names)} |")
+        print(f"{column}: {'; '.join(names)}", file=sys.stderr)
+        named = names if column == UNSEEN else [*names[:5], "and others"]
+        print(f"| {column} | {len(names)} | {'; '.join(named)} |")
     print(f"| the ledger of the bench that made the run | {by_ledger} | |")
-    return set(found["only a new recording could tell"]) != set(ONLY_A_NEW_RECORDING)
+    return set(found[UNSEEN]) != set(ONLY_A_NEW_RECORDING)
 
 
 if __name__ == "__main__":
