@@ -46,8 +46,8 @@ _FISHEYE_SHARE = {"kb1": 0.3, "kb2": 0.1, "kb3": 0.03, "kb4": 0.01}
 _SKEW_PX = 5.0
 #: Pixels are square to this share; if not, to the second.
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
-#: Focal length and radius change by this share from first to last pose: 4 K of aluminium; if not, by the second.
-_DRIFT_SIGMA, _FREE_DRIFT = 1e-4, 5e-3
+#: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
+_DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
