@@ -6,7 +6,8 @@
 Each result is a line of JSON in the file; a later run with the same file goes on where the first one was stopped. The
 engine is used through `calib.calibrate` and `calib.projection_uncertainty` only, so the same program judges another
 checkout: `PYTHONPATH=CHECKOUT python .../bench_worlds.py`. ``--quick`` takes few seeds, 3 and 9 poses, some 2 CPU
-minutes. ``--table`` prints the table of a file and calibrates nothing. The seeds decide everything that is drawn.
+minutes. ``--table`` prints the table of a file and calibrates nothing; ``--page`` prints the short one of docs/measured. The seeds
+decide everything that is drawn.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.append(str(Path(__file__).parents[2]))
 from worlds.catalogue import WORLDS, result
 from worlds.knowledge import KNOWN
-from worlds.scores import table
+from worlds.scores import page, table
 
 import calib
 
@@ -48,6 +49,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--table", action="store_true", help="print the table of the file only")
+    parser.add_argument("--page", action="store_true", help="print the short table of docs/measured")
     given = parser.parse_args()
     first, _, last = given.seeds.partition("-")
     given.seeds = range(int(first), int(last or first) + 1)
@@ -58,7 +60,9 @@ def main() -> None:
         print(f"engine: {Path(calib.__file__).parent}", file=sys.stderr)
         measure(given, done)
     wanted = set(asked(given))
-    print(table([line for key, line in done.items() if key in wanted or given.table]))
+    print(
+        (page if given.page else table)([line for key, line in done.items() if key in wanted or given.table])
+    )
 
 
 def kept(path: Path) -> dict[Key, dict[str, Any]]:
@@ -86,4 +90,6 @@ def measure(given: argparse.Namespace, done: dict[Key, dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "truth", "Drawn worlds")

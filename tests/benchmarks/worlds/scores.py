@@ -53,6 +53,28 @@ GROUPS: Mapping[str, Callable[[Line], Any]] = {
 }
 
 
+def page(lines: Sequence[Line]) -> str:
+    """The scores by world and knowledge as a table of docs/measured."""
+    text = [
+        "| world, stated | number | covered, %: fx fy cx cy corner | RMS of 2 error / U | largest error / U | fx: error, U | cx |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for key in sorted({(line["world"], line["known"]) for line in lines}):
+        solved = [line for line in lines if (line["world"], line["known"]) == key and "refused" not in line]
+        over = [ratios(solved, what) for what in WHAT]
+        covered = " ".join(f"{100 * np.mean(one <= 1):.0f}" for one in over)
+        rms = " ".join(f"{2 * np.sqrt(np.mean(one**2)):.2f}" for one in over)
+        largest = max(float(one.max()) for one in over)
+        sizes = [
+            f"{np.quantile([abs(line['error'][what]) for line in solved], 0.95):.2f}, "
+            f"{np.median([line['U'][what] for line in solved]):.2f} px"
+            for what in ("fx", "cx")
+        ]
+        cells = ["`{}`, `{}`".format(*key), len(solved), covered, rms, f"{largest:.1f}", *sizes]
+        text.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(text)
+
+
 def table(lines: Sequence[Line]) -> str:
     """The whole table: all results, then by groups, then the results farthest beyond U."""
     text = [HEAD, row("all", lines)]
