@@ -1,6 +1,6 @@
 """A person who only obeys the first sentence of the align page, from random starts: does it end, and after how many actions?
 
-    python tests/benchmarks/bench_blind_follower.py [--starts N] [--seed S]
+    python tests/benchmarks/bench_blind_follower.py [--starts N] [--seed S] [--write]
 
 A start is a distance of focus between 0.5 m and 3 m beyond infinity, pan and tilt within 6 and 4 degrees, any roll
 within 20 degrees, a level of 20 to 100 %, and the light off. The first turn of the ring goes either way. An action is
@@ -15,6 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import measured
 import numpy as np
 
 from bench.stations.station import load_station
@@ -68,4 +69,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    measured.run(main, "align", "A person who only obeys the first sentence")

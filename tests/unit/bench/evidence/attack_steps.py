@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 
 from bench.evidence.verify import verify_folder
+from bench.plan.job import Job
 from bench.results.again_run import check_run_again
 from bench.results.compare_trees import HeldViews
 from bench.results.recorded_with import check_recorded_with
@@ -223,7 +224,7 @@ def everywhere(change):
                 path.write_bytes(change(path.read_bytes()))
         f.chain(json.loads(change(json.dumps(f.lines).encode())))
         in_results(f)
-        rederive(f, job)
+        rederive(f, Job.from_run_folder(f.folder, seed=job.seed, operator=job.operator))
 
     return attack
 

@@ -61,10 +61,6 @@ AGAIN = {
         ],
         "journal.jsonl",
     ),
-    "serial number of the camera in every file and every head": (
-        everywhere(lambda data: data.replace(b"00050423", b"00050999")),
-        "results.json",
-    ),
     "recordings exchanged, every hash put right": (
         lambda f, job: [swap_captures(f), rederive(f, job)],
         "journal.jsonl",
@@ -75,6 +71,9 @@ AGAIN = {
 ONLY_A_NEW_RECORDING = {
     "operator in every file": everywhere(lambda data: data.replace(b"Ada", b"Eve")),
     "every date a year earlier": a_year_earlier,
+    "serial number of the camera in every file and every head": everywhere(
+        lambda data: data.replace(b"00050423", b"00050999")
+    ),
     "polarity of one event that no star uses": unused_event,
 }
 """Whoever has key and program writes a run that is whole. The ledger of the bench tells, and so does a new recording."""
