@@ -48,7 +48,7 @@ from simulators.faults.catalogue import (
 )
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.lights.lamp import Lamp
+from simulators.lights.driver import Lamp
 from simulators.optics.lens_focus import truth_record
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice, TcpPort
@@ -170,7 +170,7 @@ class Bench:
         if self._config.ports == "tcp":
             port = TcpPort(name)
         else:
-            from simulators.ports.pseudo_terminal import PseudoTerminal  # some platforms have none
+            from simulators.ports.serial_device import PseudoTerminal  # some platforms have none
 
             port = PseudoTerminal(self._folder / name)
         return SerialDevice(port, dialect, paced=self._config.paced)

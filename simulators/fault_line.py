@@ -26,8 +26,7 @@ from simulators.errors import SimulatorError
 from simulators.faults.catalogue import allow_background, fault_order_from_text, print_answer, take_orders
 from simulators.faults.fault_injection import line_fault_action
 from simulators.faults.line_faults import FaultLine, SerialBridge
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
+from simulators.ports.serial_device import PseudoTerminal, SerialDevice
 
 
 def main(words: Sequence[str] | None = None) -> int:

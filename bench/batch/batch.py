@@ -19,7 +19,7 @@ from typing import Any, Literal, Unpack, overload
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.base.home import home_folder
-from bench.batch.batch_plan import planned_duration_s
+from bench.batch.batch_plan import Request, RequestInbox, planned_duration_s, refusal
 from bench.batch.batch_record import (
     BatchBegun,
     BatchEnded,
@@ -30,7 +30,6 @@ from bench.batch.batch_record import (
     Requested,
     resume_text,
 )
-from bench.batch.batch_requests import Request, RequestInbox, refusal
 from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
 from bench.batch.summary_text import summary_lines

@@ -32,7 +32,7 @@ class BatchEvent(StrEnum):
     ITEM_ENDED = "item_ended"
     """The attempt ended (a ``WorkerEnd``)."""
     REQUESTED = "requested"
-    """An operator's request (`bench.batch.batch_requests`) and the answer: accepted, or refused with a reason."""
+    """An operator's request (`bench.batch.batch_plan`) and the answer: accepted, or refused with a reason."""
     ENDED = "batch_ended"
     """The batch ended: how and why. If it is called again, it continues."""
 

@@ -32,7 +32,7 @@ from bench.views.kept_views import KeptViews
 from bench.views.views_file import VIEWS
 from calib.errors import CalibrationError
 from calib.view import View
-from drivers.camera.whole_file import require_regular, require_whole
+from drivers.camera.raw_writer import require_regular, require_whole
 
 # Folders with recordings, on a disk or behind a URL that fsspec reads (extra `cluster`), such as
 # ``s3://bucket/runs``.

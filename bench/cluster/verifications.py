@@ -23,7 +23,6 @@ from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
 from bench.records.storage import sha256_of, storage_errors, sync_folder
 from bench.results.forms import forms
-from drivers.camera.formats import event_conversion
 
 # Many event files converted into one folder: one piece of work each; what is done is known by its content.
 #
@@ -116,6 +115,9 @@ def convert_one(
       else.
     Raises drivers.errors.DriverError: If the source cannot be converted.
     """
+    # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
+    from drivers.camera.formats.event_conversion import convert
+
     require_program_of(program)
     with storage_errors(source):
         decided_by = {"source_sha256": content_hash(source), "kind": kind}
@@ -131,7 +133,7 @@ def convert_one(
             return dict(known), True
     part = _part_of(target)
     part.unlink(missing_ok=True)  # of a worker that died
-    written = event_conversion.convert(source, part, kind, utc_now=lambda: datetime.now(UTC))  # type: ignore[arg-type]
+    written = convert(source, part, kind, utc_now=lambda: datetime.now(UTC))  # type: ignore[arg-type]
     made = {"source": str(source), "sha256": sha256_of(part), "program": program, "summary": asdict(written)}
     return {**decided_by, **made}, False
 

@@ -13,8 +13,7 @@ from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
 from bench.cluster.tasks import Task, find_places
-from bench.commands.calibration_text import offline_dict, offline_lines
-from bench.commands.engine_options import engine_options
+from bench.commands.calibrations import engine_options, offline_dict, offline_lines
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, epilog
 from bench.commands.output import JSON, show, wants_json

@@ -399,7 +399,7 @@ def _trust() -> Trust:
 
 
 def _ledger() -> Ledger:
-    from bench.results.previous_calibration import bench_ledger
+    from bench.records.ledger import bench_ledger
 
     return bench_ledger()
 

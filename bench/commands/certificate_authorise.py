@@ -280,7 +280,7 @@ def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: 
 def _enter(folder: Path, person: str, fingerprint: str) -> bool:
     """Enter the authorisation in the ledger of this bench; say on standard error if that is not possible."""
     from bench.evidence.authorisation import enter_authorisation
-    from bench.results.previous_calibration import bench_ledger
+    from bench.records.ledger import bench_ledger
 
     try:
         if enter_authorisation(bench_ledger(), folder, person, fingerprint):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.engine_options import collimator_options
+from bench.commands.calibrations import collimator_options
 from bench.commands.options import ExistingPath, epilog
 from bench.commands.output import JSON, show
 from bench.report.text import with_uncertainty

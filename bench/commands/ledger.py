@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, UsageError
-from bench.base.home import home_folder
 from bench.commands.options import OPERATOR, epilog, status_text
 from bench.commands.output import JSON, show, wants_json
+from bench.records.ledger import bench_ledger
 from bench.terminal.encoding import counted
 
 if TYPE_CHECKING:
@@ -71,17 +70,6 @@ def _one_line(reason: str, option: str) -> str:
             remedy=f"State in one or two sentences what happened, in 3 to {_LONGEST_REASON} characters.",
         )
     return text
-
-
-def bench_ledger() -> Ledger:
-    """Return the ledger of this bench.
-
-    Returns: The ledger; its file may not exist.
-    """
-    from bench.records.ledger import Ledger
-
-    clock = BenchClock()
-    return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
 
 
 def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:

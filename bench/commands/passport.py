@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.home import home_folder
-from bench.commands.calibration_text import offline_lines
-from bench.commands.engine_options import collimator_options
+from bench.commands.calibrations import collimator_options, offline_lines
 from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, Number, epilog
 from bench.commands.output import JSON, ask_passphrase, show
 from bench.report.text import unit_text, with_uncertainty

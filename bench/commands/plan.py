@@ -229,8 +229,8 @@ def _why(pose: SuggestedPose) -> str:
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
     from bench.batch.batch_plan import paces, plan_batch, read_queue
+    from bench.records.ledger import bench_ledger
     from bench.results.forecasts import expected_uncertainty
-    from bench.results.previous_calibration import bench_ledger
 
     read = read_queue(queue)
     known: list[LedgerRun] = []

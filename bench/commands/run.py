@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.calibration_text import calibration_text
+from bench.commands.calibrations import calibration_text
 from bench.commands.options import (
     RUN,
     RUN_STATUS,

@@ -12,9 +12,10 @@ import click
 
 from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
-from bench.commands.ledger import RunChoice, bench_ledger, ledger_findings, print_findings
+from bench.commands.ledger import RunChoice, ledger_findings, print_findings
 from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, epilog, status_text
 from bench.commands.output import JSON, show
+from bench.records.ledger import bench_ledger
 from bench.records.run_facts import REPEATS_TEXT
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders

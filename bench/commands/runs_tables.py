@@ -20,7 +20,7 @@ from bench.history.table import SCHEMA, require_writable_table, table_row, write
 from bench.records.ledger import Ledger
 from bench.records.run_index import RunIndex, run_folders
 from bench.records.storage import write_atomic
-from bench.report.chart_page import render_charts
+from bench.report.control_chart import render_charts
 from bench.terminal.encoding import counted
 
 _MOST_GROUPS = 12

@@ -24,7 +24,7 @@ from bench.run.status import Status, line_text, read_with_entries
 from bench.terminal.encoding import output_is_lost
 
 if TYPE_CHECKING:
-    from bench.batch.batch_requests import Request
+    from bench.batch.batch_plan import Request
     from bench.batch.batch_summary import BatchStatus
     from bench.messaging.outbox import Delivery
     from bench.records.inbox import KnownBy
@@ -116,8 +116,7 @@ def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
 
 
 def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:
-    from bench.batch.batch_plan import read_job
-    from bench.batch.batch_requests import Request, answer_text, send_request
+    from bench.batch.batch_plan import Request, answer_text, read_job, send_request
     from bench.run.control import operator_at_terminal
 
     who = by or operator_at_terminal()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.engine_options import LOSS_HELP, LOSSES, MODEL_HELP, MODELS
+from bench.commands.calibrations import LOSS_HELP, LOSSES, MODEL_HELP, MODELS
 from bench.commands.options import SEED, SEQUENCE_NAME, STATION_NAME, NewFile, Number, OutputFolder, epilog
 from bench.commands.output import JSON, STOPPED, show
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers

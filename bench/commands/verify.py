@@ -292,7 +292,7 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
 
     def of_run(folder: Path) -> Findings:
         from bench.certificate.sealed_run import check_run_of_certificate
-        from bench.results.previous_calibration import bench_ledger
+        from bench.records.ledger import bench_ledger
 
         return check_run_of_certificate(folder, bench_ledger(), verify_run)
 
@@ -317,7 +317,7 @@ def _check_authorisation(folder: Path) -> Findings:
 def _check_certificate(folder: Path) -> Findings:
     """Derive a certificate again, and compare it with the ledger of this bench."""
     from bench.certificate.check import check_certificate
-    from bench.results.previous_calibration import bench_ledger
+    from bench.records.ledger import bench_ledger
 
     return check_certificate(folder, bench_ledger())
 
@@ -328,8 +328,8 @@ def _check_ledger(folder: Path) -> Findings:
     from bench.evidence.ledger_check import ledger_faults_of_run
     from bench.records.history import replay
     from bench.records.journal import read_journal
+    from bench.records.ledger import bench_ledger
     from bench.records.run_folder import JOURNAL
-    from bench.results.previous_calibration import bench_ledger
 
     found, ledger = Findings(), bench_ledger()
     for what in ledger_faults_of_run(folder, ledger):

@@ -16,12 +16,11 @@ from typing import Any
 
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
-from bench.evidence.findings import Derivation, Derivations, Findings, SealFault, Verification
+from bench.evidence.findings import Derivation, Derivations, Findings, SealFault, Verification, check_journal
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
 from bench.evidence.signers import Signer
 from bench.evidence.states import standing_of
-from bench.evidence.verify_journal import check_journal
 from bench.records.journal import Capture
 from bench.records.run_folder import JOURNAL, MANIFEST, PLAN, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.records.storage import read_bounded, read_json, sha256_of, storage_errors

@@ -1,6 +1,6 @@
 """Control charts and drift of every parameter of groups of runs, with a verdict in plain words. Pure.
 
-The result is one object as JSON holds it; `bench.report.chart_page` draws it.
+The result is one object as JSON holds it; `bench.report.control_chart` draws it.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from bench.records.journal import FIRST_PREV, Entry, decode_line, read_journal
 from bench.records.run_facts import coverage_factor
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS
 from bench.records.storage import read_json, storage_errors
+from bench.run.machine import TimeLeft
 from bench.run.status import line_text
-from bench.run.time_left import TimeLeft
 
 # Reads what is new in a journal, by its offset, and verifies each line as `bench.records.journal` does.
 #

@@ -17,8 +17,7 @@ from bench.stations.station import Station
 from drivers.errors import DriverError
 from sequences.reader import check_document
 from simulators.faults.line_faults import FaultLine, LineFault
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
+from simulators.ports.serial_device import PseudoTerminal, SerialDevice
 
 PORT: Final = "PORT"
 """Stands in a section for the port of the simulated device."""

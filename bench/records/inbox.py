@@ -3,7 +3,7 @@
 A sender writes a file as a whole (`Inbox.drop`). The process that owns the inbox looks there from time to time
 (`Poller`), answers each message and then removes its file (`Inbox.drain`). The owner answers in its journal, so that a
 file which was answered, but not removed because the process died, is known by its id and not obeyed twice. Commands to
-a run (`bench.run.control`) and requests to a batch (`bench.batch.batch_requests`) use this.
+a run (`bench.run.control`) and requests to a batch (`bench.batch.batch_plan`) use this.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ head). `bench.records.ledger_marks` keeps the newest head elsewhere, so that lin
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, UsageError
+from bench.base.home import home_folder
 from bench.records.events import LedgerPlace
 from bench.records.journal import Entry, Journal, read_journal
 from bench.records.ledger_breaks import (
@@ -414,3 +416,11 @@ class Ledger(LedgerFile):
             self.path.rename(kept)
             sync_folder(self.home)
             return f"{kept.name} sha256 {sha256_of(kept)}"
+
+
+def bench_ledger() -> Ledger:
+    """Return the ledger of this bench, for reading.
+
+    Returns: The ledger; its file may not exist.
+    """
+    return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)

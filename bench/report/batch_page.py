@@ -15,7 +15,7 @@ from zoneinfo import ZoneInfo
 from markupsafe import Markup
 
 from bench.records.run_facts import REPEATS_TEXT, factors_text
-from bench.report.chart_page import chart_section, choose_drawn
+from bench.report.control_chart import chart_section, choose_drawn
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, meaning_of, number, unit_of, with_uncertainty
 from bench.report.trend_plots import Series, against_temperature, bars_of, over_time, timeline

@@ -25,7 +25,7 @@ from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError, InputMismatch
 from calib.target import StarTarget
 from calib.view import View
-from drivers.camera.whole_file import require_regular
+from drivers.camera.raw_writer import require_regular
 from sequences.schema import ImageKind
 from sequences.script import SolveStep
 from sequences.solve_schema import Readings

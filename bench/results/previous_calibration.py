@@ -7,9 +7,7 @@ can be rendered again from its own folder, and a reader can check which run it w
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -17,7 +15,6 @@ import numpy as np
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
-from bench.base.home import home_folder
 from bench.evidence.seal import read_manifest
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import LedgerRun
@@ -47,14 +44,6 @@ _MOST_READ = 20
 """Runs whose results are read before the search is given up."""
 _LARGEST_BYTES = 100_000_000
 FIRST = "This is the first calibration of this camera on this bench."
-
-
-def bench_ledger() -> Ledger:
-    """Return the ledger of this bench, for reading.
-
-    Returns: The ledger; its file may not exist.
-    """
-    return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)
 
 
 def previous_calibration(

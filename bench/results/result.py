@@ -16,12 +16,13 @@ from bench.base.errors import BenchError
 from bench.plan.job import Job
 from bench.records.events import Solved
 from bench.records.history import History, RunLog
+from bench.records.ledger import bench_ledger
 from bench.records.results import Results
 from bench.records.run_folder import EXPORTS, REPORT, RESULTS, RunFolder
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import ViewPicture, pictured_poses
 from bench.results.exports import exports
-from bench.results.previous_calibration import bench_ledger, previous_calibration
+from bench.results.previous_calibration import previous_calibration
 from bench.results.results_content import results_content, run_software
 from bench.results.solution import Solution, main_numbers, solve_run
 from bench.results.view_sources import decided_by_run

@@ -37,8 +37,7 @@ from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import is_locked, read_json
 from bench.report.text import decision_text, reached_text, with_uncertainty
 from bench.run.interlocks import interlock_text
-from bench.run.machine import END_STATES
-from bench.run.time_left import TimeLeft
+from bench.run.machine import END_STATES, TimeLeft
 from bench.terminal.encoding import clock_text, counted, times
 
 # Journal lines as text for people: time and a short sentence. Lines that only programs need have no text.

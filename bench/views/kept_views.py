@@ -31,7 +31,7 @@ from bench.base.home import home_folder
 from bench.records.storage import sha256_of
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
-from drivers.camera.whole_file import require_regular, require_whole
+from drivers.camera.raw_writer import require_regular, require_whole
 from drivers.errors import DriverError
 
 # Entries kept from earlier calculations: a file each, named by the hash of all that decides its content.

@@ -20,7 +20,7 @@ from bench.base.errors import RunFolderError
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
 from drivers.camera.formats.hdf5_reading import dataset, member, whole
-from drivers.camera.whole_file import require_regular
+from drivers.camera.raw_writer import require_regular
 from drivers.errors import NotARecording
 
 VIEWS = "views.h5"

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import CameraIdentity
-from drivers.camera.raw_writer import check_new, check_space, sync_file
-from drivers.camera.whole_file import require_regular, require_whole
+from drivers.camera.raw_writer import check_new, check_space, require_regular, require_whole, sync_file
 from drivers.clock import Clock
 from drivers.errors import NotARecording, RecordingFailed, RecordingFileError
 

@@ -17,7 +17,7 @@ from drivers.camera.event_arrays import Events, Triggers, empty_events, join_tri
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import MARGIN, max_event_count
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
-from drivers.camera.whole_file import require_regular, require_whole
+from drivers.camera.raw_writer import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingFileError
 
 

@@ -22,7 +22,7 @@ from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS
 from simulators.cameras.streaming import STREAM_FAULTS
 from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
-from simulators.lights.lamp import LAMP_FAULTS
+from simulators.lights.driver import LAMP_FAULTS
 
 Parameter = float | int | str
 

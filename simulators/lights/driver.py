@@ -3,10 +3,119 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
-from simulators.world.world import LightState
+from simulators.errors import SimulatorError
+from simulators.world.world import LightState, SyncLine
+
+# The lamp between its driver and the bench, with faults that the driver does not notice.
+#
+# The driver (a generator or a strobe controller) sets the light that it believes to produce. The lamp
+# applies its faults and publishes the light that results. Both are a `LightState`.
+
+#: Faults of the light, by name.
+LAMP_FAULTS: Final = {
+    "lamp_open": "the lamp stays dark; its driver does not notice",
+    "dim": "the brightness is multiplied by factor",
+    "wrong_frequency": "the flicker frequency is multiplied by factor; the driver does not notice",
+    "wrong_duty": "the duty cycle is multiplied by factor; the driver does not notice",
+    "no_sync": "sync edges no longer reach the camera",
+    "sync_inverted": "the sync line is inverted",
+    "sync_weak": "the level of the sync line is too low: the share factor of its edges is lost",
+    "sync_channel": "the sync cable is plugged into the trigger channel factor",
+    "sync_missing": "both sync edges of every factor-th period are lost",
+    "sync_extra": "an extra sync pulse arrives in every factor-th period",
+    "sync_jitter": "sync edges arrive up to factor (a share of the period) early or late",
+}
+
+
+@dataclass(frozen=True)
+class _Effect:
+    """Combined effect of the injected faults on the driver's light."""
+
+    brightness: float = 1.0
+    frequency: float = 1.0
+    duty: float = 1.0
+    sync: bool = True
+    line: SyncLine = field(default_factory=SyncLine)
+    jitter: float = 0.0
+
+
+_EFFECTS: Final[Mapping[str, Callable[[_Effect, float], _Effect]]] = {
+    "lamp_open": lambda effect, _factor: replace(effect, brightness=0.0),
+    "dim": lambda effect, factor: replace(effect, brightness=factor),
+    "wrong_frequency": lambda effect, factor: replace(effect, frequency=factor),
+    "wrong_duty": lambda effect, factor: replace(effect, duty=factor),
+    "no_sync": lambda effect, _factor: replace(effect, sync=False),
+    "sync_inverted": lambda effect, _factor: replace(effect, line=replace(effect.line, inverted=True)),
+    "sync_missing": lambda effect, factor: replace(
+        effect, line=replace(effect.line, missing_every=max(1, round(factor)))
+    ),
+    "sync_extra": lambda effect, factor: replace(
+        effect, line=replace(effect.line, extra_every=max(1, round(factor)))
+    ),
+    "sync_weak": lambda effect, factor: replace(
+        effect, line=replace(effect.line, lost_share=min(1.0, factor))
+    ),
+    "sync_channel": lambda effect, factor: replace(
+        effect, line=replace(effect.line, channel=min(15, round(factor)))
+    ),
+    "sync_jitter": lambda effect, factor: replace(effect, jitter=factor),
+}
+
+
+class Lamp:
+    """A lamp and its cables."""
+
+    def __init__(self, show: Callable[[LightState], None]) -> None:
+        self._show = show
+        self._driven = LightState()
+        self._effect = _Effect()
+
+    def drive(self, state: LightState) -> None:
+        """Set the light that the driver produces from now on."""
+        self._driven = state
+        effect = self._effect
+        self._show(
+            replace(
+                state,
+                low_v=state.low_v * effect.brightness,
+                high_v=state.high_v * effect.brightness,
+                frequency_hz=state.frequency_hz * effect.frequency,
+                duty_percent=min(99.0, state.duty_percent * effect.duty),
+                sync=state.sync and effect.sync,
+                sync_line=replace(
+                    effect.line,
+                    inverted=effect.line.inverted != state.sync_line.inverted,
+                    jitter_us=effect.jitter * state.period_us / effect.frequency,
+                ),
+            )
+        )
+
+    def inject_fault(self, kind: str, factor: float = 0.5) -> None:
+        """Inject a fault that lasts until `clear_faults`.
+
+        kind: One of `LAMP_FAULTS`.
+        factor: Factor of brightness, frequency or duty cycle; number of periods; or share of a period. Faults
+          without a factor ignore it.
+        """
+        if kind not in LAMP_FAULTS:
+            raise SimulatorError(
+                f"Unknown lamp fault {kind!r}.", remedy=f"Use one of: {', '.join(LAMP_FAULTS)}."
+            )
+        if factor <= 0.0:
+            raise SimulatorError(
+                f"The factor {factor} is not positive.", remedy="Give a factor greater than 0."
+            )
+        self._effect = _EFFECTS[kind](self._effect, factor)
+        self.drive(self._driven)
+
+    def clear_faults(self) -> None:
+        """Remove all faults."""
+        self._effect = _Effect()
+        self.drive(self._driven)
 
 
 class LightDriver(ABC):

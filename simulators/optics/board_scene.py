@@ -31,12 +31,13 @@ from simulators.optics.drawing import (
     plane_points,
     spread_kernel,
 )
-from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.lens_focus import (
     SHARP_PX,
     Spectrum,
     blurred_spectrum,
     camera_of,
+    lens_of,
+    ray_grid,
     reach_px,
     signed_blur_px,
 )

@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.optics.collimator_errors import Aberrations, displacement, is_ideal, reticle_point
-from simulators.optics.lens import Lens, image_point
+from simulators.optics.lens_focus import Lens, image_point
 
 FloatArray = NDArray[np.float64]
 

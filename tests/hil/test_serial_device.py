@@ -8,8 +8,7 @@ import pytest
 import serial
 
 from simulators.errors import SimulatorError
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice, TcpPort
+from simulators.ports.serial_device import PseudoTerminal, SerialDevice, TcpPort
 
 
 class Parrot:

@@ -11,12 +11,10 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
+from simulators.ports.serial_device import PseudoTerminal, SerialDevice
 from simulators.stages.axis_motion import Mechanics, MotionFault
-from simulators.stages.gcode import GcodeError, parse_block
 from simulators.stages.grbl import GrblAxis, GrblController
-from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, parse_block
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"

@@ -34,8 +34,7 @@ from drivers.camera.formats.event_source import EventSource
 from drivers.camera.formats.prophesee_words import header_fields, is_dat, is_evt2
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_HEADER_BYTES, MAX_SIDE_PX, render_header
-from drivers.camera.raw_writer import new_file, write_error
-from drivers.camera.whole_file import require_regular
+from drivers.camera.raw_writer import new_file, require_regular, write_error
 from drivers.errors import NotARecording, RecordingFileError
 
 Kind = Literal["raw", "metavision", "hdf5", "numpy"]

@@ -41,7 +41,7 @@ from drivers.camera.formats.hdf5_reading import (
 from drivers.camera.formats.library_process import source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.raw_header import MAX_HEADER_BYTES
-from drivers.camera.whole_file import require_regular, require_whole
+from drivers.camera.raw_writer import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 _AGAIN: Final = "Export it again from the RAW recording."

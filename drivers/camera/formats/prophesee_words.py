@@ -24,7 +24,7 @@ from drivers.camera import raw_header
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats.event_source import EventSource, Piece, source_of_stream
 from drivers.camera.raw_header import MAX_HEADER_BYTES
-from drivers.camera.whole_file import require_regular
+from drivers.camera.raw_writer import require_regular
 
 _PIECE_BYTES: Final = 1 << 21
 _CD_TYPES: Final = (0x00, 0x0C)

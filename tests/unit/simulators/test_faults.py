@@ -20,7 +20,7 @@ from simulators.faults.catalogue import (
     fault_order_from_text,
     faults_of,
 )
-from simulators.lights.lamp import Lamp
+from simulators.lights.driver import Lamp
 from simulators.world.world import LightState, SyncLine
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
-from simulators.optics.lens import distort_arrays, image_point, lens_of, ray_grid, undistort
+from simulators.optics.lens_focus import distort_arrays, image_point, lens_of, ray_grid, undistort
 from simulators.world.truth import CameraTruth
 
 K = ("k1", "k2", "k3", "k4")

@@ -10,7 +10,7 @@ from nights import NightClock, Workers, begun, hows, job_words, queue
 
 from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch
-from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
+from bench.batch.batch_plan import REQUESTS, Request, answer_text, send_request
 from bench.batch.batch_summary import batch_status_text, read_batch_status
 from bench.commands.status import tell
 from bench.records.journal import read_journal
@@ -214,7 +214,7 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     def broken(_job):
         raise ZeroDivisionError("nobody foresaw this")
 
-    monkeypatch.setattr("bench.batch.batch_requests.job_faults", broken)
+    monkeypatch.setattr("bench.batch.batch_plan.job_faults", broken)
     leave(tmp_path, add("b"))
     clock = NightClock()
     assert Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()["how"] == "finished"

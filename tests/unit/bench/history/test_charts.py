@@ -19,7 +19,7 @@ from bench.history.chart_findings import (
 from bench.history.merged_runs import RunPlace
 from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
-from bench.report.chart_page import MOST_DRAWN, render_charts
+from bench.report.control_chart import MOST_DRAWN, render_charts
 
 BEGUN = datetime(2026, 1, 5, tzinfo=UTC)
 DETAILS = {"camera_type": "Prophesee EVK4", "collimator_serial": "C-1", "target_serial": "T-1"}

@@ -1,0 +1,250 @@
+"""The options that say how to calibrate, for the commands that calibrate without devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import click
+
+from bench.commands.options import CheckedStation, Number
+from bench.records.run_facts import coverage_factor
+from bench.report.text import TargetWords, exact, unit_text, with_uncertainty, words_for
+
+if TYPE_CHECKING:
+    from bench.records.results import CalibrationData
+    from bench.results.offline import OfflineResult
+    from calib.studies.reference_methods import MethodFailure, MethodResult
+
+# Calibrations as text and for programs: values with uncertainties first, then the reprojection error, then
+# others.
+
+
+def offline_dict(
+    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None
+) -> dict[str, Any]:
+    """Return a calibration made without devices, and the results of other methods if they were asked for."""
+    compared = {} if baselines is None else {"compared": [_baseline_dict(row) for row in baselines]}
+    return {**result.to_dict(), **compared}
+
+
+def offline_lines(
+    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None
+) -> Iterator[str]:
+    """Return a calibration made without devices as text, and other methods on the same points if there are any."""
+    words = words_for(result.board)
+    yield calibration_text(cast("CalibrationData", result.calibration.to_dict()), words)
+    if baselines is not None:
+        yield "\n" + comparison_text(baselines)
+        if words.is_board:
+            yield "The published recipe is left out: it needs a target at infinity, not a board."
+    elif result.planar is not None:
+        yield "\n" + _planar_text(cast("CalibrationData", result.planar.to_dict()))
+
+
+def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
+    """Return a calibration as text: values with uncertainties first, reprojection error second.
+
+    calibration: Calibration as `results.json` holds it.
+    """
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    views = calibration["views"]
+    points = sum(view["n"] for view in views)
+    own, k = calibration.get("coverage_factors"), coverage_factor(calibration)
+    model = calibration["model"].capitalize()
+    counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
+    factors = "the k of each value" if own else f"k = {exact(round(k, 2))}"
+    lines = [f"{model} model, {counted}, {points} {words.points}; U with {factors}:"]
+    for name, sigma in calibration["sigma"].items():
+        k = coverage_factor(calibration, name)
+        value, expanded = with_uncertainty(values[name], k * sigma)
+        unit = f"{unit_text(name):<3} (k = {k:.2f})" if own else unit_text(name)
+        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit}".rstrip())
+    lines.append(
+        f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
+        f" (how well the model fits the {words.points}; this is not the accuracy)."
+    )
+    if not calibration["converged"]:
+        lines.append("NOT CONVERGED: do not use these numbers.")
+    return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
+
+
+def _planar_text(calibration: CalibrationData) -> str:
+    """Return the planar calibration in a few lines, without its notes: it is not the result."""
+    shown = []
+    for name in ("fx", "fy", "cx", "cy"):
+        k = coverage_factor(calibration, name)
+        value, expanded = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
+        shown.append(f"{name} {value} ± {expanded} px")
+    return (
+        "Only for comparison, not the result: the planar model (Zhang) on the same stars. It does not know that a\n"
+        "collimator stands between them and the camera.\n"
+        f"  {', '.join(shown)}; rms {calibration['rms_px']:.4f} px"
+    )
+
+
+def _baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
+    """Return the result of one method for JSON output, or why it has none."""
+    from calib.studies.reference_methods import MethodFailure
+
+    if isinstance(row, MethodFailure):
+        return {"name": row.name, "failed": row.why}
+    return {
+        "name": row.name,
+        "camera": row.camera.to_dict(),
+        "sigma": dict(row.sigma),
+        "rms_px": row.rms_px,
+        "mean_px": row.mean_px,
+        "left_out_rms_px": row.left_out_rms_px,
+    }
+
+
+def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
+    """Return the results of several methods on the same points as a table."""
+    from calib.studies.reference_methods import MethodFailure
+
+    head = f"  {'':<34}{'fx':>10}{'U(fx)':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
+    lines = ["On the same points:", head]
+    for row in baselines:
+        if isinstance(row, MethodFailure):
+            lines.append(f"  {row.name:<34}no result: {row.why}")
+            continue
+        left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
+        stated = f"{2 * row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
+        lines.append(
+            f"  {row.name:<34}{row.camera.fx:>10.2f}{stated:>9}{row.camera.cx:>10.2f}"
+            f"{row.camera.cy:>10.2f}{row.rms_px:>9.4f}{left_out:>10}"
+        )
+    lines.append(
+        "U(fx): 2 times the sigma that the method states (k = 2). left out: rms of views that were not used, with"
+        " only their rotation solved."
+    )
+    return "\n".join(lines)
+
+
+MODELS = ["auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"]
+MODEL_HELP = (
+    "auto: the joint adjustment. spherical, planar: for comparison. Others: names of earlier versions."
+)
+LOSSES = ["l2", "huber", "cauchy"]
+LOSS_HELP = "Loss function for outliers: l2 gives them full weight, huber less, cauchy least."
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+_CUTOFF_HZ = (0.01, 1000.0)
+
+
+class _CutoffFrequency(click.ParamType):
+    """Cutoff frequency of the filter that reconstructs pictures, Hz."""
+
+    name = "hz"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """See `click.ParamType.convert`. The value may be a path that follows the option."""
+        try:
+            frequency_hz = float(value)
+        except ValueError:
+            frequency_hz = 0.0
+        if not _CUTOFF_HZ[0] <= frequency_hz <= _CUTOFF_HZ[1]:  # nan too
+            self.fail(
+                f"{value!r} is not a frequency of {_CUTOFF_HZ[0]:g} to {_CUTOFF_HZ[1]:g} Hz. "
+                "Put --reconstruct after the paths, or write a number: --reconstruct 10.",
+                param,
+                ctx,
+            )
+        return frequency_hz
+
+
+_OPTIONS = {
+    "model": click.option(
+        "--model",
+        type=click.Choice(MODELS),
+        help=f"{MODEL_HELP}  [default: as in the run; else auto]",
+    ),
+    "distortion": click.option(
+        "--distortion",
+        help="Distortion coefficients, e.g. k1k2k3p1p2, none or auto.  [default: as in the run; else k1k2]",
+    ),
+    "loss": click.option(
+        "--loss",
+        type=click.Choice(LOSSES),
+        help=f"{LOSS_HELP}  [default: as in the run; else huber]",
+    ),
+    "guard-band": click.option(
+        "--guard-band",
+        type=Number(least=0, above=True, most=1),
+        metavar="SHARE",
+        help="Use only stars within this share of the beam's radius: above 0, at most 1.  [default: as in the run; "
+        "else 1]",
+    ),
+    "passport": click.option(
+        "--passport",
+        metavar="FILE",
+        help="Passport of the collimator, or none.  [default: that of the run, if it has one]",
+    ),
+    "readings": click.option(
+        "--readings",
+        type=click.Choice(["auto", "witness"]),
+        help="Gimbal readings of a run. auto: they enter the adjustment, if the station states their uncertainty; "
+        "witness: they are only compared with the result.  [default: as in the run]",
+    ),
+    "image-size": click.option(
+        "--image-size", metavar="WxH", help="Image size for point files, which do not state it."
+    ),
+    "views": click.option("--views", metavar="1,5,9", help="Use only these views. The first one is 1."),
+    "image": click.option(
+        "--image",
+        default="auto",
+        show_default=True,
+        help="Kind of event image for RAW files (docs/sequences.md).",
+    ),
+    "origin": click.option(
+        "--origin",
+        type=click.Choice(["corner", "centre"]),
+        default="corner",
+        show_default=True,
+        help="Position of (0, 0) in point files: corner or centre of the first pixel.",
+    ),
+    "station": click.option(
+        "--station",
+        "-s",
+        type=CheckedStation(),
+        help="Station file that describes the target, if it is not the standard target.",
+    ),
+    "board": click.option(
+        "--board",
+        metavar="KIND:CxR:PITCHmm",
+        help="The target is a board at finite distance, not the star target: checkerboard:11x7:20mm (inner corners), "
+        "circles:9x6:25mm, asymmetric-circles:4x11:10mm. The planar model is used.",
+    ),
+    "reconstruct": click.option(
+        "--reconstruct",
+        "reconstruct_hz",
+        type=_CutoffFrequency(),
+        is_flag=False,
+        flag_value="10",
+        metavar="[HZ]",
+        help="For a board that does not flicker, and a camera that moves: reconstruct pictures from the RAW files. HZ "
+        "is the cutoff frequency of the high-pass filter: 10 if you give no number; use less for slower motion.",
+    ),
+    "pictures-at": click.option(
+        "--pictures-at",
+        metavar="0.5,1,1.5",
+        help="Times of the reconstructed pictures, in seconds after the first event.  [default: at most 40 pictures, "
+        "evenly spread]",
+    ),
+}
+_THROUGH_COLLIMATOR = ("model", "distortion", "passport", "image-size", "views", "origin", "station")
+"""Options of commands that take all others from the runs."""
+
+
+def engine_options(command: _Command) -> _Command:
+    """Add all options that say how to calibrate to a command."""
+    for option in reversed(_OPTIONS.values()):
+        command = option(command)
+    return command
+
+
+def collimator_options(command: _Command) -> _Command:
+    """Add the options of a calibration through a collimator to a command."""
+    for name in reversed(_THROUGH_COLLIMATOR):
+        command = _OPTIONS[name](command)
+    return command
