@@ -1,7 +1,6 @@
-"""The group `certificate`: certificates of sealed runs are issued, amended, listed and shown; more in three modules.
+"""The group `certificate`: certificates of sealed runs are issued, amended, listed and shown; more in two modules.
 
-`bench.commands.certificate_authorise`, `bench.commands.certificate_authorise` and `bench.commands.certificate_dcc` hold
-the other commands of the group.
+`bench.commands.certificate_authorise` and `bench.commands.certificate_dcc` hold the other commands of the group.
 """
 
 from __future__ import annotations

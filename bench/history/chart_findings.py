@@ -29,6 +29,7 @@ from bench.history.table import kind_of, parameter_unit
 from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
 from bench.report.text import meaning_of, number, with_uncertainty
+from bench.terminal.encoding import counted
 
 Level = Literal["camera", "type"]
 
@@ -201,7 +202,7 @@ def parameter_verdict(chart: Finding, group: Finding) -> str:
     """
     runs = len(chart["values"])
     if chart["state"] == "too few":
-        return f"{_counted(runs, 'run')}: too few for limits (at least 5 are needed)."
+        return f"{counted(runs, 'run')}: too few for limits (at least 5 are needed)."
     sentences = [_control(chart, group, runs), *_drifts(chart)]
     if group["level"] == "camera" and (ratio := excess_scatter(chart, runs)):
         sentences.append(
@@ -237,7 +238,7 @@ def _control(chart: Finding, group: Finding, runs: int) -> str:
     if beyond:
         expected = number(SHEWHART_CHANCE * runs, 2)
         parts.append(
-            f"{_counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
+            f"{counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
             f" ({_named(beyond, group)}); about {expected} by chance"
         )
     if averages:
@@ -283,9 +284,9 @@ def group_title(group: Finding) -> str:
     """Return the heading of a group."""
     camera = f"Camera {group['serial'] or 'without a serial number'}, {group['camera_type']}"
     if group["level"] == "type":
-        camera = f"Camera type {group['camera_type']}, {_counted(group['cameras'], 'camera')}"
+        camera = f"Camera type {group['camera_type']}, {counted(group['cameras'], 'camera')}"
     kind = "" if group["kind"] == "measured" else f"{group['kind'].upper()}: "
-    return f"{kind}{camera}: {_counted(len(group['runs']), 'run')}"
+    return f"{kind}{camera}: {counted(len(group['runs']), 'run')}"
 
 
 def group_place(group: Finding) -> str:
@@ -304,7 +305,7 @@ def group_verdict(group: Finding) -> str:
     """
     charts = group["parameters"]
     if group["state"] == "too few":
-        return f"{_counted(len(group['runs']), 'run')}: too few for a verdict (at least 5 are needed)."
+        return f"{counted(len(group['runs']), 'run')}: too few for a verdict (at least 5 are needed)."
     wrong = [c["name"] for c in charts if c["state"] == "out of control"]
     check = [c["name"] for c in charts if c["state"] == "check"]
     drifting = [
@@ -322,10 +323,6 @@ def group_verdict(group: Finding) -> str:
     if not drifting:
         sentences.append("No significant drift.")
     return " ".join(sentences)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 SCHEMA = "starbench/charts/1"

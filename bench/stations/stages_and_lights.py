@@ -8,7 +8,15 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.sections import AxisConfig, Hertz, LightSection, PortName, StageSection, with_plugins
-from bench.stations.station_fields import SIMULATED_PREFIX, UNKNOWN_PORT, Port, Serial, Text, ToFillIn
+from bench.stations.station_fields import (
+    SIMULATED_PREFIX,
+    UNKNOWN_PORT,
+    Port,
+    Serial,
+    Text,
+    ToFillIn,
+    not_zero,
+)
 from bench.stations.station_text import TextLightConfig, TextStageConfig
 from drivers.clock import Clock
 from drivers.light import LightSettings
@@ -31,15 +39,9 @@ from sequences.strict_model import StrictModel
 # The stage sections of Thorlabs rotation stages and of Dynamixel servos, and how they open their drivers.
 
 
-def _not_zero(scale: float) -> float:
-    if scale == 0:
-        raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
-    return scale
-
-
 _Scale = Annotated[
     float,
-    AfterValidator(_not_zero),
+    AfterValidator(not_zero),
     Within(0.01, 1e9, "counts/deg", either_sign=True),
     ToFillIn,
 ]
@@ -155,7 +157,7 @@ class DynamixelStageConfig(StageSection):
 
 _SCALES = Within(0.01, 1e9, "counts/deg", either_sign=True)
 _BAUD_RATES = Within(50, 20_000_000, "Bd")
-Scale = Annotated[float, AfterValidator(_not_zero), _SCALES, ToFillIn]
+Scale = Annotated[float, AfterValidator(not_zero), _SCALES, ToFillIn]
 
 
 def _differing(*keys: str) -> AfterValidator:

@@ -49,6 +49,13 @@ ToFillIn = BeforeValidator(_accept_placeholder)
 """Marks a number of a station file that a draft leaves open."""
 
 
+def not_zero(scale: float) -> float:
+    """Refuse a scale of 0."""
+    if scale == 0:
+        raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
+    return scale
+
+
 def find_placeholders(station: Tree) -> list[Fault]:
     """Find the values of a drafted station file that are not filled in yet."""
     return [

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, PrivateAttr
 from pydantic_core import PydanticCustomError
 
 from bench.stations.sections import AxisConfig, LightSection, PortName, StageSection
-from bench.stations.station_fields import Port, Serial, ToFillIn
+from bench.stations.station_fields import Port, Serial, ToFillIn, not_zero
 from bench.stations.text_descriptions import Described, LightProtocol, StageProtocol
 from drivers.clock import Clock
 from drivers.light import Light
@@ -71,12 +71,6 @@ _Protocol = Annotated[
 ]
 
 
-def _not_zero(scale: float) -> float:
-    if scale == 0:
-        raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
-    return scale
-
-
 class TextAxisConfig(AxisConfig):
     """One axis of a stage with a described protocol."""
 
@@ -90,7 +84,7 @@ class TextAxisConfig(AxisConfig):
     ] = ""
     counts_per_deg: Annotated[
         float,
-        AfterValidator(_not_zero),
+        AfterValidator(not_zero),
         Within(1e-6, 1e9, "counts/deg", either_sign=True),
         ToFillIn,
         Field(description="Negative if the counter decreases; 1 if the controller counts in degrees."),
