@@ -364,6 +364,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "truth", "Coverage over drawn benches")
+    sys.exit(main())

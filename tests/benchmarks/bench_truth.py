@@ -95,6 +95,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "truth", "Drawn benches against their truth")
+    sys.exit(main())

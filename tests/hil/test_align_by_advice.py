@@ -16,7 +16,8 @@ from bench.align.session import Session
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.run.states import preflight
-from bench.stations.station import load_station
+from bench.stations.station import SHIPPED_STATIONS, load_station
+from sequences.reader import find_document
 
 STATION, COPY = "simulated_unaligned", "mine.yaml"
 
@@ -31,7 +32,7 @@ def aligned_by_advice(settings, seed, patience_s, folder):
         person = Obedient(session, patience_s=patience_s)
         left = person.align()
         checks = check_readiness(session)
-        do = actions(session, PageFiles(session.station.file, folder))
+        do = actions(session, PageFiles(str(find_document(STATION, SHIPPED_STATIONS)), folder))
         wanted = {"kind": "station", "what": ["zero", "biases", "light"], "copy": COPY}
         do["write"]("person", {**wanted, "mark": do["propose"]("person", wanted)["mark"]})
         job = Job.from_plan(
