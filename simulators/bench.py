@@ -170,7 +170,7 @@ class Bench:
         if self._config.ports == "tcp":
             port = TcpPort(name)
         else:
-            from simulators.ports.serial_device import PseudoTerminal  # some platforms have none
+            from simulators.ports.pseudo_terminal import PseudoTerminal  # some platforms have none
 
             port = PseudoTerminal(self._folder / name)
         return SerialDevice(port, dialect, paced=self._config.paced)

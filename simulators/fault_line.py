@@ -26,7 +26,8 @@ from simulators.errors import SimulatorError
 from simulators.faults.catalogue import allow_background, fault_order_from_text, print_answer, take_orders
 from simulators.faults.fault_injection import line_fault_action
 from simulators.faults.line_faults import FaultLine, SerialBridge
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 
 
 def main(words: Sequence[str] | None = None) -> int:

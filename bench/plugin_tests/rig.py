@@ -17,7 +17,8 @@ from bench.stations.station import Station
 from drivers.errors import DriverError
 from sequences.reader import check_document
 from simulators.faults.line_faults import FaultLine, LineFault
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 
 PORT: Final = "PORT"
 """Stands in a section for the port of the simulated device."""

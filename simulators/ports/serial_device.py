@@ -7,116 +7,14 @@ baud rate, the garbage that a wrong baud rate causes, and a line on a TCP port o
 
 from __future__ import annotations
 
-import os
 import queue
 import select
 import socket
-import termios
 import threading
-import tty
 from collections.abc import Callable
 from concurrent.futures import Future
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
-
-from simulators.errors import SimulatorError
-
-# A pseudo-terminal that a program opens as its serial port.
-#
-# The terminal is in raw mode before clients see it. A symlink gives it a lasting name, because the number
-# of the pseudo-terminal changes with each replug. The module reads the baud rate that the client has set,
-# and simulates a pulled cable. It starts no thread and depends on no device.
-
-#: Largest number of bytes in one read.
-_CHUNK = 4096
-
-#: Baud rates by termios constant, for the constants that this platform defines.
-_BAUD_BY_CODE = {
-    getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
-}
-
-
-class PseudoTerminal:
-    """The device's end of a serial line.
-
-    link: Path of the symlink to the client's end, as in ``/dev/serial/by-id``.
-    """
-
-    def __init__(self, link: Path) -> None:
-        self.link = link
-        self._master = -1
-        self._slave = -1
-        self.plug()
-
-    @property
-    def name(self) -> str:
-        """Name of the symlink."""
-        return self.link.name
-
-    @property
-    def address(self) -> str:
-        """Path that a client opens."""
-        return str(self.link)
-
-    def fileno(self) -> int:
-        """See `Port.fileno`."""
-        return self._master
-
-    def plug(self) -> None:
-        """Create the terminal and its symlink; replace a symlink that a dead process left behind."""
-        self._master, self._slave = os.openpty()
-        # Raw mode first: a cooked terminal would echo the client's first bytes as if the device had sent them.
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        fresh = self.link.with_name(f".{self.link.name}.{os.getpid()}")
-        try:
-            fresh.unlink(missing_ok=True)
-            fresh.symlink_to(os.ttyname(self._slave))
-            fresh.replace(self.link)
-        except OSError as error:
-            self._close_both()
-            raise SimulatorError(
-                f"Cannot create the link of the port: {error.strerror}.",
-                where=str(self.link),
-                remedy="Choose a folder with write permission.",
-            ) from error
-
-    def unplug(self) -> None:
-        """Remove the device: the symlink disappears, and the client's next read or write fails."""
-        if self._master < 0:
-            return
-        if self.link.is_symlink() and self.link.readlink() == Path(os.ttyname(self._slave)):
-            self.link.unlink()
-        self._close_both()
-
-    def read(self) -> bytes:
-        """See `Port.read`."""
-        try:
-            return os.read(self._master, _CHUNK)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """See `Port.write`. Bytes that do not fit into the terminal's buffer are lost, as on a real line."""
-        try:
-            os.write(self._master, data)
-        except BlockingIOError:
-            return
-
-    def client_baud(self) -> int | None:
-        """See `Port.client_baud`. It is None for a baud rate without a termios constant."""
-        return _BAUD_BY_CODE.get(termios.tcgetattr(self._master)[5])
-
-    def close(self) -> None:
-        """See `Port.close`."""
-        self.unplug()
-
-    def _close_both(self) -> None:
-        os.close(self._slave)
-        os.close(self._master)
-        self._master = self._slave = -1
-
 
 #: Bits on the wire for one byte (8N1): one start bit, eight data bits, one stop bit.
 _BITS_PER_BYTE = 10
@@ -294,6 +192,9 @@ class SerialDevice:
 def _garbage(received: bytes) -> bytes:
     """Return what a line at the wrong baud rate carries: as many bytes, none of them right."""
     return bytes((0x80 | (byte * 29 + 7 * index)) & 0xFF for index, byte in enumerate(received))
+
+
+_CHUNK = 4096
 
 
 class TcpPort:

@@ -25,7 +25,8 @@ from drivers.stage.zaber_protocol import parse_reply, request
 from drivers.wire_log import WireLogFile
 from simulators.assembly import make_stage
 from simulators.config import bench_config
-from simulators.ports.serial_device import Dialect, PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import Dialect, SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain as SimulatedChain
 from simulators.stages.zaber import ZaberController, ZaberModel

@@ -21,7 +21,8 @@ import numpy as np
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.ports.serial_device import Dialect, PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import Dialect, SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.ximc import XimcController, XimcModel

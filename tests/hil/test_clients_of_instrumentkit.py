@@ -16,7 +16,8 @@ import pytest
 
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.thorlabs_apt import AptController, AptModel

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.stage import dynamixel_bus as ours
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.dynamixel import DynamixelBus, ServoModel, crc_of, status_packet, unstuffed
 

@@ -11,7 +11,8 @@ import time
 import pytest
 import serial
 
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 

@@ -19,7 +19,8 @@ from simulators.lights.gardasoft import GardasoftRt
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.lights.siglent import SiglentGenerator
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from tests.hil.direct_lights import MICROCONTROLLER
 
 FLICKER = LightSettings("square", 50.0, 40.0, 0.0, 3.0, sync_output=True)

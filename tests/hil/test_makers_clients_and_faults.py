@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import DriverError
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel

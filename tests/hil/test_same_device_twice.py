@@ -18,7 +18,8 @@ from bench.stations.station import Station
 from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy
 from sequences.reader import check_document
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice, TcpPort
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice, TcpPort
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 

@@ -13,7 +13,8 @@ from drivers.errors import ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 
 FLICKER = LightSettings("square", 60.0, 40.0, 0.0, 3.3, sync_output=True)
 

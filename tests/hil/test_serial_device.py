@@ -8,7 +8,8 @@ import pytest
 import serial
 
 from simulators.errors import SimulatorError
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice, TcpPort
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice, TcpPort
 
 
 class Parrot:

@@ -7,7 +7,8 @@ import warnings
 
 import pytest
 
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.esp301 import EspAxisModel, EspController
 

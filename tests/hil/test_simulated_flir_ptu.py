@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 

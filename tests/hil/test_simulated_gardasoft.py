@@ -6,7 +6,8 @@ import pytest
 import serial
 
 from simulators.lights.gardasoft import OVER_CURRENT, GardasoftRt
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.world.world import LightState, World
 
 

@@ -9,7 +9,8 @@ import serial
 
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.world.world import LightState, World
 
 

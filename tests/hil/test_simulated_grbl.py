@@ -11,7 +11,8 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, parse_block

@@ -7,7 +7,8 @@ import time
 
 import pytest
 
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.ximc import XimcController, XimcModel, crc16
 

@@ -33,7 +33,8 @@ from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.line_faults import FaultLine, LineFault
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice, TcpPort
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice, TcpPort
 from simulators.stages.axis_motion import Axis, Mechanics, MotionFault
 from simulators.stages.dynamixel import DynamixelBus, ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController

@@ -14,7 +14,8 @@ import pytest
 
 from drivers.stage import thorlabs_controller as ours
 from drivers.stage.thorlabs_controller import FAMILIES, Information, Status
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (

@@ -18,7 +18,8 @@ from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
-from simulators.ports.serial_device import PseudoTerminal, SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.ximc import XimcController, XimcModel

@@ -26,10 +26,11 @@ def views():
     return seen
 
 
-def test_halves_differ_by_about_what_their_uncertainties_say(views):
+def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
+    """By less, where what is not known is the same in both: the glass, here of two views each."""
     told = split_half_check(views, CalibrationOptions())
     assert told is not None
-    assert 0.1 < told["ratio"] < 2.5
+    assert 0.0 < told["ratio"] < 2.5
     assert told["worst_px"] >= told["rms_px"] > 0
     first, second = told["cameras"]
     assert first != second

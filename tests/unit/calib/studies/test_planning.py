@@ -40,7 +40,7 @@ def test_the_sizes_of_errors_that_a_run_found_replace_the_expected_ones(bench):
     found = {one.name: one.plain for one in result.amplitudes}
     wrong = replace(BENCH, errors=CollimatorErrors(rms_px=0.5))
     known = forecast(replace(wrong, amplitudes=found), POSES)
-    assert known.sigma["fx"] == pytest.approx(result.sigma["fx"], rel=0.4)
+    assert 1 / 1.5 < known.sigma["fx"] / result.sigma["fx"] < 1.5
     assert forecast(wrong, POSES).sigma["fx"] > 5 * known.sigma["fx"]
 
 
