@@ -328,7 +328,7 @@ def _kind_of_file(name: str) -> str:
 
 
 def _wire(folder: Path, stated: Any, where: str, found: Findings) -> None:
-    """Check that each wire log begins with the bytes that it had when the results were written."""
+    """Check that no wire log was changed after the results were written. It may only have grown."""
     if not isinstance(stated, dict):
         found.fault("journal", where, "it does not state the wire log")
         return

@@ -49,7 +49,7 @@ class LedgerSource:
 
 @dataclass(frozen=True)
 class EnteredRun:
-    """A run as a ledger enters it, with the ledger."""
+    """A run in a ledger, and the ledger."""
 
     run: LedgerRun
     bench: str

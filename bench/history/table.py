@@ -319,7 +319,7 @@ def require_writable_table(path: Path) -> None:
 
 
 def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> int:
-    """Write the table. A file of that name is replaced.
+    """Write the table, in place of an older file of that name.
 
     rows: Rows, as `bench.history.table.table_row` makes them.
     faults: What was noticed when the runs were merged; Parquet keeps it in the metadata of the file.

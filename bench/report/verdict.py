@@ -49,7 +49,7 @@ class Change:
 def change(results: Results) -> Change | None:
     """Return what is printed about the change since the last calibration of the same camera.
 
-    Returns: None if the results do not say whether there was an earlier calibration.
+    Returns: None if the results do not mention earlier calibrations.
     """
     previous = results.get("previous")
     if not previous:
@@ -76,7 +76,7 @@ def change(results: Results) -> Change | None:
 def change_sentence(results: Results) -> str:
     """Return the change since the last calibration in one sentence.
 
-    Returns: The sentence; empty if the results do not say whether there was an earlier calibration.
+    Returns: The sentence; empty if the results do not mention earlier calibrations.
     """
     previous = results.get("previous")
     if not previous:

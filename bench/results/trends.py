@@ -144,7 +144,7 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
 
 
 def repeats(birge: float, runs: int) -> bool:
-    """Return whether the runs differ so much less than their uncertainties that these repeat in every run.
+    """Return whether the runs agree far better than their uncertainties say: their errors are then the same in each.
 
     The scatter of n runs with right and independent uncertainties is below this in 1 % of all cases. Quantile of chi^2
     by Wilson and Hilferty, PNAS 17 (1931) 684.

@@ -1,4 +1,4 @@
-"""Function generators of Siglent's SDG series: their command language, on the instrument of all makes."""
+"""Simulated function generators of Siglent's SDG series: they understand Siglent's commands."""
 
 from __future__ import annotations
 
