@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
+from sequences.limits import ResultLimits
 from sequences.plain_number import Within
 from sequences.solve_schema import Limit, SolveConfig
 from sequences.strict_model import StrictModel
@@ -365,4 +366,5 @@ class Sequence(StrictModel):
     description: Annotated[str, Field(max_length=2000)] = ""
     defaults: DefaultConfig = DefaultConfig()
     poses: Annotated[dict[Name, PoseSet], Field(default_factory=dict)]
+    limits: ResultLimits = ()
     steps: Annotated[list[StepConfig], Field(min_length=1)]

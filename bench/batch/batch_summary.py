@@ -91,7 +91,17 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
     ended = [key for key, end in record.ends.items() if end.how == "finished" and key in runs]
     solved = [runs[key] for key in ended]
     grouped = group_runs(((runs[key], details[key], RunPlace()) for key in ended), "camera")
-    items = [_item(item, record, folder, runs.get(item.key), unread) for item in _in_order_of_begin(record)]
+    items = [
+        _item(
+            item,
+            record,
+            folder,
+            runs.get(item.key),
+            details.get(item.key, {}).get("conformity"),
+            unread,
+        )
+        for item in _in_order_of_begin(record)
+    ]
     return {
         "schema": SCHEMA,
         "queue": record.queue.name,
@@ -137,7 +147,12 @@ def _in_order_of_begin(record: BatchRecord) -> list[Item]:
 
 
 def _item(
-    item: Item, record: BatchRecord, folder: Path, run: IndexedRun | None, unread: Mapping[str, str]
+    item: Item,
+    record: BatchRecord,
+    folder: Path,
+    run: IndexedRun | None,
+    conformity: str | None,
+    unread: Mapping[str, str],
 ) -> dict[str, Any]:
     end, path = record.ends.get(item.key), f"{RUNS}/{item.key}"
     return {
@@ -152,6 +167,7 @@ def _item(
         **_attempt_times(record.ended_attempts.get(item.key, [])),
         "report": f"{path}/{REPORT}" if (folder / path / REPORT).is_file() else None,
         **_run_facts(run, _planned_poses(folder / path)),
+        "conformity": conformity,
     }
 
 

@@ -18,8 +18,9 @@ def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}"
     for item in summary["items"]:
         why = f": {item['why']}" if item["why"] else ""
+        verdict = f"  {item['conformity']}" if item.get("conformity") else ""
         attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
-        yield f"  {item['item']:<30} {item['how']:<10} {attempts}{why}"
+        yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
     for camera in summary["cameras"]:
         yield from _trend_lines(camera)
 

@@ -51,7 +51,8 @@ _LAST_WORDS_S = 2.0
 _SAFE_END_S = 60.0
 _HIGH_LOAD = 4.0
 """A load of more than this for each processor is told as a possible cause of a silence."""
-_ENDS = {0: "finished", 3: "aborted"}
+_ENDS = {0: "finished", 3: "aborted", 4: "finished"}
+"""How a run ended, by the exit status of its process; 4: it finished, and does not keep its limits."""
 _FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", "SIGPWR"})
 """Signals that a process does not get by its own error; a lack of memory also sends SIGKILL, and is told apart."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bench.certificate import strict_json
+from bench.records.results import Verdict
 
 PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
@@ -171,9 +172,6 @@ class AuthorisedBy:
     name: str
     role: str
     key_fingerprint: str
-
-
-Verdict = Literal["pass", "conditionalPass", "conditionalFail", "fail"]
 
 
 @dataclass(frozen=True)

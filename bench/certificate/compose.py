@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from typing import Any, TypeVar, get_type_hints
 
 from bench.certificate import run_facts
@@ -36,19 +35,19 @@ from bench.certificate.certificate_data import (
     Statement,
     Traceability,
     ValueBefore,
-    Verdict,
 )
 from bench.certificate.lab_config import (
     NONE,
     AccreditationConfig,
     ConditionConfig,
     LabConfig,
+    LabRuleConfig,
     PreviousConfig,
-    RuleConfig,
     SourceConfig,
 )
 from bench.certificate.run_facts import is_unnamed
 from bench.certificate.series import SIMULATED
+from bench.records.conformity import verdict_of
 from bench.records.results import Results
 from bench.report.text import words_of
 from calib.model.budget_row import PASSPORT
@@ -142,30 +141,7 @@ RULE = (
 )
 
 
-def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
-    """Return the verdict on a value.
-
-    lower, upper: Limits; None where there is none.
-    Returns: ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail``.
-
-    Examples
-    --------
-    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
-    ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
-    """
-    band = Decimal(expanded)
-    inside = min(
-        (Decimal(repr(upper)) - Decimal(value)) if upper is not None else Decimal("Infinity"),
-        (Decimal(value) - Decimal(repr(lower))) if lower is not None else Decimal("Infinity"),
-    )
-    if inside >= band:
-        return "pass"
-    if inside >= 0:
-        return "conditionalPass"
-    return "conditionalFail" if inside >= -band else "fail"
-
-
-def conformity_of(rule: RuleConfig, result: Result) -> Conformity:
+def conformity_of(rule: LabRuleConfig, result: Result) -> Conformity:
     """Return the statement of conformity of a result."""
     return Conformity(
         symbol=result.symbol,

@@ -19,6 +19,7 @@ from bench.certificate.certificate_data import PlaceKind
 from bench.certificate.series import is_number_format
 from bench.stations.station_budget import Date
 from bench.stations.station_fields import Serial
+from sequences.limits import RuleConfig
 from sequences.reader import Located, check_document, read_document
 from sequences.strict_model import StrictModel
 
@@ -211,21 +212,11 @@ class ConditionConfig(StrictModel):
         return self
 
 
-class RuleConfig(StrictModel):
+class LabRuleConfig(RuleConfig):
     """Limits of one result, for a statement of conformity. The guard band is the expanded uncertainty."""
 
     result: Annotated[Text, Field(description="Symbol of the result, such as fx.")]
     specification: Text
-    lower: Number | None = None
-    upper: Number | None = None
-
-    @model_validator(mode="after")
-    def _limits(self) -> RuleConfig:
-        if self.lower is None and self.upper is None:
-            raise PydanticCustomError("no_limit", "needs lower, upper or both.")
-        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
-            raise PydanticCustomError("limits", "lower must be less than upper.")
-        return self
 
 
 class PreviousConfig(StrictModel):
@@ -296,9 +287,9 @@ class LabConfig(StrictModel):
     conditions: Annotated[tuple[ConditionConfig, ...], Field(max_length=100)] | None = None
     sources: Annotated[tuple[SourceConfig, ...], Field(max_length=100)] = ()
     traceability: LongText | None = None
-    decision_rules: Annotated[tuple[RuleConfig, ...], BeforeValidator(_nothing), _list_or_none()] | None = (
-        None
-    )
+    decision_rules: (
+        Annotated[tuple[LabRuleConfig, ...], BeforeValidator(_nothing), _list_or_none()] | None
+    ) = None
     previous_certificate: (
         Annotated[
             Annotated[Literal["none"], Tag(NONE)] | Annotated[PreviousConfig, Tag("values")],

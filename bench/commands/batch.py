@@ -14,7 +14,7 @@ import click
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
-from bench.commands.output import JSON, STOPPED, show
+from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
 
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 
@@ -110,10 +110,13 @@ def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
     """Print how a batch ended: every run, and each camera's parameters over the batch.
 
     summary: Content of `summary.json`.
-    Returns: Exit status: 0 every run has a result, 3 stopped on request, else 1.
+    Returns: Exit status: 0 every run has a result, 3 stopped on request, 4 a run does not keep its limits,
+      else 1.
     """
     from bench.batch.batch_summary import PAGE
     from bench.batch.summary_text import summary_lines
 
     show(summary, [*summary_lines(summary), f"Summary: {folder / PAGE}"])
+    if summary["how"] == "finished" and any(item.get("conformity") == "FAIL" for item in summary["items"]):
+        return NOT_KEPT
     return {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)

@@ -23,9 +23,13 @@ if TYPE_CHECKING:
 _INVALID = "2 invalid argument or file"
 _CTRL_C = "130 ended by Ctrl-C."
 PLAIN_STATUS = f"0 done, 1 failed, {_INVALID}, {_CTRL_C}"
-RUN_STATUS = f"0 done, 1 failed, {_INVALID}, 3 stopped on request (safe, and can be resumed), {_CTRL_C}"
+RUN_STATUS = (
+    f"0 done, 1 failed, {_INVALID}, 3 stopped on request (safe, and can be resumed), 4 done, but a limit is not kept"
+    f" (FAIL), {_CTRL_C}"
+)
 QUEUE_STATUS = (
-    f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, {_CTRL_C}"
+    f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, 4 a limit of a run"
+    f" is not kept (FAIL), {_CTRL_C}"
 )
 
 

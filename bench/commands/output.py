@@ -26,6 +26,8 @@ from sequences.errors import DocumentFaults
 
 STOPPED = 3
 """Exit status of a command that was stopped on request."""
+NOT_KEPT = 4
+"""Exit status of a run that finished, and does not keep the limits of its station or sequence."""
 DEFECT = "defect"
 """Kind of an unexpected error."""
 _DISK_REMEDIES = {

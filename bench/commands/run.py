@@ -20,10 +20,17 @@ from bench.commands.options import (
     epilog,
     settings_of,
 )
-from bench.commands.output import JSON, STOPPED, ask_passphrase, error_object, show
+from bench.commands.output import JSON, NOT_KEPT, STOPPED, ask_passphrase, error_object, show
 from bench.records.journal import CAPTURES
 from bench.records.run_folder import REPORT
-from bench.report.text import fixed, unit_text, with_uncertainty, words_of
+from bench.report.text import (
+    conformity_headline,
+    conformity_sentences,
+    fixed,
+    unit_text,
+    with_uncertainty,
+    words_of,
+)
 
 if TYPE_CHECKING:
     from bench.run.runner import RunEnd
@@ -105,11 +112,14 @@ def resume(run_folder: Path, dry_run: bool) -> int:
 def show_run(end: RunEnd) -> int:
     """Print how a run ended.
 
-    Returns: Exit status: 0 finished, 3 stopped on request, 1 failed.
+    Returns: Exit status: 0 finished, 3 stopped on request, 4 finished but FAIL by its limits, 1 failed.
     """
     early = end.outcome is None and end.how != "finished"
     show(lambda: _run_dict(end), _early_end_lines(end) if early else _ended_lines(end), err=early)
-    return {"finished": 0, "aborted": STOPPED}.get(end.how, 1)
+    if end.how != "finished":
+        return STOPPED if end.how == "aborted" else 1
+    found = end.outcome.results.get("conformity") if end.outcome else None
+    return NOT_KEPT if found and not found["passed"] else 0
 
 
 def _run_dict(end: RunEnd) -> dict[str, Any]:
@@ -131,6 +141,10 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from _recorded_lines(end)
         return
     results = end.outcome.results
+    if found := results.get("conformity"):
+        yield conformity_headline(found)
+        yield from (f"  {sentence}" for sentence in conformity_sentences(found))
+        yield ""
     yield calibration_text(results["calibration"], words_of(results))
     if results["comparison"]:
         yield "\nSIMULATED devices. Distance from the simulated truth:"

@@ -109,6 +109,9 @@ _RESULT: Sequence[Column] = (
     Column(
         "corner_expanded_px", "number", "px", "expanded uncertainty of an image point in the worst corner"
     ),
+    Column(
+        "conformity", "text", "", "`PASS` or `FAIL` by the limits of station and sequence; empty without any"
+    ),
 )
 _RECORD: Sequence[Column] = (
     Column("other_parameters", "text", "", "JSON: parameters without columns, each with `value` and `sigma`"),

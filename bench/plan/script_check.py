@@ -124,6 +124,7 @@ def check_script(
         *_recording_faults(document, steps, station),
         *_order_faults(document, steps, station, with_passport),
         *_solve_faults(document, steps),
+        *_limit_faults(document, steps, station),
         *_board_faults(document, steps, station),
     ]
     return Findings(
@@ -306,9 +307,7 @@ def _solve_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
                     setting_path(document, step.path, "passport", "solve"),
                     "the planar model has no collimator, so it cannot use a passport: use another model.",
                 )
-            lens = SOME_LENS_TERMS if step.distortion == "auto" else step.distortion
-            estimated = {"fx", "fy", "cx", "cy", *lens}
-            estimated |= {"x", "y", "r"} if step.model != "planar" else set()
+            estimated = _estimated(step)
             for name in step.limits:
                 _, sigma, parameter = name.partition("sigma_")
                 if sigma and parameter.removesuffix("_px").removesuffix("_mm") not in estimated:
@@ -316,6 +315,36 @@ def _solve_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
                     yield document.fault(
                         path, "this solve does not estimate the parameter, so it has no uncertainty."
                     )
+
+
+def _estimated(step: SolveStep) -> set[str]:
+    """Return the parameters that a solve estimates."""
+    lens = SOME_LENS_TERMS if step.distortion == "auto" else step.distortion
+    return {"fx", "fy", "cx", "cy", *lens} | ({"x", "y", "r"} if step.model != "planar" else set())
+
+
+def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
+    """Yield limits of results that this run cannot judge: it would end without PASS or FAIL."""
+    stated: list[tuple[DocumentPath, str, str]] = [
+        (("limits", at, "result"), one.result, "") for at, one in enumerate(document.value.limits)
+    ]
+    stated += [(("steps",), one.result, f"the station limits {one.result}: ") for one in station.limits]
+    if not stated:
+        return
+    if not any(isinstance(step, ReportStep) for step in steps):
+        yield document.fault(
+            ("steps",), "limits need a solve step and a report step: without them, nothing is judged."
+        )
+        return
+    last = [step for step in steps if isinstance(step, SolveStep)][-1:]
+    estimated = set().union(*map(_estimated, last))
+    if last and last[0].model in {None, "auto", "joint"}:  # whatever terms the step names
+        from calib.joint.adjust import lens_names  # needed for this alone
+
+        estimated |= set(lens_names(last[0].distortion))
+    for path, result, said in stated:
+        if last and result not in estimated:
+            yield document.fault(path, f"{said}the last solve does not estimate this result.")
 
 
 def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:

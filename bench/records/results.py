@@ -17,6 +17,11 @@ Numbers = Mapping[str, float]
 """A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""
 
 
+Verdict = Literal["pass", "conditionalPass", "conditionalFail", "fail"]
+"""Of a statement of conformity: kept by the guard band or more, kept by less, not kept but by the guard band at most,
+not kept by more."""
+
+
 class StateEntered(TypedDict):
     """A state that a run entered, with the time by the system's clock and by the monotonic clock."""
 
@@ -375,6 +380,28 @@ class ChangeData(TypedDict):
     at_px: Sequence[float]
 
 
+class StatementData(TypedDict):
+    """A limit of the station or of the sequence, and whether the result keeps it."""
+
+    result: str
+    specification: str
+    stated_by: str  # ``station`` or ``sequence``
+    lower: float | None
+    upper: float | None
+    value: float | None  # None, as `expanded`, if the calibration did not estimate it
+    expanded: float | None
+    verdict: Verdict
+
+
+class ConformityData(TypedDict):
+    """PASS or FAIL of a run by the limits of its station and its sequence."""
+
+    passed: bool
+    rule: str
+    statements: Sequence[StatementData]
+    reasons: Sequence[str]  # Why the run fails whatever its limits say
+
+
 class PreviousData(TypedDict):
     """The last calibration of the same camera on this bench, and the change since; or why there is none."""
 
@@ -442,3 +469,4 @@ class Results(TypedDict):
     truth: NotRequired[Mapping[str, Any] | None]
     comparison: NotRequired[Sequence[ComparisonRow]]
     previous: NotRequired[PreviousData]
+    conformity: NotRequired[ConformityData]  # Missing without limits

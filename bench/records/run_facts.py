@@ -194,6 +194,7 @@ def _from_results(results: _Json) -> dict[str, Any]:
     """Return what only ``results.json`` states."""
     run, calibration = _part(results, "run"), _part(results, "calibration")
     corner = _part(_part(results, "projection"), "worst_corner")
+    passed = _part(results, "conformity").get("passed")
     return {
         "laboratory": _text(run.get("laboratory")),
         "collimator_serial": _text(_part(run, "collimator").get("serial")),
@@ -201,6 +202,7 @@ def _from_results(results: _Json) -> dict[str, Any]:
         "passport_number": _text(_part(results, "passport").get("number")),
         "degrees_of_freedom": calibration.get("degrees_of_freedom"),
         "corner_expanded_px": corner.get("expanded_px"),
+        "conformity": None if passed is None else "PASS" if passed else "FAIL",
     }
 
 

@@ -92,6 +92,7 @@ def render_batch(summary: Json) -> str:
                 (item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures
             ],
             not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
+            not_kept=[item["item"] for item in summary["items"] if item.get("conformity") == "FAIL"],
             withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
             cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
             rows=[_run_row(item, zone) for item in summary["items"] if item["begun_utc"]],

@@ -13,7 +13,7 @@ from datetime import datetime
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Any, NamedTuple
 
-from bench.records.results import Results
+from bench.records.results import ConformityData, Results, StatementData
 
 # An ``until`` in words: its goals, what it has reached, and how it ended.
 
@@ -367,3 +367,45 @@ def _plain(value: Decimal) -> str:
     """Print without exponent, with a true minus sign and no minus zero."""
     text = f"{value:f}"
     return text.removeprefix("-") if not value else text.replace("-", MINUS)
+
+
+# PASS or FAIL of a run, in words.
+
+_KEPT = {
+    "pass": "inside by U or more",
+    "conditionalPass": "inside, but by less than U: not proven",
+    "conditionalFail": "outside, by U or less",
+    "fail": "outside by more than U",
+}
+
+
+def conformity_headline(found: ConformityData) -> str:
+    """Return PASS or FAIL, and how many limits are kept.
+
+    Examples
+    --------
+    >>> conformity_headline({"passed": True, "rule": "", "statements": [], "reasons": []})
+    'PASS: 0 of 0 limits kept.'
+    """
+    kept = sum(one["verdict"] == "pass" for one in found["statements"])
+    return f"{'PASS' if found['passed'] else 'FAIL'}: {kept} of {len(found['statements'])} limits kept."
+
+
+def conformity_sentences(found: ConformityData) -> list[str]:
+    """Return a sentence for each limit, those that are not kept first, then the other reasons and the decision rule."""
+    ordered = sorted(found["statements"], key=lambda one: one["verdict"] == "pass")
+    rule = f"Decision rule: {found['rule']}."
+    return [*map(_statement_text, ordered), *found["reasons"], rule]
+
+
+def _statement_text(one: StatementData) -> str:
+    name, unit = one["result"], unit_text(one["result"])
+    bounds = [("at least", one["lower"]), ("at most", one["upper"])]
+    limits = " and ".join(f"{word} {exact(bound)}" for word, bound in bounds if bound is not None)
+    asked = (
+        f"{limits}{' ' if unit else ''}{unit}{' by ' if one['specification'] else ''}{one['specification']}"
+    )
+    if one["value"] is None or one["expanded"] is None:
+        return f"{name}: this calibration did not estimate it (limit: {asked})."
+    value, expanded = with_uncertainty(one["value"], one["expanded"])
+    return f"{name} {value} ± {expanded}{' ' if unit else ''}{unit} ({asked}): {_KEPT[one['verdict']]}."

@@ -12,7 +12,18 @@ from datetime import datetime
 from bench.records.results import CalibrationData, CameraData, ChangeData, Results
 from bench.records.run_facts import coverage_factor, factors_text
 from bench.report import calibration_tables, pose_tables, run_tables
-from bench.report.text import NOTHING, exact, fixed, moment, number, unit_of, with_uncertainty, words_of
+from bench.report.text import (
+    NOTHING,
+    conformity_headline,
+    conformity_sentences,
+    exact,
+    fixed,
+    moment,
+    number,
+    unit_of,
+    with_uncertainty,
+    words_of,
+)
 
 # The change since the last calibration of the same camera, as text: one sentence for the verdict, rows of a
 # table.
@@ -152,7 +163,7 @@ class Verdict:
 
     kind: str  # ``pass``, ``marginal`` or ``fail``
     headline: str
-    # Main values, worst corner, support by stars, change since the last calibration.
+    # Limits that the station or the sequence states, main values, worst corner, support by stars, change since the last calibration.
     sentences: tuple[str, ...]
     # What to read before the values are used: gates, goals that were not met, deviations.
     reasons: tuple[str, ...]
@@ -161,15 +172,18 @@ class Verdict:
 def verdict(results: Results) -> Verdict:
     """Return the verdict on a calibration.
 
-    Returns: ``fail`` if the optimisation did not converge or a gate failed; ``marginal`` if there are other
-      reasons to read before use.
+    Returns: ``fail`` if the optimisation did not converge, or a gate or a limit of a result failed; ``marginal``
+      if there are other reasons to read before use.
     """
     calibration = results["calibration"]
     reasons = tuple(run_tables.alerts(results))
     judged = [row.verdict for row in pose_tables.gates(results.get("gates") or [])]
     if not calibration["converged"]:
         return Verdict(
-            "fail", "Not calibrated.", ("The optimisation did not converge: do not use the values.",), reasons
+            "fail",
+            f"{'FAIL. ' if results.get('conformity') else ''}Not calibrated.",
+            ("The optimisation did not converge: do not use the values.",),
+            reasons,
         )
     kind, headline = "pass", "Calibrated."
     if failed := judged.count("fail"):
@@ -177,7 +191,11 @@ def verdict(results: Results) -> Verdict:
         headline = f"Calibrated, but {failed} of {len(judged)} gates {'fails' if failed == 1 else 'fail'}."
     elif reasons:
         kind, headline = "marginal", "Calibrated, with reservations."
+    if found := results.get("conformity"):
+        headline = f"{conformity_headline(found)} {headline}"
+        kind = kind if found["passed"] else "fail"
     sentences = (
+        *(conformity_sentences(found) if found else ()),
         _focal_lengths(calibration),
         _directions(results),
         _support(results),

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from bench import __version__
 from bench.plan.job import Job
+from bench.records.conformity import conformity
+from bench.records.events import GateData
 from bench.records.history import Attempt, History
-from bench.records.results import Results
+from bench.records.results import CalibrationData, Results
 from bench.report.maps import reach_px, star_distance
 from bench.results.forms import forms
 from bench.results.solution import Solution, compare_with_truth
@@ -124,6 +126,7 @@ def results_content(
         **solution.checks,
     }
     judged = [gate.as_data() for gate in solution.judged]
+    gates = [*judged, *of_journal.pop("gates")]
     found = {
         "schema": SCHEMA,
         "run": {**of_journal.pop("run"), "software": dict(software_used)},
@@ -131,12 +134,21 @@ def results_content(
         "conditions": of_journal.pop("conditions"),
         **calculated,
         "poses": of_journal.pop("poses"),
-        "gates": [*judged, *of_journal.pop("gates")],
+        "gates": gates,
+        **_conformity(job, calculated["calibration"], gates),
         **of_journal,
         "truth": _lasting(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }
     return cast("Results", found)
+
+
+def _conformity(job: Job, calibration: CalibrationData, gates: Sequence[GateData]) -> dict[str, Any]:
+    """Return PASS or FAIL by the limits of the station and the sequence, as far as they state any."""
+    limits = {"station": job.station.limits, "sequence": job.plan.sequence.value.limits}
+    failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
+    found = conformity(calibration, limits, failed)
+    return {} if found is None else {"conformity": found}
 
 
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:

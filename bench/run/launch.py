@@ -45,6 +45,7 @@ from bench.records.run_folder import (
 )
 from bench.records.run_index import RunIndex
 from bench.records.storage import read_json, storage_errors
+from bench.report.text import conformity_headline
 from bench.results.result import Outcome
 from bench.results.results_content import plugins_of_run, run_software
 from bench.run.control import remove_inbox
@@ -360,7 +361,7 @@ def _run_and_seal(
                 seal(folder, sealing_key())
             else:
                 write_ended_page(folder, sealing_key, progress.say)
-            what = f"{end.how}{': ' if end.why else ''}{end.why}{_devices_left(end)}"
+            what = f"{end.how}{_passed(end)}{': ' if end.why else ''}{end.why}{_devices_left(end)}"
             messages.write("failure" if end.how == "failed" else "end", what, journal.head)
         except BaseException as error:
             messages.write("failure", f"failed: {type(error).__name__}: {error}", journal.head)
@@ -368,6 +369,12 @@ def _run_and_seal(
         finally:
             courier.close()
     return end
+
+
+def _passed(end: RunEnd) -> str:
+    """Return PASS or FAIL by the limits, for a message; empty for a run without limits."""
+    found = end.outcome.results.get("conformity") if end.outcome else None
+    return f", {conformity_headline(found)}" if found else ""
 
 
 def _devices_left(end: RunEnd) -> str:

@@ -33,6 +33,7 @@ from bench.stations.station_text import use_descriptions
 from calib.boards.board import Board, Kind
 from calib.errors import InputMismatch
 from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
+from sequences.limits import ResultLimits
 from sequences.plain_number import Within
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name
@@ -243,6 +244,7 @@ class Station(StrictModel):
     messages: MessagesConfig = MessagesConfig()
     interlocks: InterlocksConfig = InterlocksConfig()
     ledger: LedgerConfig = LedgerConfig()
+    limits: ResultLimits = ()
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 
     @property

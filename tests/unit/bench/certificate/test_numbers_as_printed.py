@@ -13,7 +13,7 @@ from scipy import stats
 
 from bench.base.errors import EvidenceError
 from bench.certificate.budget_rows import budget_of, expanded, print_result, round_expanded
-from bench.certificate.compose import verdict_of
+from bench.records.conformity import verdict_of
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
 

@@ -437,3 +437,38 @@ def test_a_duration_is_said_without_sixty_seconds_or_minutes(seconds):
     text = duration_text(seconds)
     assert "60 s" not in text
     assert "60 min" not in text
+
+
+SOLVED = """\
+limits: [{result: %s, lower: 1}]
+steps:
+  - light
+  - repeat: {poses: [{pan_deg: -4}, {pan_deg: 4}], steps: [move, settle, record]}
+  - solve: {model: %s, distortion: [k1]}
+%s"""
+
+
+@pytest.mark.parametrize(
+    ("result", "model", "fault"),
+    [
+        ("fx", "planar", None),
+        ("k3", "joint", None),
+        ("r", "planar", "the last solve does not estimate this result."),
+        ("k3", "spherical", "the last solve does not estimate this result."),
+        ("kb1", "joint", "the last solve does not estimate this result."),
+    ],
+)
+def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, model, fault):
+    found = faults(SOLVED % (result, model, "  - report\n"))
+    assert found == ([] if fault is None else [f"s.yaml:3:19: limits[0].result: {fault}"])
+
+
+def test_a_limit_of_the_station_counts_too_and_needs_a_result():
+    limited = check_document((PLAIN + "limits: [{result: k3, upper: 1}]\n").encode(), "b.yaml", Station)
+    with_report = SOLVED % ("fx", "spherical", "  - report\n")
+    assert (
+        "the station limits k3: the last solve does not estimate this result."
+        in faults(with_report, limited)[0]
+    )
+    without = SOLVED % ("fx", "spherical", "")
+    assert any("limits need a solve step and a report step" in fault for fault in faults(without))

@@ -1,0 +1,87 @@
+"""Whether results keep limits, by guarded acceptance and rejection: of a run (PASS or FAIL), and of a certificate.
+
+The guard band is the expanded uncertainty, w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1): a limit counts as
+kept only if the value is inside by U or more, so that an uncertain result is never called good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+
+from bench.records.results import CalibrationData, ConformityData, StatementData, Verdict
+from bench.records.run_facts import coverage_factor
+from sequences.limits import ResultLimitConfig
+
+RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
+NO_CONVERGENCE = "The optimisation did not converge."
+
+
+def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
+    """Return the verdict on a value.
+
+    lower, upper: Limits; None where there is none.
+    Returns: ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail``.
+
+    Examples
+    --------
+    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
+    ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
+    """
+    band = Decimal(expanded)
+    inside = min(
+        (Decimal(repr(upper)) - Decimal(value)) if upper is not None else Decimal("Infinity"),
+        (Decimal(value) - Decimal(repr(lower))) if lower is not None else Decimal("Infinity"),
+    )
+    if inside >= band:
+        return "pass"
+    if inside >= 0:
+        return "conditionalPass"
+    return "conditionalFail" if inside >= -band else "fail"
+
+
+def conformity(
+    calibration: CalibrationData,
+    limits: Mapping[str, Sequence[ResultLimitConfig]],
+    failed_gates: Sequence[str],
+) -> ConformityData | None:
+    """Return PASS or FAIL of a run; None if neither its station nor its sequence states limits.
+
+    limits: Limits by the document that states them, ``station`` or ``sequence``.
+    failed_gates: Names of the gates that failed: values that must not be used do not pass.
+    """
+    statements = [_statement(calibration, stated_by, one) for stated_by, one in _each(limits)]
+    if not statements:
+        return None
+    reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
+    reasons += [f"The gate {name} failed." for name in failed_gates]
+    kept = all(one["verdict"] == "pass" for one in statements)
+    return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
+
+
+def _each(
+    limits: Mapping[str, Sequence[ResultLimitConfig]],
+) -> Iterator[tuple[str, ResultLimitConfig]]:
+    for stated_by, rules in limits.items():
+        for one in rules:
+            yield stated_by, one
+
+
+def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
+    name, sigma = rule.result, calibration["sigma"]
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    said: StatementData = {
+        "result": name,
+        "specification": rule.specification,
+        "stated_by": stated_by,
+        "lower": rule.lower,
+        "upper": rule.upper,
+        "value": None,
+        "expanded": None,
+        "verdict": "fail",
+    }
+    if name in values and sigma.get(name, 0.0) > 0:
+        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
+        said["value"], said["expanded"] = value, expanded
+        said["verdict"] = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
+    return said

@@ -1,0 +1,61 @@
+"""PASS and FAIL of whole runs: first on the terminal and in the report, in the results, the exit status and a batch."""
+
+import json
+import re
+
+import pytest
+from quick_runs import THREE, write_sequence, write_station
+from running import results, starbench
+
+KEPT, MISSED = "{result: fx, lower: 1600, upper: 1750}", "{result: cx, upper: 300, specification: drawing 7}"
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")
+
+
+def run(home, folder, station_limits, sequence_limits):
+    folder.mkdir(exist_ok=True)
+    sequence = write_sequence(folder / "s.yaml", THREE)
+    sequence.write_text(sequence.read_text() + f"limits: [{sequence_limits}]\n")
+    station = write_station(folder / "b.yaml", more=f"limits: [{station_limits}]\n" if station_limits else "")
+    return starbench(
+        "run", sequence, "-s", station, "--seed", 3, "-o", folder / "run", home=home
+    ), folder / "run"
+
+
+def test_a_run_that_keeps_its_limits_passes(home, tmp_path):
+    said, folder = run(home, tmp_path / "a", "", KEPT)
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.startswith("PASS: 1 of 1 limits kept.\n")
+    assert results(folder)["conformity"]["passed"]
+
+
+def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_path):
+    said, folder = run(home, tmp_path / "b", MISSED, KEPT)
+    assert said.returncode == 4, said.stderr
+    first, second, *_ = said.stdout.splitlines()
+    assert first == "FAIL: 1 of 2 limits kept."
+    assert re.match(r"  cx 3\d\d.* px \(at most 300 px by drawing 7\): outside by more than U\.", second)
+    page = (folder / "report.html").read_text()
+    assert page.index("FAIL: 1 of 2 limits kept.") < page.index("<h2>Result</h2>")
+    assert 'class="verdict fail"' in page
+    assert starbench("verify", folder, "--again", home=home).returncode == 0
+
+
+def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):
+    sequence = write_sequence(tmp_path / "s.yaml", THREE)
+    sequence.write_text(sequence.read_text() + f"limits: [{MISSED}]\n")
+    write_station(tmp_path / "b.yaml")
+    queue = tmp_path / "q.yaml"
+    queue.write_text(
+        "format: starbench/queue/1\nname: Q\njobs:\n  - {name: one, sequence: s.yaml, station: b.yaml}\n"
+    )
+    said = starbench("batch", queue, "-o", tmp_path / "night", "--json", home=home)
+    assert said.returncode == 4, said.stderr
+    summary = json.loads(said.stdout)
+    assert [(item["how"], item["conformity"], item["attempts"]) for item in summary["items"]] == [
+        ("finished", "FAIL", 1)
+    ]
+    assert "<b>FAIL by the limits:</b> one" in (tmp_path / "night" / "summary.html").read_text()
