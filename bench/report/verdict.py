@@ -163,7 +163,7 @@ class Verdict:
 
     kind: str  # ``pass``, ``marginal`` or ``fail``
     headline: str
-    # Limits that the station or the sequence states, main values, worst corner, support by stars, change since the last calibration.
+    # Limits of station and sequence, main values, worst corner, support by stars, change since the last one.
     sentences: tuple[str, ...]
     # What to read before the values are used: gates, goals that were not met, deviations.
     reasons: tuple[str, ...]
