@@ -35,6 +35,7 @@ _EVERY_PARAMETER = "all"
         "starbench runs --serial 00051234 --since 2026-03-01 --compare",
         "starbench runs runs/night --how failed",
         "starbench runs --chart fx --output fx.html",
+        "starbench runs --capability operator,day --since 2026-03-01",
         "starbench runs --output runs.csv",
         status=status_text(
             "0 runs shown, 1 a run is missing or was changed, or the ledger is broken{invalid}{ctrl_c}"
@@ -74,6 +75,14 @@ _EVERY_PARAMETER = "all"
     " parameters.",
 )
 @click.option(
+    "--capability",
+    is_flag=False,
+    flag_value="operator",
+    metavar="[FACTOR,...]",
+    help="Gauge study of several cameras: repeatability, and reproducibility by operator, bench or day (several with"
+    " commas; default: operator), as %GRR, number of distinct categories and, with limits, Cp and Cpk.",
+)
+@click.option(
     "--by",
     type=click.Choice(["camera", "type"]),
     help="One chart for each camera, or one for each camera type.  [default: both]",
@@ -103,6 +112,7 @@ def runs(
     compare: bool,
     ledgers: tuple[Path, ...],
     chart: str | None,
+    capability: str | None,
     by: Literal["camera", "type"] | None,
     baseline: int | None,
     output: Path | None,
@@ -125,6 +135,15 @@ def runs(
         raise UsageError(
             "--compare cannot be used with --chart or --output.", remedy="Call the command once for each."
         )
+    if capability is not None:
+        from bench.commands.runs_capability import show_capability
+
+        if compare or chart or output:
+            raise UsageError(
+                "--capability cannot be used with --compare, --chart or --output.",
+                remedy="Call the command once for each.",
+            )
+        return show_capability(choice, capability)
     if chart is not None:
         from bench.commands.runs_tables import chart_runs
 

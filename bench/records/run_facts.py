@@ -194,7 +194,9 @@ def _from_results(results: _Json) -> dict[str, Any]:
     """Return what only ``results.json`` states."""
     run, calibration = _part(results, "run"), _part(results, "calibration")
     corner = _part(_part(results, "projection"), "worst_corner")
-    passed = _part(results, "conformity").get("passed")
+    conformity = _part(results, "conformity")
+    passed = conformity.get("passed")
+    statements = conformity.get("statements") or []
     return {
         "laboratory": _text(run.get("laboratory")),
         "collimator_serial": _text(_part(run, "collimator").get("serial")),
@@ -203,6 +205,7 @@ def _from_results(results: _Json) -> dict[str, Any]:
         "degrees_of_freedom": calibration.get("degrees_of_freedom"),
         "corner_expanded_px": corner.get("expanded_px"),
         "conformity": None if passed is None else "PASS" if passed else "FAIL",
+        "limits": {one["result"]: [one["lower"], one["upper"]] for one in statements},
     }
 
 

@@ -78,7 +78,7 @@ __all__ = [
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 8
+VERSION = 9
 _COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _COLUMNS = (

@@ -19,7 +19,7 @@ VALUES = {"fx": 3345.0, "fy": 3345.2, "cx": 642.1, "cy": 363.3, "k1": 0.06, "k2"
 SOFTWARE = {"starbench": "0.1.0", "python": "3.11.7", "numpy": "2.4.6"}
 
 
-def results_of(folder, serial, target):
+def results_of(folder, serial, target, limits=None):
     run = {"laboratory": "Test laboratory", "collimator": {"serial": "C-1"}, "target": {"serial": target}}
     results = {
         "schema": "starbench/results/1",
@@ -29,6 +29,8 @@ def results_of(folder, serial, target):
         "projection": {"worst_corner": {"expanded_px": 0.61}},
         "devices": {"camera": {"serial": serial}},
     }
+    if limits:
+        results["conformity"] = {"passed": True, "rule": "", "reasons": [], "statements": limits}
     data = json.dumps(results).encode()
     (folder / "results.json").write_bytes(data)
     return hashlib.sha256(data).hexdigest()
@@ -51,6 +53,8 @@ def write_run(
     target="T-1",
     ended="finished",
     poses=3,
+    operator="ada",
+    limits=None,
 ):
     """Write one run; ``values`` None is a run without a result."""
     folder.mkdir(parents=True)
@@ -61,7 +65,7 @@ def write_run(
         journal.append(
             Event.RUN_STARTED, id=folder.name, sequence="Three poses", station=station,
             sha256={"sequence.yaml": "a" * 64, "station.yaml": "b" * 64, "passport.json": "c" * 64}, seed=1,
-            operator="ada", simulated=simulated, software=SOFTWARE,
+            operator=operator, simulated=simulated, software=SOFTWARE,
             **({"ledger": place} if place else {}), **({"rehearsal": True} if rehearsal else {}),
         )  # fmt: skip
         camera = {"maker": "Prophesee", "model": camera_model, "sensor": "IMX636", "serial": serial, "firmware": "4.2",
@@ -98,7 +102,10 @@ def write_run(
                 coverage_factor=2.2,
             )  # fmt: skip
             journal.append(
-                Event.WRITTEN, head="", files={"results.json": results_of(folder, serial, target)}, wire={}
+                Event.WRITTEN,
+                head="",
+                files={"results.json": results_of(folder, serial, target, limits)},
+                wire={},
             )
         if ended:
             journal.append(Event.RUN_ENDED, how=ended, why="")
