@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack, overload
 
 from bench.base.clock import Aborted, BenchClock
-from bench.base.errors import BenchError, RunFolderError
+from bench.base.errors import BenchError, RunFolderError, ScriptError
 from bench.base.home import home_folder
 from bench.batch.batch_plan import Request, RequestInbox, planned_duration_s, refusal
 from bench.batch.batch_record import (
@@ -34,8 +34,10 @@ from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summa
 from bench.batch.schedule import NEVER_S, Item, choose_next
 from bench.batch.summary_text import summary_lines
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
+from bench.history.check_standard import standard_problem
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
+from bench.plan.plan import load_documents
 from bench.records.history import History, replay
 from bench.records.journal import Journal, UnsyncedJournal, read_journal
 from bench.records.run_folder import JOURNAL, is_sealed
@@ -183,6 +185,7 @@ class Batch:
         self._record = BatchRecord(queue.value)
         self._lock = threading.RLock()
         self._messages = BatchMessages(clock, say)
+        self._told_of_standard = ""
 
     def run(self) -> dict[str, Any]:
         """Do every run that is not done yet.
@@ -317,6 +320,8 @@ class Batch:
                     self._clock.sleep(min(found + 0.01, self._look_s))
                     continue
                 wait_announced = False
+                if why := self._stopped_by_standard(found):
+                    return "stopped", why
                 self._run_item(found)
                 end = self._record.ends[found.key]
                 if end.how != "finished" and self._record.is_done(found) and found.job.on_failure == "stop":
@@ -328,6 +333,23 @@ class Batch:
             return "stopped", f"no time was left for {len(pending)} runs: {left}"
         failed = [key for key, end in self._record.ends.items() if end.how != "finished"]
         return ("finished", "") if not failed else ("failed", f"without a result: {', '.join(failed)}")
+
+    def _stopped_by_standard(self, item: Item) -> str:
+        """Return why a run must not begin, by the check standard of its station; the standard itself always may."""
+        if self._rehearsal:
+            return ""
+        try:
+            station = load_documents(item.job.sequence, item.job.station, item.job.settings)[1].value
+        except ScriptError:  # the run itself says what is wrong
+            return ""
+        standard = station.check_standard
+        if standard is None or standard.serial == station.camera.serial:
+            return ""
+        problem = standard_problem(station, home_folder(), self._clock.utc_now())
+        if problem and problem != self._told_of_standard:
+            self._told_of_standard = problem
+            self._say(f"CHECK THE BENCH: {problem}")
+        return f"{problem} Before {item.key}, measure it again." if problem and standard.stop_batch else ""
 
     def _time_after(self, wait_s: float) -> str:
         """Return the time of day at the end of a wait."""

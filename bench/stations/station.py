@@ -26,6 +26,7 @@ from bench.stations.station_fields import (
     FocalLength,
     InterlocksConfig,
     MessagesConfig,
+    Serial,
     TargetConfig,
     Text,
 )
@@ -206,6 +207,22 @@ class DiskConfig(StrictModel):
     min_free_gb: Annotated[float, Field(ge=0, le=1_000_000)] = 1.0
 
 
+class CheckStandardConfig(StrictModel):
+    """One camera that is measured again and again on this station: its control chart watches the bench."""
+
+    serial: Serial
+    every_days: Annotated[float, Within(0.01, 3650, "days")] | None = None
+    baseline: Annotated[
+        int, Within(5, 1000), Field(description="Number of first runs from which the limits come.")
+    ] = 20
+    stop_batch: Annotated[
+        bool,
+        Field(
+            description="Whether no other camera is measured in a batch while it is out of control or due."
+        ),
+    ] = False
+
+
 _TRUTHS = {"true": True, "false": False}
 _NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
@@ -245,6 +262,7 @@ class Station(StrictModel):
     interlocks: InterlocksConfig = InterlocksConfig()
     ledger: LedgerConfig = LedgerConfig()
     limits: ResultLimits = ()
+    check_standard: CheckStandardConfig | None = None
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 
     @property
