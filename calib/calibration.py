@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+from calib.model.boresight import Boresight
 from calib.model.budget_row import BudgetRow
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.collimator import Collimator
@@ -213,6 +214,8 @@ class Calibration:
         `coverage_factor` is that of fx.
     glass
         What the joint adjustment found out about the collimator, for `passport`; None from another engine.
+    boresight
+        How the camera is turned against the stage's flange; None if no readings determined it.
     """
 
     model: str
@@ -248,6 +251,7 @@ class Calibration:
     coverage_factors: Mapping[str, float] = field(default_factory=dict)
     glass: Passport | None = None
     remarks: tuple[str, ...] = ()
+    boresight: Boresight | None = None
 
     @property
     def engine(self) -> dict[str, str | int]:
@@ -350,6 +354,7 @@ class Calibration:
             "notes": list(self.notes),
             "remarks": list(self.remarks),
             **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),
+            **({"boresight": self.boresight.to_dict()} if self.boresight else {}),
             "budget_rows": [row.to_dict() for row in self.budget_rows],
             "not_included": list(self.not_included),
             "witnesses": [one.to_dict() for one in self.witnesses],

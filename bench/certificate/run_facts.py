@@ -7,7 +7,7 @@ that they are the same on another computer.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -23,7 +23,7 @@ from bench.certificate.certificate_data import (
 )
 from bench.certificate.lab_config import ItemConfig
 from bench.records.events import GateData
-from bench.records.results import CalibrationData, KnownDirection, Results
+from bench.records.results import BoresightData, CalibrationData, KnownDirection, Results
 from bench.report.pose_plot import camera_covariance, camera_of
 from bench.report.text import words_of
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
@@ -119,6 +119,7 @@ def further_of(found: Results) -> tuple[FurtherResult, ...]:
         worst = projection["worst_corner"]
         name = f"expanded uncertainty of the projection in the worst corner ({worst['corner']})"
         rows += _projection("projection_worst_corner", name, worst)
+    rows += _boresight(calibration.get("boresight"))
     rows.append(_further("rms", "RMS of the residuals (no accuracy)", float(calibration["rms_px"]), "px"))
     rows.append(_further("mean", "mean of the residuals (no accuracy)", float(calibration["mean_px"]), "px"))
     rows.append(
@@ -144,6 +145,32 @@ def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     return _projection(
         "projection_centre", "expanded uncertainty of the projection in the centre of the image", centre
     )
+
+
+def _boresight(found: BoresightData | None) -> Iterator[FurtherResult]:
+    """Yield the rotation of the camera against the stage's flange, each angle followed by its U."""
+    if found is None:
+        return
+    turned = [(f"rotation vector from flange to camera, {axis}", axis) for axis in "xyz"]
+    looks = [(f"middle of the image, {where} of the flange's axis", where) for where in ("right", "down")]
+    angles = zip(
+        (*turned, *looks),
+        (*found["vector_deg"], *found["right_down_deg"]),
+        (*found["expanded_deg"], *found["sight_expanded_deg"]),
+        strict=True,
+    )
+    for (name, short), value, own_u in angles:
+        text, own = print_result(value, own_u)
+        yield FurtherResult(
+            f"boresight_{short}", f"boresight: {name}", nine_digits(value), "deg", with_unit(text, "deg")
+        )
+        yield FurtherResult(
+            f"boresight_{short}_expanded",
+            f"boresight: expanded uncertainty of that angle ({short})",
+            nine_digits(own_u),
+            "deg",
+            with_unit(own, "deg"),
+        )
 
 
 def _projection(id_: str, name: str, one: KnownDirection) -> list[FurtherResult]:

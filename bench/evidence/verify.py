@@ -33,7 +33,7 @@ _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 LARGEST_SEAL_BYTES = 64 << 20
 """Seals of ten thousand poses are smaller; a larger file is not read."""
 _EXPORTS = (
-    r"exports/(opencv|ros_camera_info|kalibr_camchain)\.yaml|exports/mrcal\.cameramodel|exports/colmap_cameras\.txt"
+    r"exports/(opencv|ros_camera_info|kalibr_camchain|boresight)\.yaml|exports/mrcal\.cameramodel|exports/colmap_cameras\.txt"
     r"|exports/metavision\.json|exports/camera-geometry\.json|exports/not-written\.txt"
 )
 _RESULT_FILES = rf"results\.json|report\.html|views\.h5|passport\.json|VERIFY\.txt|{_EXPORTS}"

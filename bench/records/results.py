@@ -88,6 +88,28 @@ class GimbalEstimateData(TypedDict):
     source: str
 
 
+class BoresightData(TypedDict):
+    """The rotation from the stage's flange to the camera (`calib.model.boresight.Boresight`)."""
+
+    camera_from_flange: Sequence[Sequence[float]]  # (3, 3)
+    vector_deg: Sequence[float]  # The same as a rotation vector
+    expanded_deg: Sequence[float]  # U about the camera's x, y and z
+    covariance_rad2: Sequence[Sequence[float]]  # (3, 3)
+    sight: Sequence[float]  # The ray through the middle of the image, a unit vector in the flange's frame
+    right_down_deg: Sequence[float]  # Its angles from the flange's z towards x and towards y
+    sight_expanded_deg: Sequence[float]  # U of the ray along the camera's x and y
+    sight_covariance_rad2: Sequence[Sequence[float]]  # (2, 2)
+
+
+class MountFaceData(TypedDict):
+    """How the camera looks against a face of its mount."""
+
+    name: str
+    normal_in_camera: Sequence[float]
+    angle_deg: float  # Between the normal and the ray through the middle of the image
+    expanded_deg: float
+
+
 class WitnessData(TypedDict):
     """A statement against what the views and all other statements say (`calib.model.witness.Witness`)."""
 
@@ -150,6 +172,7 @@ class CalibrationData(CameraData):
     notes: NotRequired[Sequence[str]]
     remarks: NotRequired[Sequence[str]]  # Those of the notes that do not doubt the values
     gimbal: NotRequired[GimbalEstimateData]
+    boresight: NotRequired[BoresightData]
     budget_rows: NotRequired[Sequence[BudgetRowData]]
     not_included: NotRequired[Sequence[str]]
     witnesses: NotRequired[Sequence[WitnessData]]
@@ -457,6 +480,7 @@ class Results(TypedDict):
     halves: NotRequired[HalvesData]
     gimbal: NotRequired[GimbalCheckData]
     parallax: NotRequired[ParallaxData]
+    mount_faces: NotRequired[Sequence[MountFaceData]]
     poses: NotRequired[Sequence[PoseData]]
     gates: NotRequired[Sequence[GateData]]
     untils: NotRequired[Sequence[UntilDecided]]

@@ -42,6 +42,9 @@ _ORIGINS = {
 }
 
 
+_NO_BORESIGHT = "not determined: two axes of the stage must move, and the sign of no axis may be wrong"
+
+
 def passport_rows(passport: PassportData | None) -> Rows:
     """List what the results state about the collimator's passport.
 
@@ -104,6 +107,38 @@ def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateD
         )
         rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
     return rows
+
+
+def boresight_rows(results: Results) -> Rows:
+    """List how the camera is turned against the stage's flange and the faces of its mount.
+
+    Returns: Name and value; none if the readings of the gimbal took no part.
+    """
+    calibration = results["calibration"]
+    estimate, found = calibration.get("gimbal"), calibration.get("boresight")
+    if found is None:
+        return [("Boresight", _NO_BORESIGHT)] if estimate and estimate["entered"] else []
+    turned = _degrees("xyz", found["vector_deg"], found["expanded_deg"])
+    looks = _degrees(("right", "down"), found["right_down_deg"], found["sight_expanded_deg"])
+    faces = [
+        (
+            f"Boresight: middle of the image against the face {face['name']}",
+            _degrees(("angle",), [face["angle_deg"]], [face["expanded_deg"]]),
+        )
+        for face in results.get("mount_faces", ())
+    ]
+    return [
+        ("Boresight: the camera on the stage's flange, rotation vector", turned),
+        ("Boresight: the middle of the image looks", f"{looks} of the flange's axis"),
+        *faces,
+    ]
+
+
+def _degrees(names: Sequence[str], values: Sequence[float], expanded: Sequence[float]) -> str:
+    """Return angles with their U."""
+    texts = [with_uncertainty(value, own) for value, own in zip(values, expanded, strict=True)]
+    pairs = zip(names, texts, strict=True)
+    return ", ".join(f"{name} {value}° \N{PLUS-MINUS SIGN} {own}°" for name, (value, own) in pairs)
 
 
 def parallax_rows(parallax: ParallaxData | None) -> Rows:

@@ -14,6 +14,7 @@ mrcal.cameramodel     mrcal (no fisheye of this kind)
 colmap_cameras.txt    COLMAP (pixel centres at half integers there: principal point + 0.5)
 metavision.json       Metavision SDK 4 (intrinsics.json; no fisheye)
 camera-geometry.json  Metavision SDK 5 (no fisheye)
+boresight.yaml        ROS static_transform_publisher, as a quaternion
 ====================  ========================================================================
 
 A fisheye lens (kb1 to kb4; Kannala and Brandt, 2006) has the same four coefficients everywhere: OpenCV's
@@ -31,10 +32,12 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
+from scipy.spatial.transform import Rotation
 
 from bench.base.errors import BenchError
 from calib.boards.board import Board
 from calib.calibration import Calibration
+from calib.model.boresight import Boresight
 from calib.model.camera import BROWN, SKEW, CameraModel
 from calib.model.nearest_lens import nearest_lens
 from calib.target import StarTarget
@@ -198,6 +201,8 @@ def exports(
             files[name] = write(calibration, camera_name)
         except FormatCannotCarry as refusal:
             refused.append(f"{name}: {refusal}\n")
+    if calibration.boresight is not None:
+        files["boresight.yaml"] = boresight_yaml(calibration.boresight, camera_name)
     if refused:
         files[NOT_WRITTEN] = "".join(refused).encode()
     return files
@@ -379,6 +384,24 @@ def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
         "D": opencv_coefficients(camera).tolist(),
     }
     return (json.dumps(content, indent=2) + "\n").encode()
+
+
+def boresight_yaml(boresight: Boresight, camera_name: str) -> bytes:
+    """Write the transform from the stage's flange to the camera, with the names of ROS's static_transform_publisher.
+
+    ``rotation`` is that of the camera's frame in the flange's, as ROS has it; the translation is not measured.
+    """
+    x, y, z, w = Rotation.from_matrix(boresight.rotation.T).as_quat().tolist()
+    return yaml_bytes(
+        {
+            "frame_id": "flange",
+            "child_frame_id": f"{camera_name}_optical_frame",
+            "rotation": {"x": x, "y": y, "z": z, "w": w},
+            "camera_from_flange": ros_matrix(boresight.rotation),
+            "covariance_rad2": ros_matrix(boresight.covariance),
+            "expanded_deg": boresight.expanded_deg.tolist(),
+        }
+    )
 
 
 WRITERS: Mapping[str, Writer] = {

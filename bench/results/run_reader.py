@@ -20,6 +20,7 @@ from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.records.storage import read_json
 from calib.calibration import Calibration, ViewSummary
+from calib.model.boresight import Boresight
 from calib.model.budget_row import BudgetRow
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.collimator import CENTRE, Collimator
@@ -69,6 +70,7 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
         budget=stored["budget"],
         notes=tuple(stored["notes"]),
         gimbal=GimbalEstimate(**stored["gimbal"]) if stored.get("gimbal") else None,
+        boresight=Boresight.from_dict(stored["boresight"]) if stored.get("boresight") else None,
         budget_rows=tuple(BudgetRow(**row) for row in stored["budget_rows"]),
         not_included=tuple(stored["not_included"]),
         remarks=tuple(stored.get("remarks", ())),

@@ -234,6 +234,29 @@ def _fault(fault: GimbalFault, *, claimed: bool) -> dict[str, Any]:
     }
 
 
+def mount_faces(calibration: Calibration, station: Station) -> list[dict[str, Any]] | None:
+    """Return how the camera looks against the faces of its mount that the station states.
+
+    Returns: As docs/results.md describes it; None without faces or without a boresight.
+    """
+    found = calibration.boresight
+    if found is None or station.gimbal is None or not station.gimbal.faces:
+        return None
+    answer = []
+    for name, face in station.gimbal.faces.items():
+        angle, expanded = found.angle_to(np.array(face.normal), math.radians(face.sigma_deg))
+        normal = found.rotation @ np.array(face.normal) / np.linalg.norm(face.normal)
+        answer.append(
+            {
+                "name": name,
+                "normal_in_camera": normal.tolist(),
+                "angle_deg": angle,
+                "expanded_deg": expanded,
+            }
+        )
+    return answer
+
+
 # Check that does not influence a result: where the entrance pupil is, and the parallax that follows.
 #
 # The rims of the beam show how far the entrance pupil is off the pivot (`calib.studies.parallax`). The
@@ -361,7 +384,7 @@ class Solution:
     planar: Calibration | None
     measurements: Sequence[Measurement]
     judged: Sequence[Gate]
-    # `halves`, `gimbal` and `parallax` of the results, as far as they can be calculated.
+    # `halves`, `gimbal`, `parallax` and `mount_faces` of the results, as far as they can be calculated.
     checks: Mapping[str, Any]
     # Whether the readings of the gimbal entered, with what statement, or why not.
     readings: Mapping[str, Any]
@@ -400,6 +423,7 @@ def solve_run(
         "halves": split_half_check(views, options),
         "gimbal": gimbal_check(calibration, readings),
         "parallax": parallax_check(calibration, views, job.station, str(history.started["sequence"])),
+        "mount_faces": mount_faces(calibration, job.station),
     }
     check()
     return Solution(

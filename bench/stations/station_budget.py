@@ -19,6 +19,7 @@ from pydantic_core import PydanticCustomError
 from bench.stations.station_fields import FocalLength, Positive, Serial, Text
 from calib.model.type_b_terms import Distribution, TermKind, TypeBTerm
 from sequences.plain_number import Within
+from sequences.schema import Name
 from sequences.strict_model import StrictModel
 
 # Sections of the station file about the collimator and about the gimbal's readings: what is known, and how
@@ -127,6 +128,28 @@ class CollimatorConfig(StrictModel):
         return self
 
 
+def _has_direction(normal: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Refuse a vector without a direction."""
+    if not 1e-6 < math.hypot(*normal) < 1e6:
+        raise PydanticCustomError("no_direction", "has no direction: give a vector such as [0, 0, 1].")
+    return normal
+
+
+class FaceConfig(StrictModel):
+    """A face of the camera's mount, against the stage's flange."""
+
+    normal: Annotated[
+        tuple[float, float, float],
+        AfterValidator(_has_direction),
+        Field(description="Direction of its normal: x along the tilt axis, y along the pan axis, z forward."),
+    ]
+    sigma_deg: Annotated[
+        float,
+        Within(0, 10, "deg"),
+        Field(description="Standard uncertainty of the normal, in each direction."),
+    ] = 0.0
+
+
 class GimbalConfig(StrictModel):
     """What the gimbal's readings are worth as measurements, and what bounds their parallax."""
 
@@ -146,6 +169,10 @@ class GimbalConfig(StrictModel):
     pupil_off_pivot_mm: Annotated[
         StatedValue | None,
         Field(description="Distance of the lens's entrance pupil in front of the pivot."),
+    ] = None
+    faces: Annotated[
+        dict[Name, FaceConfig] | None,
+        Field(description="Faces of the camera's mount, by name, for the boresight."),
     ] = None
 
 

@@ -13,6 +13,7 @@ from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.gross_stars import GrossStars, part_of, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
+from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
@@ -146,6 +147,7 @@ def _calibration(
         rotation_covariance=rotation_covariance(found.optimum),
         budget={group: dict(zip(names, part.tolist(), strict=True)) for group, part in budget.items()},
         gimbal=_gimbal(found, parameters, options),
+        boresight=boresight(found, parameters.camera, parameters.gimbal),
         poses=tuple(int(pose) for pose in bench.poses),
         budget_rows=tuple(
             replace(row, source=options.passport_source)

@@ -68,6 +68,7 @@ class DrawnBench:
     truth: Truth
     views: list[View] = field(repr=False)  # Views of the poses, in their order
     readings_deg: list[dict[str, float]] = field(repr=False)  # Readings of the axes for each view, degrees
+    camera_from_head: FloatArray = field(repr=False)  # (3, 3) how the camera is mounted
 
 
 def draw_bench(
@@ -130,7 +131,7 @@ def draw_bench(
                 if axis != "roll" or any("roll" in one for one in poses)
             }
         )
-    return DrawnBench(truth, views, readings)
+    return DrawnBench(truth, views, readings, head)
 
 
 def draw_repeats(
@@ -154,7 +155,8 @@ def draw_repeats(
         for number, one in enumerate(rounds, 1)
         for view in one.views
     ]
-    return DrawnBench(rounds[0].truth, views, [pose for one in rounds for pose in one.readings_deg])
+    readings = [pose for one in rounds for pose in one.readings_deg]
+    return DrawnBench(rounds[0].truth, views, readings, rounds[0].camera_from_head)
 
 
 def _loads(poses: Sequence[Mapping[str, float]], truth: Truth) -> list[dict[str, float]]:

@@ -2,6 +2,7 @@
 
 import ast
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import yaml
 
 from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.calibration import Calibration, ViewSummary
+from calib.model.boresight import Boresight
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.target import StarTarget
@@ -317,3 +319,20 @@ def test_a_format_without_fisheye_is_left_out_and_told(name):
 def test_a_lens_of_brown_s_model_is_no_fisheye_to_opencv():
     storage = file_storage(opencv_yaml(calibration("k1k2"), "camera"), ".yml")
     assert storage.getNode("fisheye_model").real() == 0
+
+
+def test_the_boresight_is_a_transform_as_ros_publishes_it():
+    turned = cv2.Rodrigues(np.array([0.02, -0.5, 0.1]))[0]
+    found = Boresight(turned, np.eye(3), np.ones(3), turned.T[:, 2], np.eye(2), np.ones(2))
+    assert Boresight.from_dict(json.loads(json.dumps(found.to_dict()))).to_dict() == found.to_dict()
+    assert "boresight.yaml" not in exports(calibration("k1k2"), camera_name="c")
+    files = exports(replace(calibration("k1k2"), boresight=found), camera_name="cam 1")
+    content = yaml.safe_load(files["boresight.yaml"])
+    assert (content["frame_id"], content["child_frame_id"]) == ("flange", "cam_1_optical_frame")
+    x, y, z, w = (content["rotation"][name] for name in "xyzw")
+    ahead = [
+        2 * (x * z + w * y),
+        2 * (y * z - w * x),
+        1 - 2 * (x * x + y * y),
+    ]  # the camera's z in the flange
+    np.testing.assert_allclose(ahead, turned.T @ [0, 0, 1], atol=1e-12)

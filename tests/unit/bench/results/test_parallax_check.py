@@ -10,9 +10,10 @@ import yaml
 import bench.results.solution as checked
 from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import parallax_rows
-from bench.results.solution import PARALLAX_TEST, parallax_check
+from bench.results.solution import PARALLAX_TEST, mount_faces, parallax_check
 from bench.stations.station import GimbalConfig
 from calib.errors import DegenerateViews
+from calib.model.boresight import Boresight
 from calib.model.collimator import Collimator
 from calib.studies.parallax import PupilWalk
 
@@ -131,3 +132,19 @@ def test_the_report_states_the_place_of_the_pupil_and_the_poses_without_rim(foun
     assert "-2.7 ± 1.4 mm along x" in rows["Parallax: how the beam moves when the camera turns"]
     assert rows["Poses with the rim out of view"] == "left, right"
     assert parallax_rows(None) == []
+
+
+def test_faces_of_the_mount_get_their_angle_to_the_ray_through_the_middle():
+    found = Boresight(
+        np.eye(3), 1e-8 * np.eye(3), np.ones(3), np.array([0, 0, 1.0]), 1e-8 * np.eye(2), np.ones(2)
+    )
+    faces = "{front: {normal: [0, 0.1, 5]}, side: {normal: [-2, 0, 0], sigma_deg: 1}}"
+    settings = {"station.gimbal": f"{{reading_sigma_deg: 0.002, source: G-3, faces: {faces}}}"}
+    stated = make_plan(*load_documents("three_pose", "simulated", settings)).station.value
+    front, side = mount_faces(SimpleNamespace(boresight=found), stated)
+    assert (front["name"], side["name"]) == ("front", "side")
+    assert front["angle_deg"] == pytest.approx(np.degrees(np.arctan(0.02)))
+    assert (side["angle_deg"], side["normal_in_camera"]) == (pytest.approx(90.0), [-1.0, 0.0, 0.0])
+    assert side["expanded_deg"] > 50 * front["expanded_deg"] > 0
+    assert mount_faces(SimpleNamespace(boresight=None), stated) is None
+    assert mount_faces(SimpleNamespace(boresight=found), station()) is None

@@ -9,6 +9,7 @@ from calib import Calibration, CalibrationOptions, Passport, calibrate, projecti
 from calib.joint.knowledge import STEADY
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings
+from calib.model.rotation import log_map
 from calib.uncertainty.projection_uncertainty import camera_difference
 from simulators.world.truth import Truth
 from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
@@ -21,6 +22,7 @@ BENCHES = 12
 class Drawn:
     result: Calibration
     truth: Truth
+    camera_from_head: np.ndarray
 
     @property
     def errors(self):
@@ -52,7 +54,7 @@ def drawn(seed, profile):
         passport=Passport.of_radius(certified, CERTIFICATE_SIGMA_MM),
         gimbal=GimbalReadings(tuple(bench.readings_deg), 0.002, SCALE_SIGMA, 0.001, None, "drawn"),
     )
-    return Drawn(calibrate(bench.views, options), bench.truth)
+    return Drawn(calibrate(bench.views, options), bench.truth, bench.camera_from_head)
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +103,44 @@ def test_a_focal_length_that_drifts_from_pose_to_pose_is_named_with_its_size():
     assert steady.fault_probability < 0.1
     assert moved.fault_probability > 0.9
     assert moved.expected - steady.expected == pytest.approx(8e-4, rel=0.2)
+
+
+def boresight_errors(one):
+    """Errors of the rotation about the camera's axes, and of the ray through the middle along its x and y, degrees."""
+    found = one.result.boresight
+    turn = log_map((found.rotation @ one.camera_from_head.T)[None])[0]
+    width, height = one.true_camera.image_size
+    ray = one.true_camera.rays(np.array([[(width - 1) / 2, (height - 1) / 2]]))[0]
+    return np.degrees(turn), np.degrees(found.rotation @ (found.sight - one.camera_from_head.T @ ray))[:2]
+
+
+def test_the_boresight_lies_within_u_of_how_the_camera_is_mounted(benches):
+    found = [one.result.boresight for one in benches]
+    errors = [boresight_errors(one) for one in benches]
+    turns = np.array([turn / own.expanded_deg for (turn, _), own in zip(errors, found, strict=True)])
+    sights = np.array([ray / own.sight_expanded_deg for (_, ray), own in zip(errors, found, strict=True)])
+    for over in (turns, sights):
+        assert (np.abs(over) < 1.6).all()
+        assert np.mean(np.abs(over) < 1.0) > 0.85
+        assert np.sqrt((4.0 * over**2).mean()) > 0.4
+
+
+def test_an_angle_to_a_face_of_the_mount_has_the_u_of_the_ray_and_of_the_face(benches):
+    found = benches[0].result.boresight
+    straight, own = found.angle_to(found.sight, 0.0)
+    assert straight == pytest.approx(0.0, abs=1e-6)
+    assert own >= found.sight_expanded_deg.max() - 1e-9
+    square, wider = found.angle_to(np.cross(found.sight, [0.0, 1.0, 0.0]), np.radians(1.0))
+    assert square == pytest.approx(90.0)
+    assert 2.0 < wider < 2.5
+
+
+def test_one_axis_alone_or_a_wrong_sign_gives_no_boresight():
+    bench = draw_bench("ideal", NINE, 4)
+    turned = [view for view, pose in zip(bench.views, NINE, strict=True) if pose["tilt"] == 0.0]
+    along = [pose for pose in bench.readings_deg if pose["tilt_deg"] == 0.0]
+    wrong = [{**pose, "pan_deg": -pose["pan_deg"]} for pose in bench.readings_deg]
+    for views, readings in ((turned, along), (bench.views, wrong)):
+        options = CalibrationOptions(gimbal=GimbalReadings(tuple(readings), 0.002, 0.0, 0.0, None, "drawn"))
+        assert calibrate(views, options).boresight is None
+    assert calibrate(bench.views, CalibrationOptions()).boresight is None
