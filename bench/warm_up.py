@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import tempfile
@@ -30,6 +31,7 @@ def compile_part(part: str) -> None:
     Raises drivers.errors.DriverError, SimulationError: When the simulated bench does not work on this
       computer.
     """
+    gc.disable()  # compiling makes millions of small objects; looking for cycles among them takes 7 % of the time
     with tempfile.TemporaryDirectory() as folder:
         {"adjustment": _calibrate, "stars": _record_and_measure}[part](Path(folder))
 

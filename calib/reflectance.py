@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from calib.compiled import KERNEL
 
-@njit(cache=True, error_model="numpy")
+
+@njit(**KERNEL)
 def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
     """Return the printed brightness at one point, for code that numba compiles.
 
@@ -41,7 +43,7 @@ def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
     return 1.0 if segment % 2 == 0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def reflectances_at(x_mm: Any, y_mm: Any, layout: Any) -> Any:
     """Return the printed brightness at several points.
 

@@ -11,9 +11,10 @@ import numpy as np
 from numba import njit
 
 from calib.adjustment.star_kernels import residuals_px, robust_cost, whiten
+from calib.compiled import KERNEL
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def costs_of_views(
     target: Any,
     points: Any,

@@ -12,12 +12,13 @@ from typing import Any
 from numba import njit
 
 from calib.adjustment.star_kernels import LENS_AT
+from calib.compiled import KERNEL
 
 #: Sums may be reordered, so that they run in parallel.
 _REORDERED = {"reassoc", "contract", "nsz"}
 
 
-@njit(cache=True, error_model="numpy", fastmath=_REORDERED)
+@njit(**KERNEL, fastmath=_REORDERED)
 def add_pinhole(
     bent: Any, gradient: Any, curvature: Any, first: int, count: int, normal: Any, right: Any
 ) -> None:
@@ -65,7 +66,7 @@ def add_pinhole(
     right[3] += f
 
 
-@njit(cache=True, error_model="numpy", fastmath=_REORDERED)
+@njit(**KERNEL, fastmath=_REORDERED)
 def add_columns(
     columns: Any,
     bent: Any,
@@ -110,7 +111,7 @@ def add_columns(
         _add_two(columns, weighted, count, i, normal)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_REORDERED)
+@njit(**KERNEL, fastmath=_REORDERED)
 def _add_two(columns: Any, weighted: Any, count: int, i: int, normal: Any) -> None:
     """Add the products of the rows ``i`` and ``i + 1`` with all columns up to them, two by two: fewer loads."""
     last = min(i + 1, len(columns) - 1)
@@ -133,7 +134,7 @@ def _add_two(columns: Any, weighted: Any, count: int, i: int, normal: Any) -> No
                 normal[last, other] += s
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def gather(
     places: Any, dense: Any, pinhole: Any, by_pinhole: Any, own: Any, scores: Any, normal: Any, right: Any
 ) -> None:

@@ -13,6 +13,7 @@ from numba import njit
 
 from calib.adjustment.equation_kernels import view_equations
 from calib.adjustment.star_kernels import residuals_px, robust_cost, robust_curvature, whiten
+from calib.compiled import KERNEL
 
 #: The search stops when the damping exceeds this.
 MAX_DAMPING = 1e12
@@ -23,7 +24,7 @@ FIRST_DAMPING = 1e-6
 _TINY = float(np.finfo(float).tiny)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _pivot(matrix: Any, i: int) -> int:
     """Return the row from ``i`` on with the largest element in column ``i``."""
     best = i
@@ -33,7 +34,7 @@ def _pivot(matrix: Any, i: int) -> int:
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def solve_in_place(matrix: Any, right: Any) -> bool:
     """Solve matrix x = right in place, by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013).
 
@@ -66,7 +67,7 @@ def solve_in_place(matrix: Any, right: Any) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _turn(rotation: Any, vector: Any, out: Any) -> None:
     """Write exp([t]x) R for a rotation vector t (Rodrigues' formula; Diebel, 2006)."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -84,7 +85,7 @@ def _turn(rotation: Any, vector: Any, out: Any) -> None:
         out[2, j] = w + a * (x * v - y * u) + b * (z * along - square * w)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _eliminate(
     normal: Any, right: Any, damping: float, block: Any, solved: Any, information: Any, score: Any
 ) -> bool:
@@ -114,7 +115,7 @@ def _eliminate(
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> bool:
     """Compute the damped step of all parameters; False if the equations are singular.
 
@@ -150,7 +151,7 @@ def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> b
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _decrement(right: Any, shared: Any, local: Any) -> float:
     """Return gradient times step, which is twice the predicted reduction of the cost."""
     total, count = 0.0, len(shared)
@@ -162,7 +163,7 @@ def _decrement(right: Any, shared: Any, local: Any) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _move(
     state: Any,
     rotations: Any,
@@ -185,7 +186,7 @@ def _move(
             new_offsets[i, a - 3] = offsets[i, a - 3] + local[i, a]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _keep(
     state: Any, rotations: Any, offsets: Any, new_state: Any, new_rotations: Any, new_offsets: Any
 ) -> None:
@@ -199,7 +200,7 @@ def _keep(
                 rotations[i, j, k] = new_rotations[i, j, k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def search(
     target: Any,
     points: Any,

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from calib.compiled import KERNEL
+
 #: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, the skew, and the
 #: centre (x, y, r).
 LENS_AT = 4
@@ -27,7 +29,7 @@ _TINY = float(np.finfo(float).tiny)
 _HUBER, _CAUCHY = LOSSES["huber"], LOSSES["cauchy"]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def project(
     target: Any,
     rotation: Any,
@@ -69,7 +71,7 @@ def project(
         v[k] = y[k] * inverse
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _distort(x: Any, y: Any, state: Any, fisheye: bool) -> None:
     """Distort normalised points in place: Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006)."""
     k = state[LENS_AT:SKEW_AT]
@@ -90,7 +92,7 @@ def _distort(x: Any, y: Any, state: Any, fisheye: bool) -> None:
         y[i] = v * radial + c * (r2 + 2.0 * v * v) + 2.0 * d * u * v
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def residuals_px(
     target: Any,
     points: Any,
@@ -133,7 +135,7 @@ def residuals_px(
             at += size
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def whiten(residuals: Any, factors: Any, bounds: Any) -> None:
     """Divide residuals by their standard deviations, in place (Aitken, 1936); infinite if a star was not projected.
 
@@ -152,7 +154,7 @@ def whiten(residuals: Any, factors: Any, bounds: Any) -> None:
             at += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def robust_cost(residuals: Any, first: int, end: int, loss: int, limit: float) -> float:
     """Return the sum of the robust costs of some stars, as `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
 
@@ -174,7 +176,7 @@ def robust_cost(residuals: Any, first: int, end: int, loss: int, limit: float) -
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def robust_curvature(
     residuals: Any, factors: Any, bounds: Any, loss: int, limit: float, gradient: Any, curvature: Any
 ) -> None:
@@ -200,7 +202,7 @@ def robust_curvature(
             at += size
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _slopes(rx: Any, ry: Any, loss: int, limit: float, across: Any, excess: Any) -> None:
     """Write the curvatures across M residuals e, and what the curvatures along them exceed these by, over e^2."""
     count = len(rx)
@@ -221,7 +223,7 @@ def _slopes(rx: Any, ry: Any, loss: int, limit: float, across: Any, excess: Any)
         excess[:count] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _pulled(
     residuals: Any,
     factors: Any,

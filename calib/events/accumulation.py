@@ -7,13 +7,17 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
 from calib.events.bursts import FOLD_BINS, BurstWindow, burst_window, folded_rate
 from calib.events.event_times import EventTimes, event_times
 
+#: Share of the pixels, as its inverse, up to which medians are computed one by one.
+FEW_MEDIANS = 64
 #: Types of the fields of `PixelSums`, the widest first, so that each begins at a multiple of its size.
 _KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
 
@@ -101,7 +105,7 @@ def accumulate(
     return sums, on_window
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _add_events(
     times: EventTimes,
     x: Any,
@@ -164,7 +168,7 @@ class LitPixels(NamedTuple):
     silent_rows: int  # Number of rows without any event between rows with lit pixels
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
     """Find the pixels that fire in enough bursts of both polarities, in one pass.
 
@@ -192,83 +196,41 @@ def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
     return LitPixels(latency_us[:n], on, off, all_on, silent)
 
 
-@njit(cache=True, error_model="numpy")
-def _middle(values: Any) -> Any:
-    """Return the median of an odd number of values, which are sorted in place by insertion (Knuth, 1998).
-
-    Numba compiles this in a tenth of the time that NumPy's sort takes.
-    """
-    for i in range(1, len(values)):
-        value, j = values[i], i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
-    return values[len(values) // 2]
-
-
-@njit(cache=True, error_model="numpy")
-def hot_pixels(on_count: Any, off_count: Any, allowed: int, most: int) -> tuple[Any, bool]:
+def hot_pixels(
+    on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allowed: int
+) -> NDArray[np.bool_]:
     """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each.
 
-    The median is computed only where it matters: at the pixels with more than ``allowed`` events.
+    Few medians are computed one by one; for many, a filter of the whole image is faster.
 
     on_count, off_count: (H, W) uint32, number of events of each polarity.
-    most: Number of medians after which the search is given up: a filter of the whole image is faster then.
     Returns: (H, W) bool.
-    Returns: False if the search was given up.
     """
-    height, width = on_count.shape
-    hot, medians = np.zeros((height, width), np.bool_), 0
-    around: Any = np.empty(25, np.int64)
-    for r in range(height):
-        for c in range(width):
-            count = np.int64(on_count[r, c]) + np.int64(off_count[r, c])
-            if count <= allowed:
-                continue
-            medians += 1
-            if medians > most:
-                return hot, False
-            for k in range(25):
-                y = min(max(r + k // 5 - 2, 0), height - 1)
-                x = min(max(c + k % 5 - 2, 0), width - 1)
-                around[k] = min(np.int64(on_count[y, x]) + np.int64(off_count[y, x]), 65535)
-            # In whole numbers, doubled.
-            hot[r, c] = 2 * count > 5 * _middle(around) + 2 * allowed
-    return hot, True
+    count = on_count + off_count
+    cut = np.minimum(count, 65535)
+    at = np.divmod(np.flatnonzero(count > allowed), count.shape[1])
+    hot = np.zeros(count.shape, bool)
+    around = (
+        _medians(cut, at, 5)
+        if at[0].size <= count.size // FEW_MEDIANS
+        else cv2.medianBlur(cut.astype(np.uint16), 5)[at]
+    )
+    hot[at] = count[at] > 2.5 * around + allowed
+    return hot
 
 
-@njit(cache=True, error_model="numpy")
-def without_hot_pixels(image: Any, hot: Any) -> Any:
-    """Replace hot pixels by the median of the 3 x 3 pixels around them.
-
-    image: (H, W) float32.
-    hot: (H, W) bool.
-    Returns: (H, W) float32.
-    """
-    height, width = image.shape
-    result, around = image.copy(), np.empty(9, np.float32)
-    for r in range(height):
-        for c in range(width):
-            if hot[r, c]:
-                for k in range(9):
-                    y, x = min(max(r + k // 3 - 1, 0), height - 1), min(max(c + k % 3 - 1, 0), width - 1)
-                    around[k] = image[y, x]
-                result[r, c] = _middle(around)
+def without_hot_pixels(image: NDArray[np.float32], hot: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Replace hot pixels by the median of the 3 x 3 pixels around them."""
+    result, at = image.copy(), np.divmod(np.flatnonzero(hot), hot.shape[1])
+    result[at] = _medians(image, at, 3)
     return result
 
 
-@njit(cache=True, error_model="numpy")
-def above_surroundings(count: Any, around: Any, allowed: int) -> Any:
-    """Return where a count exceeds 2.5 times that of its surroundings by more than ``allowed``.
-
-    count: (H, W) uint32.
-    around: (H, W) uint16, typical count of the surroundings.
-    Returns: (H, W) bool.
-    """
-    result = np.empty(count.shape, np.bool_)
-    for r in range(count.shape[0]):
-        for c in range(count.shape[1]):
-            # In whole numbers, doubled.
-            result[r, c] = 2 * np.int64(count[r, c]) > 5 * np.int64(around[r, c]) + 2 * allowed
-    return result
+def _medians(image: NDArray[Any], at: tuple[NDArray[np.intp], ...], side: int) -> NDArray[Any]:
+    """Return the medians of ``side`` x ``side`` pixels around some pixels; at the rim, the last pixels are repeated."""
+    steps = np.arange(side) - side // 2
+    rows, columns = (
+        np.clip(place[:, None] + steps, 0, end - 1) for place, end in zip(at, image.shape, strict=True)
+    )
+    around = image[rows[:, :, None], columns[:, None, :]].reshape(-1, side * side)
+    return np.asarray(np.partition(around, side * side // 2, axis=1)[:, side * side // 2])

@@ -26,14 +26,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewEvents
 from calib.events.accumulation import (
     PixelSums,
-    above_surroundings,
     accumulate,
     hot_pixels,
     lit_pixels,
@@ -46,8 +44,6 @@ from calib.events.flicker import Flicker
 LOCK_IN_MIN_EVENTS = 1.9
 #: Least share of the edges on which a lit pixel fires.
 LIT_SHARE = 0.75
-#: Share of the pixels, as its inverse, up to which medians are computed one by one.
-FEW_MEDIANS = 64
 
 
 class ChosenImage(NamedTuple):
@@ -119,7 +115,7 @@ class EventImages:
         """(H, W) float32, 0 to 1, share of the edges on which the pixel fired; hot pixels are replaced."""
         edges = 2.0 * self.facts.periods
         share = (self.on_fired.astype(np.float32) + self.off_fired) / np.float32(edges)
-        return _without_hot_pixels(share, self.hot)
+        return without_hot_pixels(share, self.hot)
 
     def best(self, *, one_phase: bool = True) -> ChosenImage:
         """Choose the kind of image in which stars are found best, by the events of a lit pixel at an edge.
@@ -138,7 +134,7 @@ class EventImages:
             reason = (
                 f"{rate:.2f} events per edge, {LOCK_IN_MIN_EVENTS} or more: their number carries grey levels."
             )
-            return ChosenImage("lock-in", _without_hot_pixels(self.lock_in, self.hot), reason)
+            return ChosenImage("lock-in", without_hot_pixels(self.lock_in, self.hot), reason)
         reason = (
             f"{rate:.2f} events per edge, fewer than {LOCK_IN_MIN_EVENTS}: "
             "only whether a pixel fired is reliable."
@@ -156,9 +152,9 @@ class EventImages:
         makers = {
             "last-polarity": lambda: self.last_polarity.astype(np.float32),
             "any": lambda: self.fired.astype(np.float32),
-            "count": lambda: _without_hot_pixels(self.count.astype(np.float32), self.hot),
+            "count": lambda: without_hot_pixels(self.count.astype(np.float32), self.hot),
             "fired-per-edge": lambda: self.fired_per_edge,
-            "lock-in": lambda: _without_hot_pixels(self.lock_in, self.hot),
+            "lock-in": lambda: without_hot_pixels(self.lock_in, self.hot),
             "on-latency": self._inverted_latency,
         }
         if name not in makers:
@@ -248,21 +244,7 @@ def _hot_pixels(sums: PixelSums, edges: int) -> NDArray[np.bool_]:
 
     Own rule: more than 2.5 m + 4 + 2 E events, with the median m of the 5 x 5 pixels around and E edges.
     """
-    hot, complete = hot_pixels(
-        sums.on_count, sums.off_count, 4 + 2 * edges, sums.on_count.size // FEW_MEDIANS
-    )
-    if complete:
-        return np.asarray(hot)
-    count = sums.on_count + sums.off_count
-    around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
-    return np.asarray(above_surroundings(count, around, 4 + 2 * edges))
-
-
-def _without_hot_pixels(image: NDArray[np.float32], hot: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Replace hot pixels by the median of their surroundings."""
-    if not hot.any():
-        return image
-    return np.asarray(without_hot_pixels(image, hot))
+    return hot_pixels(sums.on_count, sums.off_count, 4 + 2 * edges)
 
 
 def _facts(

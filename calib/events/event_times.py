@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
+
 
 class EventTimes(NamedTuple):
     """The K different times of N events."""
@@ -37,7 +39,7 @@ def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
     return EventTimes(*_gathered(np.ascontiguousarray(t, np.int64), np.ascontiguousarray(is_on)))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _gathered(t: Any, p: Any) -> tuple[Any, Any, Any]:
     """Return the fields of `EventTimes`.
 

@@ -32,6 +32,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
 from calib.errors import InputMismatch, TooFewEvents
 
 DEFAULT_CUTOFF_HZ = 10.0
@@ -219,7 +220,7 @@ def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:
         )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _add_events(t: Any, x: Any, y: Any, p: Any, alpha_us: float, sums: Any, seen_us: Any) -> None:
     """Add events to the sums of their pixels, decayed to their times: Scheerlinck et al. (2018)."""
     for i in range(t.size):
@@ -231,7 +232,7 @@ def _add_events(t: Any, x: Any, y: Any, p: Any, alpha_us: float, sums: Any, seen
         sums[1 if p[i] else 0, r, c] += 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _add_later(t: Any, x: Any, y: Any, p: Any, at_us: float, alpha_us: float, sums: Any) -> None:
     """Add events with the weight that they have seen from an earlier time: the same filter backwards."""
     seen = np.int64(-1)

@@ -123,6 +123,7 @@ def contradicts_neighbours(
         off,
         nearest.which,
         nearest.distance,
+        np.arange(len(off)),
         _BESIDE * nearest.spacing,
         _PATCH_SHARE,
         _ORDERED_SHARE,

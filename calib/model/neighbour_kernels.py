@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from calib.compiled import KERNEL
+
 #: Smallest numbers on the diagonals of the local fits: of the constant, and of all other terms (Hoerl and Kennard,
 #: 1970). They matter for neighbours on one line only.
 RIDGE_CONSTANT, RIDGE_OTHERS = 1e-9, 1e-3
@@ -18,7 +20,7 @@ RIDGE_CONSTANT, RIDGE_OTHERS = 1e-9, 1e-3
 AFFINE, QUADRATIC = 3, 6
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _insert(which: Any, squares: Any, found: int, star: int, square: float) -> None:
     """Insert a star into the ``found`` nearest so far, nearest first; the lower index first if equally near."""
     at = min(found, len(which) - 1)
@@ -28,7 +30,7 @@ def _insert(which: Any, squares: Any, found: int, star: int, square: float) -> N
     which[at], squares[at] = star, square
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def nearest(points: Any, order: Any, which: Any, distance: Any) -> None:
     """Find the nearest other points of each point: a sweep along x, until no nearer point can follow (own).
 
@@ -60,7 +62,7 @@ def nearest(points: Any, order: Any, which: Any, distance: Any) -> None:
             distance[i, k] = np.sqrt(squares[k])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def one_sidedness(points: Any, which: Any, spacing: float, out: Any) -> None:
     """Compute the distance of the neighbours' mean from each point: 0 inside of a set of points, about 1 at its rim.
 
@@ -77,7 +79,7 @@ def one_sidedness(points: Any, which: Any, spacing: float, out: Any) -> None:
         out[i] = np.sqrt(x * x + y * y) / (count * spacing)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _terms(x: float, y: float, row: Any) -> None:
     """Write the terms of a local map at (x, y): 1, x, y, and x^2, x y, y^2 if there is room."""
     row[0], row[1], row[2] = 1.0, x, y
@@ -85,7 +87,7 @@ def _terms(x: float, y: float, row: Any) -> None:
         row[3], row[4], row[5] = x * x, x * y, y * y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _solve(matrix: Any, right: Any) -> None:
     """Solve matrix x = right in place for a positive definite matrix, by Cholesky (Golub and Van Loan, 2013)."""
     n = len(right)
@@ -105,7 +107,7 @@ def _solve(matrix: Any, right: Any) -> None:
         right[i] /= matrix[i, i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def plain_deviations(points: Any, which: Any, spacing: float, off: Any, terms: int, out: Any) -> None:
     """Compute the distances between values at points and least squares predictions of their neighbours.
 
@@ -143,7 +145,7 @@ def plain_deviations(points: Any, which: Any, spacing: float, off: Any, terms: i
         out[i] = np.sqrt((x * x + y * y) / (1.0 + max(answer[0], 0.0)))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _root(parents: Any, i: int) -> int:
     """Return the first member of a set, and shorten the way to it (Tarjan, 1975)."""
     while parents[i] != i:
@@ -152,9 +154,9 @@ def _root(parents: Any, i: int) -> int:
     return i
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def outside_the_largest_patch(
-    mapped: Any, off: Any, which: Any, distance: Any, reach: float, share: float, ordered: float
+    mapped: Any, off: Any, which: Any, distance: Any, parents: Any, reach: float, share: float, ordered: float
 ) -> Any:
     """Return which stars belong to a patch beside the largest one that does not agree with it.
 
@@ -164,26 +166,27 @@ def outside_the_largest_patch(
 
     mapped, off: (N, 2) float64 mapped positions, and what the stars are off them, px.
     which, distance: (N, K) int64 neighbours of each star, nearest first, and (N, K) float64 their distances.
+    parents: (N,) int64, 0 to N - 1; overwritten.
     share: Neighbours agree if what they are off differs by no more than this share of their mapped distance.
     """
     count = len(which)
-    agrees = np.zeros(which.shape, np.bool_)
     pairs, agreeing = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    parents = np.arange(count)
+    all_pairs = all_agreeing = 0
     for i in range(count):
         for k in range(which.shape[1]):
             if distance[i, k] > reach:
                 break
             j = which[i, k]
             pairs[i] += 1
+            all_pairs += 1
             apart = np.hypot(mapped[i, 0] - mapped[j, 0], mapped[i, 1] - mapped[j, 1])
             if np.hypot(off[i, 0] - off[j, 0], off[i, 1] - off[j, 1]) <= share * apart:
-                agrees[i, k] = True
                 agreeing[i] += 1
+                all_agreeing += 1
                 a, b = _root(parents, i), _root(parents, j)
                 parents[max(a, b)] = min(a, b)
     beside = np.zeros(count, np.bool_)
-    if pairs.sum() and agreeing.sum() < ordered * pairs.sum():
+    if all_agreeing < ordered * all_pairs:
         for i in range(count):
             beside[i] = 2 * agreeing[i] < pairs[i]
         return beside

@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
 from calib.stars.local_map import LocalMap
 from calib.stars.symmetry_kernels import SYMMETRY_UNKNOWNS, normal_equations
 
@@ -87,7 +88,7 @@ def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
     return np.column_stack([u[upper], v[upper]])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
     """Solve the normal equations in place; return whether the image determines every unknown; a flat one does not.
 
@@ -113,7 +114,7 @@ def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _substitute(factor: Any, right: Any, step: Any) -> None:
     """Solve a system by its Cholesky factor: forward, then back substitution (Golub and Van Loan, 2013)."""
     for k in range(SYMMETRY_UNKNOWNS):
@@ -127,7 +128,7 @@ def _substitute(factor: Any, right: Any, step: Any) -> None:
         step[k] /= factor[k, k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _clearly_regular(scaled: Any, factor: Any) -> bool:
     """Return whether the condition of a symmetric matrix with unit diagonal is below 1e10 for sure.
 
@@ -153,7 +154,7 @@ def _clearly_regular(scaled: Any, factor: Any) -> bool:
     return bool(smallest > n * 1e-10)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _solve_by_eigenvalues(matrix: Any, right: Any, solution: Any) -> bool:
     """Solve a symmetric system by Jacobi's rotations (Golub and Van Loan, 2013); the matrix is overwritten.
 
@@ -188,7 +189,7 @@ def _solve_by_eigenvalues(matrix: Any, right: Any, solution: Any) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _rotate(matrix: Any, vectors: Any, p: int, q: int) -> None:
     """Make element (p, q) of a symmetric matrix zero by a rotation, which the columns of ``vectors`` follow."""
     if matrix[p, q] == 0.0:
@@ -207,7 +208,7 @@ def _rotate(matrix: Any, vectors: Any, p: int, q: int) -> None:
         matrix[p, k], matrix[q, k] = cosine * one - sine * other, sine * one + cosine * other
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _store_information(normal: Any, information: Any) -> None:
     """Store the (2, 2) information of the centre after elimination of the slopes, the last unknown first (Gauss)."""
     left = np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
@@ -224,13 +225,13 @@ def _store_information(normal: Any, information: Any) -> None:
             information[q, m] = left[q, m]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _used_samples(samples: Any, used_to: Any) -> Any:
     """Return the samples, (2, M) float32, that lie in the used part of a star's cell."""
     return samples[:, (np.abs(samples[0]) <= used_to[0]) & (np.abs(samples[1]) <= used_to[1])]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def refine_by_symmetry(
     image: Any,
     guesses: Any,
@@ -259,13 +260,15 @@ def refine_by_symmetry(
     normal, factor = np.empty((2, SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
     right, step = np.empty((2, SYMMETRY_UNKNOWNS))
     every = np.ascontiguousarray(samples.T).astype(np.float32)
-    reach = np.abs(every).max()
+    reach = np.float32(0.0)
+    for i in range(len(samples)):
+        reach = max(reach, abs(every[0, i]), abs(every[1, i]))
     space = np.empty((2, len(samples)), np.float32)
     pixels, width = image.ravel(), image.shape[1]
     for k in range(n):
         x, y = guesses[k, 0], guesses[k, 1]
         slopes, centre = np.zeros(SYMMETRY_UNKNOWNS - 2), np.empty(2)
-        places = every if used_to[k].min() >= reach else _used_samples(every, used_to[k])
+        places = every if min(used_to[k, 0], used_to[k, 1]) >= reach else _used_samples(every, used_to[k])
         for _ in range(_MAX_STEPS):
             centre[0], centre[1] = x, y
             squares = normal_equations(

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
 from calib.stars.edge_gathering import EdgePixels
 
 #: Width of the bins of tau, px.
@@ -60,24 +61,26 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype.kind == "u" and image.dtype.itemsize <= 2:
         every = np.arange(int(image.max()) + 1)
         return np.searchsorted(borders, every, side="right").astype(np.uint8)[image]
-    return _levels_of(np.ascontiguousarray(image), np.asarray(borders, float))
+    if len(borders) == 0:
+        return np.zeros(image.shape, np.uint8)
+    borders = np.asarray(borders, float)
+    steps = (
+        np.arange(_TABLE) / (_TABLE / (borders[-1] - borders[0])) if len(borders) > 1 else np.zeros(_TABLE)
+    )
+    table = np.append(np.searchsorted(borders, borders[0] + steps), len(borders))
+    return np.asarray(_levels_of(np.ascontiguousarray(image), borders, table))
 
 
-@njit(cache=True, error_model="numpy")
-def _levels_of(image: Any, borders: Any) -> Any:
+@njit(**KERNEL)
+def _levels_of(image: Any, borders: Any, table: Any) -> Any:
     """Return for each pixel how many borders are at most its value, (H, W) uint8.
 
-    The search starts from a table over the values, and bisects what the table leaves open.
+    The search starts from a table over the values, and bisects what the table leaves open. The table says how many
+    borders lie below each of `_TABLE` equal steps from the first border to the last one.
     """
     levels = np.zeros(image.shape, np.uint8)
-    if len(borders) == 0:
-        return levels
     low, high = borders[0], borders[-1]
     scale = _TABLE / (high - low) if high > low else 0.0
-    table = np.empty(_TABLE + 1, np.int64)
-    for i in range(_TABLE):
-        table[i] = np.searchsorted(borders, low + i / scale if scale > 0.0 else low)
-    table[_TABLE] = len(borders)
     for r in range(image.shape[0]):
         for c in range(image.shape[1]):
             value = float(image[r, c])
@@ -99,7 +102,7 @@ def _levels_of(image: Any, borders: Any) -> Any:
     return levels
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@njit(**KERNEL, fastmath={"contract"})
 def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     """Count the levels of all pixels over tau. Each pixel is shared between the two nearest bins.
 
@@ -125,7 +128,7 @@ def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     return counts
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def edge_scores(
     pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:
@@ -159,7 +162,7 @@ def edge_scores(
     return score, fisher
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"})
+@njit(**KERNEL, fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"})
 def _add_edge(
     pixels: EdgePixels,
     begin: int,

@@ -8,10 +8,8 @@ predicted, and over the whole view when all are found.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, fit_homography
@@ -56,51 +54,21 @@ def predict_locally(
         np.subtract.outer(wanted[:, 0], grid[:, 0]) ** 2 + np.subtract.outer(wanted[:, 1], grid[:, 1]) ** 2
     )
     near = np.argpartition(squares, k - 1, axis=1)[:, :k]
-    return base + np.asarray(_local_deviations(off, grid, wanted, near))
+    return base + _local_deviations(off, grid, wanted, near)
 
 
-@njit(cache=True, error_model="numpy")
-def _local_deviations(off: Any, grid: Any, wanted: Any, near: Any) -> Any:
+def _local_deviations(
+    off: NDArray[np.float64], grid: NDArray[np.float64], wanted: NDArray[np.float64], near: NDArray[np.intp]
+) -> NDArray[np.float64]:
     """Fit the deviations of the nearest stars around each grid position; return the polynomial there, (M, 2) px.
 
     ``near`` are the numbers of these stars, (M, k). Locally weighted regression (Cleveland, 1979).
     """
-    found = np.empty((len(wanted), 2))
-    normal, right, term = np.empty((6, 6)), np.empty((6, 2)), np.empty(6)
-    for m in range(len(wanted)):
-        x, y = wanted[m]
-        normal[:] = 0.0
-        right[:] = 0.0
-        for i in range(6):
-            normal[i, i] = RIDGE[i] + 1e-9
-        for star in near[m]:
-            dx, dy = grid[star, 0] - x, grid[star, 1] - y
-            weight = 1.0 / (1.0 + dx * dx + dy * dy)
-            term[0], term[1], term[2], term[3], term[4], term[5] = 1.0, dx, dy, dx * dx, dx * dy, dy * dy
-            for p in range(6):
-                scaled = weight * term[p]
-                right[p, 0] += scaled * off[star, 0]
-                right[p, 1] += scaled * off[star, 1]
-                for q in range(p + 1):
-                    normal[p, q] += scaled * term[q]
-        found[m, 0], found[m, 1] = _first_unknowns(normal, right)
-    return found
-
-
-@njit(cache=True, error_model="numpy")
-def _first_unknowns(normal: Any, right: Any) -> tuple[float, float]:
-    """Return the first unknown of two systems of equations with one symmetric matrix, whose lower half is given.
-
-    The unknowns are eliminated from the last one on (Gauss; Golub and Van Loan, 2013); the matrix is changed.
-    """
-    for p in range(len(normal) - 1, 0, -1):
-        for q in range(p):
-            share = normal[p, q] / normal[p, p]
-            right[q, 0] -= share * right[p, 0]
-            right[q, 1] -= share * right[p, 1]
-            for r in range(q + 1):
-                normal[q, r] -= share * normal[p, r]
-    return right[0, 0] / normal[0, 0], right[0, 1] / normal[0, 0]
+    dx, dy = np.moveaxis(grid[near] - wanted[:, None], -1, 0)
+    terms = np.stack([np.ones_like(dx), dx, dy, dx * dx, dx * dy, dy * dy], axis=-1)
+    weighted = np.swapaxes(terms / (1.0 + dx * dx + dy * dy)[..., None], 1, 2)
+    normal = weighted @ terms + np.diag(np.asarray(RIDGE) + 1e-9)
+    return np.asarray(np.linalg.solve(normal, weighted @ off[near])[:, 0])
 
 
 @dataclass(frozen=True)

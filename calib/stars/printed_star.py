@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from calib.compiled import KERNEL
 from calib.reflectance import reflectance_at
 from calib.target import StarTarget
 
@@ -60,7 +61,7 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _drawn(steps: Any, column: int, row: int, layout: Any) -> Any:
     """Return the brightness around the star of a node, (S, S) float32; the samples are ``steps`` pitches apart.
 

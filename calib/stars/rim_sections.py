@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
 from calib.view import RimPoints
 
 Array = NDArray[np.float64]
@@ -159,7 +160,7 @@ def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, s
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _fall_sums(
     section: Any, rho: Any, along: Any, levels: Any, place: Any, slope: Any, width: float
 ) -> tuple[Any, float]:

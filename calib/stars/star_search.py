@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
 from calib.stars.template import MIN_COVERED, StarTemplate
 
 #: Standard deviation, as a share of the brightness, up to which an image counts as flat: single precision is right to
@@ -37,7 +38,7 @@ class _Places(NamedTuple):
     expected: NDArray[np.float32]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _find_places(
     guess: Any, linear: Any, template: StarTemplate, width: int, places: _Places
 ) -> tuple[int, int, int, int]:
@@ -55,7 +56,7 @@ def _find_places(
     return left, right, top, bottom
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@njit(**KERNEL, fastmath={"reassoc", "contract", "nsz"})
 def _sums_at(pixels: Any, width: Any, shift: Any, level: Any, places: _Places) -> tuple[float, float, float]:
     """Return the sums of the values at the samples, of their squares, and of their products with the template.
 
@@ -77,7 +78,7 @@ def _sums_at(pixels: Any, width: Any, shift: Any, level: Any, places: _Places) -
     return float(total), float(squares), float(product)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _correlation_inside(
     pixels: Any, width: int, shift: int, level: Any, balance: float, places: _Places
 ) -> float:
@@ -96,7 +97,7 @@ def _correlation_inside(
     return (product - mean * balance) / n / np.sqrt(variance) if variance > flat else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _correlation_partly(image: Any, across: int, below: int, places: _Places) -> float:
     """Return the correlation of samples of which some lie outside of the image; nan if too many of them do.
 
@@ -125,7 +126,7 @@ def _correlation_partly(image: Any, across: int, below: int, places: _Places) ->
     return (product - mean * balance) / n / np.sqrt(variance) if variance > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def search_stars(
     image: Any, guesses: Any, linear: Any, reach_px: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
@@ -143,16 +144,17 @@ def search_stars(
     Returns: (N,) float64, -1 to 1; nan as above.
     """
     n, samples = len(guesses), template.values.size
-    best, score = np.full((n, 2), np.nan), np.full(n, np.nan)
+    best, score = np.empty((n, 2)), np.empty(n)
     numbers, shares = np.empty((3, samples), np.int32), np.empty((2, samples), np.float32)
     expected = template.expected.astype(np.float32)
     places = _Places(numbers[0], numbers[1], numbers[2], shares[0], shares[1], expected)
     for k in range(n):
+        best[k] = np.nan
         score[k] = _search_star(image, guesses[k], linear[k], reach_px[k], template, sign, places, best[k])
     return best, score
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _search_star(
     image: Any,
     guess: Any,

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from calib.compiled import KERNEL
+
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
 #: Least share of a cell's samples that must lie in the image.
@@ -21,7 +23,7 @@ _ONE, _HALF, _SIXTH = np.float32(1.0), np.float32(0.5), np.float32(1.0 / 6.0)
 _TWO, _THREE, _FOUR = np.float32(2.0), np.float32(3.0), np.float32(4.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_IN_PARALLEL, inline="always")
+@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
 def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
     """Return the cubic B-spline at the four pixels around a point that lies ``a`` px beyond the second one.
 
@@ -36,7 +38,7 @@ def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=_IN_PARALLEL, inline="always")
+@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
 def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
     """Return the derivatives of `_spline_weights`, 1/px.
 
@@ -46,7 +48,7 @@ def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
     return (-_HALF * b * b, a * (_THREE * _HALF * a - _TWO), b * (_TWO - _THREE * _HALF * b), _HALF * a * a)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_IN_PARALLEL, inline="always")
+@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
 def _along_row(pixels: Any, at: Any, weights: Any, slopes: Any) -> tuple[Any, Any]:
     """Return the spline along four pixels of a row, from number ``at`` on, and its derivative.
 
@@ -59,7 +61,7 @@ def _along_row(pixels: Any, at: Any, weights: Any, slopes: Any) -> tuple[Any, An
     return across, slope
 
 
-@njit(cache=True, error_model="numpy", fastmath=_IN_PARALLEL, inline="always")
+@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
 def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any, Any]:
     """Return an image, as a cubic B-spline of its pixels, and its derivatives along x and y, all float32.
 
@@ -83,7 +85,7 @@ def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any,
     return value, along_x, along_y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def normal_equations(
     pixels: Any,
     width: int,
@@ -128,7 +130,7 @@ def normal_equations(
     return squares / along.size
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _copy_inside(
     width: int, height: int, centre: Any, linear: Any, quadratic: Any, samples: Any, space: Any
 ) -> int:
@@ -146,7 +148,7 @@ def _copy_inside(
     return n
 
 
-@njit(cache=True, error_model="numpy", fastmath=_IN_PARALLEL)
+@njit(**KERNEL, fastmath=_IN_PARALLEL)
 def _sums_inside(
     pixels: Any,
     width: int,

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.compiled import KERNEL
+
 #: Radii at which a star's segments are compared with the image, pitches. Further inside, segments may merge.
 TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
 #: Radii that are sufficient to search for a star, pitches.
@@ -148,7 +150,7 @@ def learnt_contrasts(
     return slopes
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _sample(image: Any, x: float, y: float) -> float:
     """Return the bilinear value of the image at a point; nan outside.
 
@@ -163,7 +165,7 @@ def _sample(image: Any, x: float, y: float) -> float:
     return (1.0 - b) * top + b * bottom
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> Any:
     """Return the (S,) bilinear values of the image at the samples of a star at (x, y); nan outside."""
     offsets = template.offsets
@@ -176,7 +178,7 @@ def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -
     return seen
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _correlation(seen: Any, template: StarTemplate) -> float:
     """Return the correlation coefficient of what was seen with a star; nan if too much of it lies outside.
 
@@ -200,7 +202,7 @@ def _correlation(seen: Any, template: StarTemplate) -> float:
     return (product - mean * balance) / n / np.sqrt(variance) if variance > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def star_contrasts(
     image: Any, centres: Any, linear: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
@@ -219,7 +221,7 @@ def star_contrasts(
       star.
     """
     n = len(centres)
-    score, contrast = np.full(n, np.nan), np.full((n, OCTANTS), np.nan)
+    score, contrast = np.empty(n), np.empty((n, OCTANTS))
     for k in range(n):
         x, y = centres[k, 0], centres[k, 1]
         seen = _seen(image, x, y, linear[k], template)
@@ -236,9 +238,9 @@ def star_contrasts(
                     shade = 1 if template.values[i] > 0.0 else 0
                     shades[shade] += sign * value
                     shade_counts[shade] += 1.0
-        mean = 0.5 * (shades / shade_counts).sum()
+        mean = 0.5 * (shades[0] / shade_counts[0] + shades[1] / shade_counts[1])
         for octant in range(OCTANTS):
             if excess[octant] != 0.0:
                 sums[octant] -= excess[octant] * mean
-        contrast[k] = sums / counts
+            contrast[k, octant] = sums[octant] / counts[octant]
     return score, contrast

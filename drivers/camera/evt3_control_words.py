@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-JIT: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
+JIT: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False, "no_cfunc_wrapper": True}
 """How the decoder's loops are compiled: without reference counts of arrays (``_nrt``). The loops allocate no arrays,
 and counting references took most of the time of the rarer words.
 """

@@ -18,6 +18,7 @@ JIT: Final[dict[str, Any]] = {
     "error_model": "numpy",
     "nogil": True,
     "_nrt": False,
+    "no_cfunc_wrapper": True,
     "fastmath": {"nnan", "nsz", "contract"},
 }
 """Compiler options of the sensor's loops.

@@ -125,12 +125,10 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
 @njit(**KERNEL)
 def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in U of each pixel at a phase."""
-    if drive.kind == SMOOTH:
+    bent = drive.kind == BENT
+    if drive.kind == SMOOTH or bent:
         for k in range(n):
-            batch[U, k] = smooth_level(drive, batch[U_RISE, k], phase, False)
-    elif drive.kind == BENT:
-        for k in range(n):
-            batch[U, k] = smooth_level(drive, batch[U_RISE, k], phase, True)
+            batch[U, k] = smooth_level(drive, batch[U_RISE, k], phase, bent)
     else:
         for k in range(n):
             batch[U, k] = _square_level(drive, batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k], phase)
@@ -139,17 +137,18 @@ def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) 
 @njit(**KERNEL)
 def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase."""
+    bent = drive.kind == BENT
     if drive.kind == SMOOTH:
         for k in range(n):
-            found = near_crossing(drive, batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k], phase, False)
+            found = near_crossing(drive, batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k], phase, bent)
             batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k], batch[IS_ON, k] = found
         for k in range(n):
             near, target, earliest, shift = batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k]
-            batch[T, k] = exact_crossing(drive, batch[U_RISE, k], near, target, earliest, shift, False)
-    elif drive.kind == BENT:
+            batch[T, k] = exact_crossing(drive, batch[U_RISE, k], near, target, earliest, shift, bent)
+    elif bent:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            found = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, True)
+            found = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, bent)
             batch[T, k], batch[IS_ON, k] = found
     else:
         for k in range(n):

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.events.accumulation import above_surroundings, hot_pixels, without_hot_pixels
+from calib.events import accumulation
 
 random = np.random.default_rng(3)
 ON = random.poisson(2.0, (40, 50)).astype(np.uint32)
@@ -16,17 +16,15 @@ ON.ravel()[random.choice(ON.size, 150, replace=False)] += (
 )  # near the limits
 
 
-@pytest.mark.parametrize("allowed", [0, 3, 8])
-def test_hot_pixels_are_those_of_the_median_filter(allowed):
-    found, complete = hot_pixels(ON, OFF, allowed, ON.size)
-    around = cv2.medianBlur((ON + OFF).astype(np.uint16), 5)
-    assert complete
+@pytest.mark.parametrize("allowed", [0, 3, 8, 30])
+@pytest.mark.parametrize("few", [1, 64])
+def test_hot_pixels_are_those_of_the_median_filter(allowed, few, monkeypatch):
+    monkeypatch.setattr(accumulation, "FEW_MEDIANS", few)
+    count = (ON + OFF).astype(np.int64)
+    around = cv2.medianBlur(count.astype(np.uint16), 5)
+    found = accumulation.hot_pixels(ON, OFF, allowed)
     assert found.any()
-    np.testing.assert_array_equal(found, above_surroundings(ON + OFF, around, allowed))
-
-
-def test_a_search_with_too_many_medians_is_given_up():
-    assert not hot_pixels(ON, OFF, 0, 10)[1]
+    np.testing.assert_array_equal(found, 2 * count > 5 * around.astype(np.int64) + 2 * allowed)
 
 
 def test_hot_pixels_are_replaced_by_the_median_around_them():
@@ -34,4 +32,4 @@ def test_hot_pixels_are_replaced_by_the_median_around_them():
     hot = random.random((40, 50)) < 0.2
     hot[[0, 0, -1, -1], [0, -1, 0, -1]] = True
     expected = np.where(hot, cv2.medianBlur(image, 3), image)
-    np.testing.assert_array_equal(without_hot_pixels(image, hot), expected)
+    np.testing.assert_array_equal(accumulation.without_hot_pixels(image, hot), expected)
