@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,6 +44,7 @@ _MOST_LISTED = 20
     epilog=epilog(
         "starbench run three_pose --station simulated",
         "starbench run nine_pose -s my_bench.yaml -o runs/cam7 --operator 'A. Operator'",
+        "starbench run nine_pose -s my_bench.yaml --expect-serial 00051234",
         "starbench run three_pose -s simulated --set sequence.defaults.record.window_ms=50",
         status=RUN_STATUS,
     )
@@ -57,6 +59,12 @@ _MOST_LISTED = 20
 )
 @click.option("--seed", type=SEED, metavar="N", help="Random seed of the simulated bench.")
 @click.option("--operator", metavar="NAME", help="Name of the operator; printed in the report.")
+@click.option(
+    "--expect-serial",
+    metavar="SERIAL",
+    help="Refuse every camera with another serial number, before anything moves; -: read the serial number from"
+    " standard input, such as the line of a scanner.",
+)
 @SET
 @JSON
 def run(
@@ -65,6 +73,7 @@ def run(
     output: Path | None,
     seed: int | None,
     operator: str | None,
+    expect_serial: str | None,
     settings: tuple[str, ...],
 ) -> int:
     """Run a SEQUENCE on a station and write a sealed report.
@@ -86,6 +95,7 @@ def run(
         operator=operator,
         launch=Launch(BenchClock(), ask_passphrase=ask_passphrase),
         settings=settings_of(settings),
+        expect_serial=sys.stdin.readline() if expect_serial == "-" else expect_serial,
     )
     return show_run(end)
 

@@ -1,4 +1,7 @@
-"""The panel's pages and what they ask for. Every route reads a folder or puts a command into an inbox, nothing else."""
+"""The panel's pages and what they ask for.
+
+Every route reads a folder or puts a command into an inbox; those of a line also begin a run, as a process of its own.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,7 @@ from bench.base.failure import Failure
 from bench.batch.batch_summary import RUNS, read_batch, read_batch_status, summarise
 from bench.panel.extras import Answer, Extras, Helper
 from bench.panel.folder_list import FolderList
+from bench.panel.line import Line
 from bench.panel.watching import MOST_LOG_LINES, RunWatch, Watcher
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
@@ -125,7 +129,8 @@ LIST_S = 1.0
 class Panel:
     """The panel of one folder."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, line: Line | None = None) -> None:
+        self._line = line
         self._list = FolderList(root)
         self._watcher = Watcher()
         self._helper, self._background = Helper(), Helper()
@@ -142,6 +147,8 @@ class Panel:
         return page_app(
             [
                 Route("/", self._first_page),
+                Route("/runs", self._list_page),
+                *(self._line_routes(self._line) if self._line is not None else ()),
                 Route("/run/{key:path}", self._run_page),
                 Route("/batch/{key:path}", self._batch_page),
                 Route("/report/{key:path}", self._report),
@@ -175,7 +182,34 @@ class Panel:
             await asyncio.to_thread(self._watcher.close)
 
     # ---------------------------------------------------------------- pages
+    def _line_routes(self, line: Line) -> list[Route]:
+        """Return the page of a line, and what it asks for."""
+
+        async def state(_request: Request) -> Response:
+            return JSONResponse(await run_in_threadpool(line.state))
+
+        async def begin(request: Request) -> Response:
+            given = await read_object(request)
+            await run_in_threadpool(line.begin, str(given.get("serial", "")))
+            return await state(request)
+
+        async def stop(request: Request) -> Response:
+            await run_in_threadpool(line.stop, known_by(request))
+            return await state(request)
+
+        return [
+            Route("/line", lambda _request: FileResponse(ASSETS / "line.html")),
+            Route("/api/line", state),
+            Route("/api/line/begin", begin, methods=["POST"]),
+            Route("/api/line/stop", stop, methods=["POST"]),
+        ]
+
+    async def _list_page(self, _request: Request) -> Response:
+        return FileResponse(ASSETS / "list.html")
+
     async def _first_page(self, _request: Request) -> Response:
+        if self._line is not None:
+            return RedirectResponse("/line", status_code=303)
         if (self._list.root / "journal.jsonl").is_file():  # the folder is a run or a batch itself
             kind = "batch" if (self._list.root / QUEUE_COPY).is_file() else "run"
             return RedirectResponse(f"/{kind}/.", status_code=303)
@@ -382,10 +416,11 @@ def _command_fault(given: dict[str, Any]) -> str:
     return "This is not a command that a run understands."
 
 
-def panel_app(root: Path) -> Starlette:
+def panel_app(root: Path, line: Line | None = None) -> Starlette:
     """Return the panel of a folder.
 
     root: Folder with runs and batches; it need not exist yet.
+    line: The line whose page is the first one, if there is one.
     Returns: The application, for `bench.web.server.serve_pages`.
     """
-    return Panel(root).app()
+    return Panel(root, line).app()

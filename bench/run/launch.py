@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TextIO, cast
 
 from bench.base.clock import BenchClock
-from bench.base.errors import BenchError, RunFolderError
+from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.base.home import home_folder
 from bench.evidence.keys import NAMESPACE, BenchKey, key_to_seal, usable_key
 from bench.evidence.ledger_check import sealed_strangers
@@ -54,9 +54,11 @@ from bench.run.run_messages import RunMessages
 from bench.run.runner import RunEnd, Runner
 from bench.run.steps import intentions
 from bench.stations.devices import Devices
+from bench.stations.station_cameras import PictureFolderConfig
 from bench.terminal.progress import Progress
 from bench.terminal.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
+from sequences.settings import OptionSettings
 
 # The page of a run that failed or was aborted, with the bench's signature of it.
 #
@@ -199,6 +201,44 @@ class Launch:
     ask_passphrase: AskPassphrase | None = None  # Asks for the passphrase of a protected signing key
 
 
+_SERIAL = "station.camera.serial"
+
+
+def serial_number(scanned: str) -> str:
+    """Return the serial number in the text of a scanner: without the spaces and the end of line around it.
+
+    Raises UsageError: If no serial number can be this text.
+    """
+    serial = scanned.strip()
+    if not serial or len(serial) > 64 or not serial.isprintable():
+        raise UsageError(
+            f"{serial[:64]!r} is no serial number." if serial else "No serial number was scanned.",
+            where="--expect-serial",
+            remedy="Scan the code on the camera again.",
+        )
+    return serial
+
+
+def _expecting(serial: str, settings: Mapping[str, str]) -> Mapping[str, str]:
+    """Return settings with the serial number that the camera must have."""
+    if _SERIAL in settings:
+        raise UsageError(
+            f"--expect-serial cannot be used with --set {_SERIAL}.",
+            remedy="Leave one of them out.",
+        )
+    text = json.dumps(serial_number(serial), ensure_ascii=False)
+    return OptionSettings({**settings, _SERIAL: text}, "--expect-serial")
+
+
+def _require_own_serial(job: Job) -> None:
+    if isinstance(job.station.camera, PictureFolderConfig):
+        raise UsageError(
+            "A folder of pictures does not state which camera took them, so no serial number can be expected.",
+            where="--expect-serial",
+            remedy="Leave the option out.",
+        )
+
+
 def start_run(
     sequence: str,
     station: str,
@@ -208,6 +248,7 @@ def start_run(
     operator: str | None,
     launch: Launch,
     settings: Mapping[str, str] | None = None,
+    expect_serial: str | None = None,
 ) -> RunEnd:
     """Run a sequence on a station, from the plan to the sealed report.
 
@@ -215,11 +256,18 @@ def start_run(
     seed: Random seed of a simulated bench; drawn and recorded where None.
     settings: Settings that replace those of the files (`bench.plan.plan.load_documents`); the copies of both
       files in the run folder hold them.
+    expect_serial: Serial number that the camera must have, in place of the station's; any other camera is refused
+      before anything moves.
     Raises RunFolderError, StorageError: If the folder cannot be used.
     Raises EvidenceError: If the signing key cannot be used.
+    Raises UsageError: If no camera can have this serial number.
     """
+    if expect_serial is not None:
+        settings = _expecting(expect_serial, settings or {})
     seed = secrets.randbits(31) if seed is None else seed
     job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
+    if expect_serial is not None:
+        _require_own_serial(job)
     plan = job.plan
     ledger = ledger_of(launch.clock)
     refuse_broken_ledger(ledger, job)
