@@ -43,6 +43,7 @@ SECTIONS = {
         "calibrate": "Calibrate from runs, recordings, images or point files: together, or each run alone.",
         "passport": "Calibrate a collimator once; a camera then needs 1 to 3 views.",
         "check": "Check by new views whether a calibration is still right.",
+        "undistort": "Write tables that take the distortion out of events and images.",
         "rig": "Calculate the rotation between two cameras of a rig.",
         "study": "Check by simulation whether the stated uncertainties are right.",
         "compare": "Compare calibration methods where the truth is known.",

@@ -237,9 +237,16 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
 
     camera_name: Name of the camera; letters, digits and ``_`` only.
     """
-    camera = calibration.camera
+    return camera_info(calibration.camera, camera_name, calibration.camera.matrix)
+
+
+def camera_info(camera: CameraModel, camera_name: str, rectified: np.ndarray) -> bytes:
+    """Write a ROS camera_info YAML.
+
+    rectified: (3, 3) camera matrix of the rectified image, of which P is made.
+    """
     coefficients = opencv_coefficients(camera)
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
+    projection = np.hstack([rectified, np.zeros((3, 1))])
     return yaml_bytes(
         {
             **image_size_fields(camera),

@@ -234,7 +234,7 @@ class OfflineOptions:
             raise UsageError(
                 f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
             )
-        shown = _parse_board(board, model, passport)
+        shown = parse_board(board, model, passport)
         model = "planar" if shown else model
         named = passport if passport != NO_PASSPORT else None
         target, station_file = _target_of_station(station)
@@ -325,7 +325,7 @@ def _passport_of_file(path: Path) -> PassportInUse:
     return PassportInUse(passport, data, "command line", path.name, seal=seal)
 
 
-def _parse_board(text: str | None, model: str | None, passport: str | None) -> Board | None:
+def parse_board(text: str | None, model: str | None = None, passport: str | None = None) -> Board | None:
     """Read a board, which needs the planar model and takes no passport."""
     if text is None:
         return None

@@ -276,23 +276,52 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
     return _view(found, path)
 
 
+def picture_of(path: Path) -> NDArray[Any]:
+    """Return the picture in which a target would be searched.
+
+    path: A RAW file or a photograph.
+    Returns: (H, W) grey values.
+    Raises UsageError: If it is neither.
+    """
+    from bench.views.measure import recorded_image
+
+    ending = path.suffix.lower()
+    if ending in PHOTOGRAPHS:
+        return _photograph(path)
+    if ending not in RECORDINGS:
+        raise UsageError(
+            "There is no picture in this file: it is neither a RAW recording nor a photograph.",
+            where=str(path),
+            remedy=f"Known file extensions are {', '.join(sorted(RECORDINGS | PHOTOGRAPHS))}; `starbench convert`"
+            " writes RAW files from event files of others.",
+        )
+    _refuse_truncated(path)
+    return recorded_image(path).image
+
+
 def _view(found: Measurement, path: Path) -> View:
     if found.view is None:
         raise TooFewStars(found.fault, where=str(path))
     return found.view
 
 
-def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
-    from calib.stars.detect import detect_view
-    from calib.stars.vignetting import downweight_vignetted
+def _photograph(path: Path) -> NDArray[Any]:
+    """Read a photograph, in grey."""
     from drivers.camera.frames import mean_frame, require_bounded_images
 
     try:
         require_bounded_images(path)
         _refuse_truncated_jpeg(path)
-        picture = mean_frame(path)
+        return mean_frame(path)
     except RecordingFileError as error:
         raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+
+
+def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
+    from calib.stars.detect import detect_view
+    from calib.stars.vignetting import downweight_vignetted
+
+    picture = _photograph(path)
     if choices.board is not None:
         return _detected_board(picture, choices.board, path)
     return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)

@@ -1,0 +1,136 @@
+"""`starbench undistort`: tables in a new folder, a preview whose board has straight lines, and nothing after a fault."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from bench.commands.cli import main
+from calib.model.camera import CameraModel
+from calib.model.rotation import exp_map
+
+SIZE = (400, 300)
+CAMERAS = {
+    "brown": CameraModel(330.0, 331.0, 198.0, 152.0, SIZE, {"k1": -0.25, "k2": 0.06}),
+    "fisheye": CameraModel(280.0, 281.0, 201.0, 148.0, SIZE, {"kb1": -0.05, "kb2": 0.01, "kb3": 0, "kb4": 0}),
+}
+BOARD = "checkerboard:9x6:20mm"
+
+
+def photograph(camera):
+    """A picture of the board, with 16 rays through each pixel."""
+    steps = (np.arange(4) + 0.5) / 4 - 0.5
+    v, u = np.mgrid[: SIZE[1], : SIZE[0]]
+    rotation, picture = exp_map(np.radians([8.0, -6.0, 3.0])), np.zeros((SIZE[1], SIZE[0]))
+    centre = np.array([80.0, 50.0, 0.0]) - rotation.T @ np.array([0.0, 0.0, 175.0])
+    for du, dv in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
+        x, y, z = (camera.rays(np.column_stack([(u + du).ravel(), (v + dv).ravel()])) @ rotation).T
+        column, row = ((centre[i] - one * centre[2] / z) / 20.0 for i, one in ((0, x), (1, y)))
+        inside = (column > -1) & (column < 9) & (row > -1) & (row < 6)
+        dark = inside & ((np.floor(column) + np.floor(row)) % 2 == 0)
+        picture += np.where(dark, 30.0, 220.0).reshape(picture.shape) / 16
+    return picture.astype(np.uint8)
+
+
+@pytest.fixture(params=CAMERAS)
+def calibrated(request, tmp_path):
+    """A camera, its camera_info and a photograph of a board."""
+    camera = CAMERAS[request.param]
+    lens = camera.fisheye_coefficients if camera.is_fisheye else camera.coefficients[:5]
+    content = {
+        "image_width": SIZE[0],
+        "image_height": SIZE[1],
+        "distortion_model": "equidistant" if camera.is_fisheye else "plumb_bob",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.matrix.ravel().tolist()},
+        "distortion_coefficients": {"rows": 1, "cols": len(lens), "data": lens.tolist()},
+    }
+    (tmp_path / "info.yaml").write_text(yaml.safe_dump(content))
+    cv2.imwrite(str(tmp_path / "board.png"), photograph(camera))
+    return camera, tmp_path
+
+
+def say(capsys, *words, status=0):
+    with pytest.raises(SystemExit) as end:
+        main(["undistort", *map(str, words)])
+    said = capsys.readouterr()
+    assert end.value.code == status, said.err
+    return said.out if status == 0 else said.err
+
+
+def test_a_board_is_straight_in_the_image_that_the_tables_give(capsys, calibrated):
+    camera, folder = calibrated
+    words = (folder / "info.yaml", "-o", folder / "new", "--preview", folder / "board.png", "--board", BOARD)
+    told = json.loads(say(capsys, *words, "--json"))
+    straight = told["straightness"]
+    assert straight["points"] >= 50
+    assert straight["before_px"] > 0.5
+    assert straight["after_px"] < 0.06
+    with np.load(folder / "new" / "undistort.npz") as file:
+        tables = dict(file)
+    # a stranger's way from the same tables: remap with the pair, find the corners again
+    picture = cv2.imread(str(folder / "board.png"), cv2.IMREAD_GRAYSCALE)
+    flat = cv2.remap(picture, tables["map_x"], tables["map_y"], cv2.INTER_LINEAR)
+    preview = cv2.imread(str(folder / "new" / "preview.png"), cv2.IMREAD_GRAYSCALE)
+    assert preview.shape == (SIZE[1], 2 * SIZE[0] + 8)
+    assert np.corrcoef(preview[:, -SIZE[0] :].ravel(), flat.ravel())[0, 1] > 0.999
+    found, corners = cv2.findChessboardCornersSB(flat, (9, 6))
+    assert found
+    rows = corners.reshape(6, 9, 2)
+    off = [np.linalg.svd(row - row.mean(axis=0), compute_uv=False)[-1] / 3.0 for row in rows]
+    assert max(off) < 0.1
+    info = yaml.safe_load((folder / "new" / "camera_info.yaml").read_text())
+    projection = np.reshape(info["projection_matrix"]["data"], (3, 4))
+    assert np.array_equal(projection, tables["projection_matrix"])
+    assert np.array_equal(projection[:, :3], told["camera_matrix"])
+    assert tables["rays"][150, 200] == pytest.approx(camera.rays(np.array([[200.0, 150.0]]))[0], abs=1e-6)
+
+
+def test_the_example_of_the_page_moves_events(capsys, calibrated, monkeypatch):
+    camera, folder = calibrated
+    say(capsys, folder / "info.yaml", "-o", folder / "cam7-tables")
+    page = (Path(__file__).parents[4] / "docs" / "undistort.md").read_text()
+    example = page.partition("```python\n")[2].partition("```")[0].replace("640", "399").replace("360", "299")
+    monkeypatch.chdir(folder)
+    names = {}
+    exec(example, names)
+    rays = camera.rays(np.column_stack([names["x"], names["y"]]).astype(float))
+    with np.load("cam7-tables/undistort.npz") as tables:
+        moved = rays @ tables["camera_matrix"].T
+    assert np.column_stack([names["new_x"], names["new_y"]]) == pytest.approx(
+        moved[:, :2] / moved[:, 2:], abs=1e-2
+    )
+
+
+def test_it_says_in_words_what_was_written(capsys, calibrated):
+    _, folder = calibrated
+    shown = say(capsys, folder / "info.yaml", "-o", folder / "new", "--keep", 1)
+    assert "undistort.npz, camera_info.yaml." in shown
+    assert "New camera matrix: fx" in shown
+    words = (folder / "info.yaml", "-o", folder / "more", "--preview", folder / "board.png", "--board", BOARD)
+    assert "px RMS from straight before" in say(capsys, *words)
+    assert "The folder is not empty" in say(capsys, *words, status=2)
+
+
+def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, calibrated):
+    _, folder = calibrated
+    cv2.imwrite(str(folder / "small.png"), np.full((30, 40), 128, np.uint8))
+    cv2.imwrite(str(folder / "grey.png"), np.full((SIZE[1], SIZE[0]), 128, np.uint8))
+    (folder / "events.csv").write_text("1 2 3 4\n")
+    (folder / "no.yaml").write_text("a: 1\n")
+    faults = [
+        (2, "This picture has 40 x 30 px, the camera 400 x 300 px", "info.yaml", "--preview", "small.png"),
+        (1, "", "info.yaml", "--preview", "grey.png", "--board", BOARD),
+        (2, "There is no picture in this file", "info.yaml", "--preview", "events.csv"),
+        (2, "There is no picture of the board", "info.yaml", "--board", BOARD),
+        (2, "--board", "info.yaml", "--preview", "grey.png", "--board", "9x6"),
+        (1, "does not hold a calibrated camera", "no.yaml"),
+        (2, "2", "info.yaml", "--keep", "2"),
+    ]
+    for status, text, file, *words in faults:
+        here = [folder / word if word.endswith((".png", ".csv")) else word for word in words]
+        said = say(capsys, folder / file, "-o", folder / "new", *here, status=status)
+        assert text in said
+        assert not (folder / "new").exists()
