@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, cast
 
-from annotated_types import Ge, Le
-
 from bench.align.live_loop import LiveLoop
 from bench.base.errors import ControlRefused
 from bench.base.failure import Failure
@@ -20,13 +18,12 @@ from bench.stations.devices import Camera
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import Station
 from bench.stations.station_cameras import (
-    BiasesConfig,
     EventCameraConfig,
     FrameCameraConfig,
     OpenCvCameraConfig,
 )
 from bench.views.camera_kinds import camera_kind
-from drivers.camera import CameraIdentity, CameraSettings, EventCamera
+from drivers.camera import CameraIdentity, CameraSettings, EventCamera, StatesBiasRanges
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.errors import DriverError
 from drivers.light import Light, LightSettings
@@ -37,22 +34,14 @@ ANSWER_S = 20.0
 """Longest wait for the camera between two slices, s."""
 
 
-def bias_ranges() -> dict[str, tuple[int, int]]:
-    """Return the lowest and highest offset of each bias.
-
-    Returns: Range by name, in the camera's own steps from the factory value.
-
-    Examples
-    --------
-    >>> bias_ranges()["bias_refr"]
-    (-50, 255)
-    """
-    ranges = {}
-    for name, field in BiasesConfig.model_fields.items():
-        low = next(int(cast("int", one.ge)) for one in field.metadata if isinstance(one, Ge))
-        high = next(int(cast("int", one.le)) for one in field.metadata if isinstance(one, Le))
-        ranges[name] = (low, high)
-    return ranges
+_IMX636: Mapping[str, tuple[int, int]] = {
+    "bias_diff_on": (-150, 200),
+    "bias_diff_off": (-150, 200),
+    "bias_fo": (-150, 200),
+    "bias_hpf": (0, 255),
+    "bias_refr": (-50, 255),
+}
+"""Ranges of the biases where the camera's driver does not state them; the camera refuses what it cannot do."""
 
 
 class CameraControl:
@@ -68,6 +57,7 @@ class CameraControl:
         self._on_change = on_change
         self._lock = threading.Lock()
         self._loop: LiveLoop | None = None
+        self._ranges = camera.bias_ranges() if isinstance(camera, StatesBiasRanges) else _IMX636
         self.identity: CameraIdentity = camera.identify()
         """The camera, as it states itself."""
         self.settings, self.reasons = self._kind.prepare(camera)
@@ -102,7 +92,7 @@ class CameraControl:
         Raises ControlRefused: If there is no such bias, or the value is outside its range; nothing was sent.
         Raises DriverError: If the camera refuses the value, or is lost.
         """
-        ranges = bias_ranges()
+        ranges = self._ranges
         if not self.is_event or name not in ranges:
             raise ControlRefused(
                 f"This camera has no bias {name!r}. Nothing was sent.",
@@ -119,7 +109,7 @@ class CameraControl:
         config = cast("EventCameraConfig", self._config)
         with self._lock:
             # The names are those of the station; other biases keep the value that was read back.
-            wanted = {one: int(self.biases.get(one, 0)) for one in ranges} | {name: value}
+            wanted = {one: now for one, now in self.biases.items() if one in ranges} | {name: value}
             event_camera = cast("EventCamera", self._camera)
 
             def change() -> CameraSettings:
@@ -156,7 +146,7 @@ class CameraControl:
 
     def as_data(self) -> dict[str, Any]:
         """Return the camera as the page shows it."""
-        ranges = bias_ranges()
+        ranges = self._ranges
         identity = self.identity
         return {
             "kind": "event" if self.is_event else "frame",

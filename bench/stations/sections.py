@@ -186,14 +186,27 @@ class LightSection(StrictModel):
         """
 
 
-class BiasesConfig(StrictModel):
-    """Bias offsets from the factory values, within the ranges of the IMX636. The default is 0."""
+Bias = Annotated[int, Field(ge=-255, le=2047)]
 
-    bias_diff_on: Annotated[int, Field(ge=-150, le=200)] = 0
-    bias_diff_off: Annotated[int, Field(ge=-150, le=200)] = 0
-    bias_fo: Annotated[int, Field(ge=-150, le=200)] = 0
-    bias_hpf: Annotated[int, Field(ge=0, le=255)] = 0
-    bias_refr: Annotated[int, Field(ge=-50, le=255)] = 0
+
+class BiasesConfig(StrictModel):
+    """Biases in the steps of the sensor; the camera knows the ranges. Those not named keep the factory value."""
+
+    bias_diff_on: Bias = 0
+    bias_diff_off: Bias = 0
+    bias_fo: Bias = 0
+    bias_hpf: Bias = 0
+    bias_refr: Bias = 0
+
+    def named(self) -> dict[str, int]:
+        """Return the biases that the station names.
+
+        Returns
+        -------
+        dict[str, int]
+            Value by name.
+        """
+        return self.model_dump(exclude_unset=True)
 
 
 class EventCameraConfig(StrictModel):

@@ -240,6 +240,13 @@ interlocks:
 # ledger:                                 # the newest line of the ledger, kept on another disk or share as well
 #   anchor: /mnt/office/bench.heads
 
+# limits:                                 # of the results: each run then says PASS or FAIL
+#   - {result: fx, lower: 3300, upper: 3390, specification: drawing 4711}
+
+# check_standard:                         # one camera whose control chart watches the bench
+#   serial: "00051234"
+#   every_days: 7
+
 disk: {min_free_gb: 5}
 """
 """Sections that do not depend on the drivers."""

@@ -399,7 +399,7 @@ def camera_kind(station: Station) -> CameraKind:
     if shown is not None:
         if isinstance(config, FrameCameraConfig):
             return FrameBoardKind(config.pictures, config.settings(), shown.board())
-        return EventBoardKind(config.biases.model_dump(), shown.board(), config.roi)
+        return EventBoardKind(config.biases.named(), shown.board(), config.roi)
     if isinstance(config, FrameCameraConfig):
         return FrameKind(config.pictures, config.settings())
-    return EventKind(config.biases.model_dump(), config.roi)
+    return EventKind(config.biases.named(), config.roi)

@@ -249,3 +249,18 @@ class PreviewCamera(Protocol):
             As `EventCamera.record`.
         """
         ...
+
+
+@runtime_checkable
+class StatesBiasRanges(Protocol):
+    """A camera that can say which biases it has, and their ranges."""
+
+    def bias_ranges(self) -> Mapping[str, tuple[int, int]]:
+        """Return the lowest and highest value of each bias.
+
+        Returns
+        -------
+        Mapping[str, tuple[int, int]]
+            Range by name, in the camera's own steps.
+        """
+        ...

@@ -30,7 +30,14 @@ from drivers.camera.metavision_discovery import (
     stated,
     vendor_software,
 )
-from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
+from drivers.camera.metavision_settings import (
+    apply_settings,
+    bias_ranges,
+    factory_biases,
+    read_biases,
+    read_filters,
+    read_monitoring,
+)
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.camera.recording import RecordingOutcome, check_duration, recording_facts
@@ -106,6 +113,7 @@ class MetavisionEvk4:
         self._clock = clock
         self._lock = lock
         self._stop_asked = threading.Event()
+        self._factory: Mapping[str, int] = {}
 
     @classmethod
     @lets_go(holds=True)
@@ -128,6 +136,7 @@ class MetavisionEvk4:
             identity = camera.identify()
             camera._check_encoding()
             check_link(identity.link_mbit_s, camera._where)
+            camera._factory = factory_biases(camera._device, identity.sensor, where=camera._where)
             if lock is None:
                 camera._lock = CameraLock(event_camera_name(identity.serial))
         except BaseException:
@@ -188,7 +197,12 @@ class MetavisionEvk4:
     @lets_go(holds=True)
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """See `EventCamera.apply`."""
-        return apply_settings(self._device, self._hal, settings, where=self._where)
+        return apply_settings(self._device, self._hal, settings, self._factory, where=self._where)
+
+    @lets_go(holds=True)
+    def bias_ranges(self) -> Mapping[str, tuple[int, int]]:
+        """See `StatesBiasRanges.bias_ranges`."""
+        return bias_ranges(self._device, where=self._where)
 
     @lets_go(holds=True)
     def filters(self) -> Mapping[str, bool]:

@@ -6,7 +6,7 @@ A camera may lack some facilities of the HAL. Their getters then return None, an
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -17,6 +17,9 @@ from drivers.errors import CameraLost, CameraSettingRefused
 
 _NOT_MEASURED: Final = -1.0
 """OpenEB 5.1.1, ``imx636_tz_device.cpp``: temperature and illumination if the sensor does not end the measurement."""
+
+_OFFSETS: Final = "IMX636"
+"""The sensor whose biases are offsets from the factory values. Those of GenX320 and Gen3.1 are register values."""
 
 _CONNECTION: Final = re.compile(
     r"libusb|\busb\b|connection|disconnected|no such device|i/o error", re.IGNORECASE
@@ -36,6 +39,26 @@ def read_biases(device: Any, *, where: str) -> dict[str, int]:
         return {}
     with _refusal("read its biases", where):
         return {name: int(value) for name, value in facility.get_all_biases().items() if name in BIASES}
+
+
+def factory_biases(device: Any, sensor: str, *, where: str) -> dict[str, int]:
+    """Return the biases of a camera that was just opened, which resets it; empty if its factory values are 0."""
+    return {} if sensor == _OFFSETS else read_biases(device, where=where)
+
+
+def bias_ranges(device: Any, *, where: str) -> dict[str, tuple[int, int]]:
+    """Return the lowest and highest value of each bias that the camera has.
+
+    Raises CameraSettingRefused: If the camera fails to answer.
+    Raises CameraLost: If the connection has failed.
+    """
+    facility = device.get_i_ll_biases()
+    if facility is None:
+        return {}
+    with _refusal("list its biases", where):
+        present = facility.get_all_biases()
+        known = [name for name in BIASES if name in present]
+        return {name: tuple(facility.get_bias_info(name).get_bias_range()) for name in known}
 
 
 def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
@@ -78,15 +101,18 @@ def read_monitoring(device: Any, call: str) -> float | None:
     return None if value == _NOT_MEASURED else value
 
 
-def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: str) -> CameraSettings:
+def apply_settings(
+    device: Any, hal: Any, settings: CameraSettings, factory: Mapping[str, int], *, where: str
+) -> CameraSettings:
     """Change all settings, switch the filters off, and read everything back.
 
     hal: The module ``metavision_hal``.
+    factory: Values of the biases that the settings do not name, from `factory_biases`; 0 where it has none.
     Returns: What was read back; the region of interest is the wanted one, as the HAL cannot read it back.
     Raises CameraSettingRefused: If the camera does not accept a setting, or another value is read back.
     Raises CameraLost: If the connection has failed.
     """
-    _set_biases(device, settings, where)
+    _set_biases(device, settings, factory, where)
     for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):
         if (facility := getattr(device, getter)()) is not None:
             with _refusal(f"switch off {getter.removeprefix('get_i_')}", where):
@@ -102,7 +128,7 @@ def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: st
     return CameraSettings(read_biases(device, where=where), trigger_in, settings.roi)
 
 
-def _set_biases(device: Any, settings: CameraSettings, where: str) -> None:
+def _set_biases(device: Any, settings: CameraSettings, factory: Mapping[str, int], where: str) -> None:
     facility = device.get_i_ll_biases()
     if facility is None:
         if any(settings.biases.values()):
@@ -110,14 +136,10 @@ def _set_biases(device: Any, settings: CameraSettings, where: str) -> None:
                 "The camera has no biases.", where=where, remedy="Leave the biases out of the station file."
             )
         return
-    with _refusal("list its biases", where):
-        present = facility.get_all_biases()
-        known = [name for name in BIASES if name in present]
-        ranges = {name: facility.get_bias_info(name).get_bias_range() for name in known}
-    refuse_unknown_biases(settings, known, where)
-    for name in known:
-        value = settings.biases.get(name, 0)
-        lowest, highest = ranges[name]
+    ranges = bias_ranges(device, where=where)
+    refuse_unknown_biases(settings, list(ranges), where)
+    for name, (lowest, highest) in ranges.items():
+        value = settings.biases.get(name, factory.get(name, 0))
         check_bias(name, value, lowest, highest, where)
         with _refusal(f"set {name} to {value}", where):
             taken = facility.set(name, value)

@@ -213,6 +213,12 @@ class NeuromorphicEvk4:
             raise self._lost(error) from error
         return CameraSettings(biases, settings.trigger_in)
 
+    def bias_ranges(self) -> Mapping[str, tuple[int, int]]:
+        """See `StatesBiasRanges.bias_ranges`."""
+        bounds = self._device.biases_bounds()
+        found = {name: getattr(bounds, name.removeprefix("bias_")) for name in BIASES}
+        return {name: (int(bound.minimum), int(bound.maximum)) for name, bound in found.items()}
+
     def filters(self) -> Mapping[str, bool]:
         """Return the state of the rate controller, the only filter of the package; ``open`` and ``apply`` leave it off.
 

@@ -24,18 +24,14 @@ LEAST_MBIT_S: Final = 5000
 USB_NODES: Final = Path("/dev/bus/usb")
 """Folder with the file of each device on USB."""
 
-_CAMERAS: Final[Mapping[tuple[str, str], str]] = {
-    ("04b4", "00f4"): "Prophesee camera (EVK3)",
-    ("04b4", "00f5"): "Prophesee camera (EVK4)",
-}
-"""Vendor and product numbers, as the udev rules of OpenEB have them."""
 _KINDS: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
     ("04b4", "00f4"): ("Prophesee", "EVK3"),
     ("04b4", "00f5"): ("Prophesee", "EVK4"),
     ("31f7", "0003"): ("CenturyArks", "SilkyEvCam HD"),
     ("1409", "8e00"): ("IDS", "uEye XCP-E"),
 }
-"""Maker and model of the cameras that neuromorphic-drivers opens as an EVK4 (its ``prophesee_evk4.rs``)."""
+"""Maker and model by vendor and product numbers: of the udev rules of OpenEB, and of those that neuromorphic-drivers
+opens as an EVK4 (its ``prophesee_evk4.rs``)."""
 
 
 def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> list[str]:
@@ -114,7 +110,7 @@ def check_link(link_mbit_s: int | None, where: str) -> None:
 
 def _cameras(devices: Path) -> list[tuple[Path, str]]:
     """List the folders of the known event cameras, and what they are."""
-    return _listed(devices, _CAMERAS)
+    return [(device, f"{maker} camera ({model})") for device, (maker, model) in _listed(devices, _KINDS)]
 
 
 def _listed(devices: Path, known: Mapping[tuple[str, str], T]) -> list[tuple[Path, T]]:

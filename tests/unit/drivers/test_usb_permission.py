@@ -39,6 +39,11 @@ def test_a_camera_that_this_user_may_not_open_is_named_with_what_to_do(tmp_path,
     assert "udev rules" in said
 
 
+def test_an_event_camera_of_another_maker_on_usb_2_is_named(tmp_path):
+    (said,) = slow_cameras(plug(tmp_path, vendor="31f7", product="0003", speed="480")[0])
+    assert said.startswith("A CenturyArks camera (SilkyEvCam HD) is connected at 480 Mbit/s (USB 2)")
+
+
 @pytest.mark.parametrize("vendor", ["1234", "", "zz"])
 def test_other_devices_are_not_looked_at(tmp_path, vendor):
     assert unreadable_cameras(*plug(tmp_path, vendor=vendor, mode=0o000)) == []

@@ -111,8 +111,8 @@ def test_serial_numbers_stay_text_zeros_included():
         ),
         (
             "lens: ",
-            "biases: {bias_fo: 300}\n  lens: ",
-            "camera.biases.bias_fo: must be 200 or less (got '300').",
+            "biases: {bias_fo: 3000}\n  lens: ",
+            "camera.biases.bias_fo: must be 2047 or less (got '3000').",
         ),
         (
             "lens: ",

@@ -110,6 +110,17 @@ class Trigger:
         return Channel(channel) in self._on
 
 
+#: Other sensors: size, and biases at power-up with their ranges. They are register values, so that 0 is no default.
+OTHER_SENSORS = {
+    "GenX320": ((320, 320), {name: (value, 0, 127) for name, value in
+                {"bias_diff": 51, "bias_diff_on": 25, "bias_diff_off": 28, "bias_fo": 34, "bias_hpf": 40,
+                 "bias_refr": 10}.items()}),
+    "Gen3.1": ((640, 480), {name: (value, 0, 1800) for name, value in
+               {"bias_diff": 299, "bias_diff_on": 384, "bias_diff_off": 222, "bias_fo": 1477, "bias_hpf": 1499,
+                "bias_pr": 1250, "bias_refr": 1500}.items()}),
+}  # fmt: skip
+
+
 class BiasInfo:
     def __init__(self, low, high):
         self._range = (low, high)
@@ -128,9 +139,14 @@ class Biases:
         "bias_refr": (-20, 235),
     }
 
-    def __init__(self):
-        self.values = dict.fromkeys(self.RANGES, 0)
-        self.values["bias_fo"] = 12
+    def __init__(self, stated=None):
+        if stated is not None:
+            self.RANGES = {name: (low, high) for name, (_, low, high) in stated.items()}
+        self.values = {name: value for name, (value, _, _) in (stated or {}).items()} or dict.fromkeys(
+            self.RANGES, 0
+        )
+        if stated is None:
+            self.values["bias_fo"] = 12
         self.deaf_to = set()
 
     def get_all_biases(self):
@@ -160,21 +176,23 @@ class Monitoring:
 
 
 class SensorInfo:
-    name = "IMX636"
     major_version = 4
     minor_version = 2
 
+    def __init__(self, name="IMX636"):
+        self.name = name
+
 
 class Identification:
-    def __init__(self, serial):
-        self._serial = serial
+    def __init__(self, serial, sensor="IMX636"):
+        self._serial, self._sensor = serial, sensor
         self.encoding = "EVT3"
 
     def get_serial(self):
         return self._serial
 
     def get_sensor_info(self):
-        return SensorInfo()
+        return SensorInfo(self._sensor)
 
     def get_integrator(self):
         return "Prophesee"
@@ -191,11 +209,14 @@ class Identification:
 
 
 class Geometry:
+    def __init__(self, size=(1280, 720)):
+        self._size = size
+
     def get_width(self):
-        return 1280
+        return self._size[0]
 
     def get_height(self):
-        return 720
+        return self._size[1]
 
 
 class RawBuffer:
@@ -273,13 +294,14 @@ class Decoder:
 class Device:
     """All facilities; a test takes some away by setting them to None."""
 
-    def __init__(self, serial=SERIAL):
+    def __init__(self, serial=SERIAL, sensor="IMX636"):
+        size, biases = OTHER_SENSORS.get(sensor, ((1280, 720), None))
         self.facilities = {
             "events_stream": Stream(),
             "events_stream_decoder": Decoder(),
-            "hw_identification": Identification(serial),
-            "geometry": Geometry(),
-            "ll_biases": Biases(),
+            "hw_identification": Identification(serial, sensor),
+            "geometry": Geometry(size),
+            "ll_biases": Biases(biases),
             "antiflicker_module": Switch(True),
             "event_trail_filter_module": Trail(True, TrailType.STC_CUT_TRAIL),
             "erc_module": Switch(True),

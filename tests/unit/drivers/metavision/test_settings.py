@@ -3,8 +3,17 @@
 import pytest
 
 from drivers.camera import CameraSettings
+from drivers.camera.metavision import MetavisionEvk4
 from drivers.errors import CameraLost, CameraSettingRefused
-from tests.unit.drivers.metavision.fake_hal import Channel, RoiMode, Trail, TrailType
+from tests.unit.drivers.metavision.fake_hal import (
+    OTHER_SENSORS,
+    SERIAL,
+    Channel,
+    Device,
+    RoiMode,
+    Trail,
+    TrailType,
+)
 
 
 def test_settings_are_set_and_read_back_with_all_filters_off(device, camera):
@@ -139,3 +148,21 @@ def test_a_measurement_that_the_sensor_does_not_end_is_no_temperature(device, ca
     assert camera.temperature_c() is None
     facts = camera.record(tmp_path / "pose.raw", 0.01)
     assert (facts.temperature_c, facts.illumination_lux) == (None, None)
+
+
+@pytest.mark.parametrize("sensor", OTHER_SENSORS)
+def test_the_biases_of_another_sensor_keep_what_it_had_when_it_was_opened(devices, clock, sensor):
+    devices[SERIAL] = device = Device(sensor=sensor)
+    camera = MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    size, stated = OTHER_SENSORS[sensor]
+    identity = camera.identify()
+    assert ((identity.width, identity.height), identity.sensor) == (size, sensor)
+    factory = {name: value for name, (value, _, _) in stated.items()}
+    for biases in ({"bias_fo": 60}, {}):
+        found = camera.apply(CameraSettings(biases))
+        assert device.facilities["ll_biases"].values == {**factory, **biases}
+        assert found.biases["bias_fo"] == biases.get("bias_fo", factory["bias_fo"])
+    assert camera.bias_ranges()["bias_hpf"] == stated["bias_hpf"][1:]
+    highest = stated["bias_fo"][2]
+    with pytest.raises(CameraSettingRefused, match=f"bias_fo from 0 to {highest}, not -1"):
+        camera.apply(CameraSettings({"bias_fo": -1}))
