@@ -347,11 +347,12 @@ class _Unfolding:
             return LightStep(**place, flicker=Flicker(**flicker) if on else None)
         if word == "settle":
             return SettleStep(**place, **merged(given, self.sequence.defaults.settle))
-        if word == "solve":
+        if word in ("solve", "check"):
             settings = merged(given, self.sequence.defaults.solve)
             limits = {name: limit for name, limit in settings.pop("limits").items() if limit is not None}
             distortion = distortion_terms(settings.pop("distortion"))
-            return SolveStep(**place, **settings, distortion=distortion, limits=limits)
+            checked = settings.pop("calibration", None)
+            return SolveStep(**place, **settings, distortion=distortion, limits=limits, checked=checked)
         if word == "wait":
             return WaitStep(**place, **dict(given))
         if word == "prompt":

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from sequences.limits import ResultLimits
 from sequences.plain_number import Within
-from sequences.solve_schema import Limit, SolveConfig
+from sequences.solve_schema import CheckConfig, Limit, SolveConfig
 from sequences.strict_model import StrictModel
 
 AXES = ("pan", "tilt", "roll")
@@ -326,6 +326,7 @@ class StepConfig(StrictModel):
     wait: WaitConfig | None = None
     prompt: PromptConfig | None = None
     solve: SolveConfig | None = None
+    check: CheckConfig | None = None
     report: ReportConfig | None = None
     repeat: RepeatConfig | None = None
     until: UntilConfig | None = None

@@ -183,7 +183,8 @@ class SolveStep:
     With ``model`` None the bench chooses: ``auto`` with a passport or the gimbal's readings, else ``spherical``.
     ``distortion`` holds coefficients in the order of their lens model, or ``auto``. With ``huber_px`` None the engine
     chooses the threshold. ``passport`` is a file as the document names it, ``none`` for no passport, or None for the
-    station's. ``limits`` are the upper limits of the named results.
+    station's. ``limits`` are the upper limits of the named results. ``checked`` is the calibration that a step
+    ``check`` compares with the result.
     """
 
     number: int
@@ -199,6 +200,7 @@ class SolveStep:
     readings: Readings = "auto"
     guard_band: float = 1.0
     drift_mm: float = 0.3
+    checked: str | None = None
 
 
 @dataclass(frozen=True)

@@ -130,3 +130,17 @@ class SolveConfig(StrictModel):
                 "two_lenses", "no lens model has all these terms; use terms of {known}.", {"known": known}
             )
         return terms
+
+
+class CheckConfig(SolveConfig):
+    """Calibrate from the poses so far, as a solve does, and check a stated calibration by the result."""
+
+    calibration: Annotated[
+        str,
+        Field(
+            min_length=1,
+            max_length=4096,
+            description="The calibration to check: a run folder, results.json, or a file of OpenCV, ROS, Kalibr or"
+            " Metavision.",
+        ),
+    ]

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
 from bench.commands.calibrations import collimator_options
 from bench.commands.options import ExistingPath, epilog
 from bench.commands.output import JSON, show
+from bench.report.check_text import check_sentences
 from bench.report.text import with_uncertainty
 
 if TYPE_CHECKING:
-    from bench.results.camera_files import CameraFile
+    from bench.plan.camera_files import CameraFile
+    from bench.records.results import CheckData
     from calib.calibration import Calibration
     from calib.studies.camera_check import CameraCheck
-
-_SEED = 20_260_101
-"""The same files give the same numbers."""
-_CAUSES = {
-    "scale": "A change of scale explains it: the focus or the temperature of the lens changed",
-    "principal point": "A shift of the principal point explains it: the lens or the sensor moved in its mount",
-    "lens": "A change of the distortion explains it: the lens, its focus or its aperture changed",
-    "": "No single change explains it",
-}
 
 
 @click.command(
@@ -55,16 +48,21 @@ def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
     """
     import numpy as np
 
-    from bench.results.camera_files import read_camera_file
+    from bench.plan.camera_files import read_camera_file
     from bench.results.offline import calibrate_paths
     from bench.results.offline_options import OfflineOptions
+    from bench.results.solution import CHECK_SEED
     from calib.studies.camera_check import check_camera
 
     stated = read_camera_file(file)
     result = calibrate_paths(list(paths), OfflineOptions.from_command_line(**options))
     found = result.calibration
     checked = check_camera(
-        stated.camera, stated.covariance, found.camera, found.camera_covariance, np.random.default_rng(_SEED)
+        stated.camera,
+        stated.covariance,
+        found.camera,
+        found.camera_covariance,
+        np.random.default_rng(CHECK_SEED),
     )
 
     def as_json() -> dict[str, Any]:
@@ -82,17 +80,7 @@ def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
 def _lines(checked: CameraCheck, stated: CameraFile, found: Calibration, skipped: list[str]) -> Iterator[str]:
     for reason in skipped:
         yield f"Left out: {reason}"
-    worst = checked.worst
-    there = f"{worst.name}, at ({worst.at_px[0]:.0f}, {worst.at_px[1]:.0f})"
-    if checked.right:
-        unseen = max(one.expanded_px for one in checked.regions)
-        yield f"RIGHT within U everywhere on the sensor: the largest E_n is {worst.normalised:.2f} ({there})."
-        yield f"A change of the image of less than {unseen:.2f} px can stay unseen by these views."
-    else:
-        yield (
-            f"NOT RIGHT: {there}, the image moved by {worst.offset_px:.2f} px; U is {worst.expanded_px:.2f} px"
-            f" (E_n {worst.normalised:.2f}). {_CAUSES[checked.cause]}."
-        )
+    yield from check_sentences(cast("CheckData", checked.to_dict()))
     yield f"Change of the image and its U, px (k = {checked.coverage_factor:.2f}, for all places at once):"
     for start in range(0, len(checked.regions), 3):
         row = checked.regions[start : start + 3]

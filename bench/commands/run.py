@@ -24,6 +24,7 @@ from bench.commands.options import (
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, ask_passphrase, error_object, show
 from bench.records.journal import CAPTURES
 from bench.records.run_folder import REPORT
+from bench.report.check_text import check_sentences
 from bench.report.text import (
     conformity_headline,
     conformity_sentences,
@@ -151,6 +152,8 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from _recorded_lines(end)
         return
     results = end.outcome.results
+    if check := results.get("check"):
+        yield from check_sentences(check)
     if found := results.get("conformity"):
         yield conformity_headline(found)
         yield from (f"  {sentence}" for sentence in conformity_sentences(found))

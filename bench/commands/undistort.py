@@ -50,8 +50,8 @@ def undistort(file: Path, output: Path, keep: float, preview: Path | None, board
     matrix; camera_info.yaml is ROS's, with the new matrix as P.
     """
     from bench.base.errors import UsageError
+    from bench.plan.camera_files import read_camera_file
     from bench.records.storage import make_folder, write_atomic
-    from bench.results.camera_files import read_camera_file
     from bench.results.offline_folder import require_new
     from bench.results.offline_options import parse_board
     from bench.results.undistorted import board_straightness, read_picture_for, undistorted_files

@@ -25,6 +25,7 @@ from bench.records.journal import (
     stored_captures,
 )
 from bench.records.run_folder import (
+    CHECKED_COPY,
     JOURNAL,
     PASSPORT_COPY,
     PLAN,
@@ -247,6 +248,10 @@ def _documents(manifest: Mapping[str, str], history: History, found: Findings) -
     if PASSPORT_COPY in manifest and PASSPORT_COPY not in stated:
         found.fault(
             "plan", PASSPORT_COPY, "the run began without a passport (the journal's first line names none)"
+        )
+    if CHECKED_COPY in manifest and CHECKED_COPY not in stated:
+        found.fault(
+            "plan", CHECKED_COPY, "the run began without it (the journal's first line does not name it)"
         )
     if PLAN not in manifest:
         found.fault("plan", PLAN, "the file is missing")

@@ -39,7 +39,7 @@ _EXPORTS = (
 _RESULT_FILES = rf"results\.json|report\.html|views\.h5|passport\.json|VERIFY\.txt|{_EXPORTS}"
 FILES = {
     "run": re.compile(
-        rf"{_RESULT_FILES}|journal\.jsonl|sequence\.yaml|station\.yaml|plan\.json|wire\.jsonl(\.[0-9]{{1,3}})?"
+        rf"{_RESULT_FILES}|journal\.jsonl|sequence\.yaml|station\.yaml|checked-calibration|plan\.json|wire\.jsonl(\.[0-9]{{1,3}})?"
         r"|captures/pose-[0-9]{3,6}-attempt-[0-9]{1,4}\.[a-z0-9]{1,5}|quarantine/[^/]+\.[0-9]{1,4}"
     ),
     "results": re.compile(rf"{_RESULT_FILES}|sources\.json"),

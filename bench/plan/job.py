@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
-from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
+from bench.records.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
@@ -306,10 +306,12 @@ class Job:
 def documents_of(plan: Plan) -> dict[str, bytes]:
     """Return the documents that a run folder keeps from its begin on, so that the run can be repeated from it.
 
-    Returns: Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport
-      and the descriptions of devices.
+    Returns: Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport,
+      the calibration that is checked, and the descriptions of devices.
     """
     documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
     if plan.passport.in_use is not None:
         documents[PASSPORT_COPY] = plan.passport.in_use.data
+    if plan.checked.in_use is not None:
+        documents[CHECKED_COPY] = plan.checked.in_use.file.data
     return documents | description_documents(plan.station.value)

@@ -17,6 +17,8 @@ from typing import Any
 from bench.base.errors import ScriptError
 from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script, find_url_secrets
+from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
+from bench.records.run_folder import CHECKED_COPY
 from bench.stations.sections import AxisConfig
 from bench.stations.station import Station, load_station
 from bench.stations.station_cameras import FrameCameraConfig
@@ -248,6 +250,8 @@ class Plan:
     most_bytes: int
     # The collimator's passport, and the solve steps that use it.
     passport: PassportChoice = field(default_factory=PassportChoice)
+    # The calibration that the steps `check` compare with the result.
+    checked: StatedCameraChoice = field(default_factory=StatedCameraChoice)
 
     def passport_for(self, step: SolveStep) -> Passport | None:
         """Return the collimator's passport that a solve step uses.
@@ -296,6 +300,7 @@ class Plan:
             "faults": [_fault_dict(fault) for fault in self.faults],
             "remarks": [_fault_dict(remark) for remark in self.remarks],
             "passport": self.passport.in_use.to_dict() if self.passport.in_use else None,
+            **({"checked": self.checked.in_use.to_dict()} if self.checked.in_use else {}),
             "duration_s": round(self.duration_s, 3),
             "size_bytes": self.size_bytes,
             "most_bytes": self.most_bytes,
@@ -396,6 +401,8 @@ def make_plan(
     today = today or datetime.now(UTC).date()
     solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
     passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
+    checked_copy = passport_copy.with_name(CHECKED_COPY) if passport_copy is not None else None
+    checked = choose_stated_camera(sequence, script, copy=checked_copy)
     findings = check_script(sequence, script, station.value, passport.steps_for_one_pose)
     missing = find_placeholders(station.tree)
     is_new = passport_copy is None  # a run that has begun holds its files already
@@ -414,12 +421,15 @@ def make_plan(
         sequence=sequence,
         station=station,
         steps=tuple(steps),
-        faults=tuple(sorted({*faults, *findings.faults, *passport.faults, *missing, *secrets})),
+        faults=tuple(
+            sorted({*faults, *findings.faults, *passport.faults, *checked.faults, *missing, *secrets})
+        ),
         remarks=tuple(sorted({*findings.remarks, *passport.remarks})),
         duration_s=elapsed_s,
         size_bytes=estimate.size_bytes,
         most_bytes=estimate.most_bytes,
         passport=passport,
+        checked=checked,
     )
 
 

@@ -44,14 +44,17 @@ def conformity(
     calibration: CalibrationData,
     limits: Mapping[str, Sequence[ResultLimitConfig]],
     failed_gates: Sequence[str],
+    *,
+    checks: bool = False,
 ) -> ConformityData | None:
-    """Return PASS or FAIL of a run; None if neither its station nor its sequence states limits.
+    """Return PASS or FAIL of a run; None if neither its station nor its sequence states limits, and none `checks`.
 
     limits: Limits by the document that states them, ``station`` or ``sequence``.
     failed_gates: Names of the gates that failed: values that must not be used do not pass.
+    checks: Whether the run checked a calibration; its gate is then among the gates.
     """
     statements = [_statement(calibration, stated_by, one) for stated_by, one in _each(limits)]
-    if not statements:
+    if not statements and not checks:
         return None
     reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
     reasons += [f"The gate {name} failed." for name in failed_gates]

@@ -403,6 +403,28 @@ class ChangeData(TypedDict):
     at_px: Sequence[float]
 
 
+class CheckRegion(TypedDict):
+    """The worst place of a part of the sensor, in a check of a calibration."""
+
+    name: str
+    at_px: Sequence[float]
+    offset_px: float
+    expanded_px: float
+    normalised: float  # The E_n number
+
+
+class CheckData(TypedDict):
+    """A stated calibration against that of new views (`calib.studies.camera_check.CameraCheck`)."""
+
+    right: bool
+    cause: str | None
+    rms_px: float
+    coverage_factor: float
+    shares: Numbers  # Of the squared change that each kind of change explains alone
+    regions: Sequence[CheckRegion]
+    stated: NotRequired[Mapping[str, Any]]  # ``name kind uncertainty sha256`` of the file
+
+
 class StatementData(TypedDict):
     """A limit of the station or of the sequence, and whether the result keeps it."""
 
@@ -481,6 +503,7 @@ class Results(TypedDict):
     gimbal: NotRequired[GimbalCheckData]
     parallax: NotRequired[ParallaxData]
     mount_faces: NotRequired[Sequence[MountFaceData]]
+    check: NotRequired[CheckData]
     poses: NotRequired[Sequence[PoseData]]
     gates: NotRequired[Sequence[GateData]]
     untils: NotRequired[Sequence[UntilDecided]]

@@ -89,7 +89,11 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "witnesses": witness_rows(calibration),
         "amplitudes": amplitude_rows(calibration),
         "not_included": calibration_tables.not_included(calibration),
-        "checks": [*run_tables.boresight_rows(results), *calibration_tables.checks(results)],
+        "checks": [
+            *run_tables.check_rows(results.get("check")),
+            *run_tables.boresight_rows(results),
+            *calibration_tables.checks(results),
+        ],
         "halves": bool(halves and halves.get("cameras")),
         "comparison": calibration_tables.comparison(results.get("comparison") or [], calibration),
     }

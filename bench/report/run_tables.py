@@ -13,6 +13,7 @@ from typing import Any
 from bench.base.device_ends import DeviceEnd
 from bench.records.events import FailureData, LedgerPlace
 from bench.records.results import (
+    CheckData,
     GimbalEstimateData,
     GimbalReadingsData,
     ParallaxBound,
@@ -22,6 +23,7 @@ from bench.records.results import (
     RunData,
     SourceData,
 )
+from bench.report.check_text import check_sentences
 from bench.report.pose_tables import gates
 from bench.report.text import NOTHING, exact, moment, number, value_text, with_uncertainty, words_of
 
@@ -107,6 +109,23 @@ def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateD
         )
         rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
     return rows
+
+
+def check_rows(check: CheckData | None) -> Rows:
+    """List what the check of a stated calibration found.
+
+    check: ``check`` of results.json; None if no step asked for it.
+    Returns: Name and value; one row, or none without a check.
+    """
+    if check is None:
+        return []
+    stated = check.get("stated", {})
+    whose = (
+        ""
+        if stated.get("uncertainty")
+        else " U is that of the new views alone: the file states no uncertainty."
+    )
+    return [(f"Check of the calibration {stated.get('name', '')}", " ".join(check_sentences(check)) + whose)]
 
 
 def boresight_rows(results: Results) -> Rows:

@@ -385,8 +385,14 @@ def conformity_headline(found: ConformityData) -> str:
     Examples
     --------
     >>> conformity_headline({"passed": True, "rule": "", "statements": [], "reasons": []})
-    'PASS: 0 of 0 limits kept.'
+    'PASS: the checked calibration is right.'
     """
+    if not found["statements"]:  # a check alone
+        return (
+            "PASS: the checked calibration is right."
+            if found["passed"]
+            else "FAIL: the checked calibration is not right, or a gate failed."
+        )
     kept = sum(one["verdict"] == "pass" for one in found["statements"])
     return f"{'PASS' if found['passed'] else 'FAIL'}: {kept} of {len(found['statements'])} limits kept."
 
@@ -394,8 +400,8 @@ def conformity_headline(found: ConformityData) -> str:
 def conformity_sentences(found: ConformityData) -> list[str]:
     """Return a sentence for each limit, those that are not kept first, then the other reasons and the decision rule."""
     ordered = sorted(found["statements"], key=lambda one: one["verdict"] == "pass")
-    rule = f"Decision rule: {found['rule']}."
-    return [*map(_statement_text, ordered), *found["reasons"], rule]
+    rule = [f"Decision rule: {found['rule']}."] if ordered else []
+    return [*map(_statement_text, ordered), *found["reasons"], *rule]
 
 
 def _statement_text(one: StatementData) -> str:

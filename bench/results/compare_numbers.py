@@ -137,7 +137,16 @@ _MOST_STARS = 0.02
 """Share of the stars of a view that only one of both programs may have."""
 _VALUES = ("calibration.camera.", "calibration.collimator.")
 _SIGMA = "calibration.sigma."
-_FOLLOWS = ("calibration.", "planar.", "projection.", "halves.", "comparison[", "gimbal.", "mount_faces[")
+_FOLLOWS = (
+    "calibration.",
+    "planar.",
+    "projection.",
+    "halves.",
+    "comparison[",
+    "gimbal.",
+    "mount_faces[",
+    "check.",
+)
 """Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
 _TABLES = ("calibration.budget_rows[", "calibration.candidates[", "calibration.not_included[")
 """Tables whose rows another program may order and name otherwise."""

@@ -135,7 +135,7 @@ def results_content(
         **calculated,
         "poses": of_journal.pop("poses"),
         "gates": gates,
-        **_conformity(job, calculated["calibration"], gates),
+        **_conformity(job, calculated["calibration"], gates, checks="check" in solution.checks),
         **of_journal,
         "truth": _lasting(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
@@ -143,11 +143,13 @@ def results_content(
     return cast("Results", found)
 
 
-def _conformity(job: Job, calibration: CalibrationData, gates: Sequence[GateData]) -> dict[str, Any]:
-    """Return PASS or FAIL by the limits of the station and the sequence, as far as they state any."""
+def _conformity(
+    job: Job, calibration: CalibrationData, gates: Sequence[GateData], *, checks: bool
+) -> dict[str, Any]:
+    """Return PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any."""
     limits = {"station": job.station.limits, "sequence": job.plan.sequence.value.limits}
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
-    found = conformity(calibration, limits, failed)
+    found = conformity(calibration, limits, failed, checks=checks)
     return {} if found is None else {"conformity": found}
 
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,15 +21,17 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
 from bench.records.history import Attempt, History
+from bench.records.results import CheckData
 from bench.report.text import TargetWords, words_for
 from bench.results.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
 from bench.stations.station import Station
 from bench.views.expected_grid import best_angles_deg, grid_from_journal
-from bench.views.gates import Gate, solution_gates
+from bench.views.gates import Gate, at_most, solution_gates
 from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError
 from calib.model.gimbal_readings import AXES
+from calib.studies.camera_check import check_camera
 from calib.studies.gimbal_faults import GimbalFault
 from calib.studies.gimbal_pairs import PairRatios
 from calib.studies.hand_eye import check_hand_eye
@@ -59,6 +61,8 @@ def errors_in(words: TargetWords) -> Iterator[None]:
 # Comparison of a calibration with Zhang's planar model on the same points, and with the truth of a
 # simulated bench.
 
+CHECK_SEED = 20_260_101
+"""Of the drawn changes of a check: the same files give the same numbers."""
 _COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
 _MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
 """Errors of a collimator that displace the apparent centre across the beam, as its place depends on the pupil's."""
@@ -419,18 +423,20 @@ def solve_run(
         calibration = _with_notes(calibrate(views, options), notes, words)
     check()
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
-    checks = {
+    checks: dict[str, Any] = {
         "halves": split_half_check(views, options),
         "gimbal": gimbal_check(calibration, readings),
         "parallax": parallax_check(calibration, views, job.station, str(history.started["sequence"])),
         "mount_faces": mount_faces(calibration, job.station),
     }
+    compared = stated_camera_check(job, step, calibration)
+    checks["check"] = compared
     check()
     return Solution(
         calibration,
         planar,
         measurements,
-        solution_gates(step.limits, limited_numbers(calibration)),
+        [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(compared)],
         {name: found for name, found in checks.items() if found is not None},
         readings_result(
             calibration,
@@ -440,6 +446,28 @@ def solve_run(
         ),
         job.plan.passport.in_use if options.passport is not None else None,
     )
+
+
+def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> CheckData | None:
+    """Compare the calibration with the stated one that a step ``check`` names.
+
+    Returns: ``check`` of results.json; None for a step ``solve``.
+    Raises calib.errors.InputMismatch: If the sensors have different sizes.
+    """
+    stated = job.plan.checked.in_use
+    if stated is None or step.checked is None:
+        return None
+    rng, file = np.random.default_rng(CHECK_SEED), stated.file
+    found = check_camera(file.camera, file.covariance, calibration.camera, calibration.camera_covariance, rng)
+    return cast("CheckData", {**found.to_dict(), "stated": stated.to_dict()})
+
+
+def check_gates(check: CheckData | None) -> list[Gate]:
+    """Return the gate of a check: its largest E_n is at most 1."""
+    if check is None:
+        return []
+    largest = max(one["normalised"] for one in check["regions"])
+    return [at_most("largest E_n of the check", largest, 1.0, "")]
 
 
 def main_numbers(calibration: Calibration) -> Solved:

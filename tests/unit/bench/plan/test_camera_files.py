@@ -7,8 +7,8 @@ import pytest
 import yaml
 from solved_run import write_solved_run
 
+from bench.plan.camera_files import NotACamera, read_camera_file
 from bench.records.storage import read_json
-from bench.results.camera_files import NotACamera, read_camera_file
 from calib.model.camera import CameraModel
 
 GEOMETRY = {

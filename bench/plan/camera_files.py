@@ -42,6 +42,7 @@ class CameraFile:
     """A calibrated camera as a file states it."""
 
     path: Path
+    data: bytes
     kind: str  # What the file is, in words
     camera: CameraModel
     # (K, K) covariance in the order of `CameraModel.parameter_names`; None if the file states none.
@@ -55,7 +56,15 @@ def read_camera_file(path: Path) -> CameraFile:
     Raises NotACamera: When it holds no camera, more than one, or one that cannot be represented; says why.
     """
     file = path / _RESULTS if path.is_dir() else path
-    data = read_bounded(file, _MOST_BYTES)
+    return parse_camera(read_bounded(file, _MOST_BYTES), file)
+
+
+def parse_camera(data: bytes, file: Path) -> CameraFile:
+    """Read the camera that the bytes of a file hold.
+
+    file: Its place, for messages.
+    Raises NotACamera: As `read_camera_file`.
+    """
     try:
         kind, camera, covariance = _recognised(data, file)
         _require_possible(camera, covariance)
@@ -71,7 +80,7 @@ def read_camera_file(path: Path) -> CameraFile:
             remedy="Known are results.json of a run, OpenCV's YAML, ROS's camera_info, Kalibr's camchain, and"
             " intrinsics.json and camera-geometry.json of the Metavision SDK.",
         ) from error
-    return CameraFile(path, kind, camera, covariance)
+    return CameraFile(file, data, kind, camera, covariance)
 
 
 def _require_possible(camera: CameraModel, covariance: Array | None) -> None:

@@ -1,0 +1,82 @@
+"""The calibration that a step ``check`` of a sequence checks: its file, and the copy that the run folder keeps."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, UsageError
+from bench.plan.camera_files import CameraFile, read_camera_file
+from bench.plan.passports import setting_path
+from bench.records.run_folder import CHECKED_COPY
+from sequences.reader import Located
+from sequences.schema import Sequence
+from sequences.script import SolveStep, Step
+from sequences.tree import Fault
+
+
+@dataclass(frozen=True, eq=False)
+class StatedCamera:
+    """The calibration that a run checks."""
+
+    name: str  # As the sequence names it
+    file: CameraFile
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what plan and results state about it."""
+        return {
+            "name": self.name,
+            "kind": self.file.kind,
+            "uncertainty": self.file.covariance is not None,
+            "sha256": hashlib.sha256(self.file.data).hexdigest(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class StatedCameraChoice:
+    """The calibration of the steps ``check``; None without such a step, or with a fault."""
+
+    in_use: StatedCamera | None = None
+    faults: tuple[Fault, ...] = ()
+
+
+def choose_stated_camera(
+    sequence: Located[Sequence], steps: Iterable[Step], *, copy: Path | None
+) -> StatedCameraChoice:
+    """Find and read the calibration that the steps ``check`` name.
+
+    copy: Copy in the folder of a run that has begun; it is read in place of the named file. None for a new run.
+    """
+    named = [
+        (step, step.checked) for step in steps if isinstance(step, SolveStep) and step.checked is not None
+    ]
+    if not named:
+        return StatedCameraChoice()
+    step, name = named[0]
+    path = setting_path(sequence, step.path, "calibration", "solve")
+    other = next((one for one, text in named if text != name), None)
+    if other is not None:
+        fault = sequence.fault(other.path, "the check steps name different calibrations; a run checks one.")
+        return StatedCameraChoice(faults=(fault,))
+    try:
+        return StatedCameraChoice(StatedCamera(name, _read(sequence.file_at(path, name), copy)))
+    except BenchError as error:
+        where = f"{error.where}: " if error.where else ""
+        remedy = f" {error.remedy}" if error.remedy else ""
+        return StatedCameraChoice(faults=(sequence.fault(path, f"{where}{error.what}{remedy}"),))
+
+
+def _read(file: Path, copy: Path | None) -> CameraFile:
+    """Read the copy if there is one, else the named file; raises BenchError."""
+    if copy is not None and not copy.is_file():
+        raise UsageError(
+            f"The run folder has no {CHECKED_COPY}, which this run uses.",
+            where=str(copy),
+            remedy="Restore it from a copy of the run.",
+        )
+    if copy is None and not file.exists():
+        raise UsageError("There is no such file or folder.", where=str(file), remedy="Check the path.")
+    return read_camera_file(file if copy is None else copy)
