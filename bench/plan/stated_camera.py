@@ -6,16 +6,18 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import BenchError, UsageError
-from bench.plan.camera_files import CameraFile, read_camera_file
 from bench.plan.passports import setting_path
 from bench.records.run_folder import CHECKED_COPY
 from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
 from sequences.tree import Fault
+
+if TYPE_CHECKING:  # it loads OpenCV, which plans without a check do not need
+    from bench.plan.camera_files import CameraFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,8 @@ def choose_stated_camera(
 
 def _read(file: Path, copy: Path | None) -> CameraFile:
     """Read the copy if there is one, else the named file; raises BenchError."""
+    from bench.plan.camera_files import read_camera_file
+
     if copy is not None and not copy.is_file():
         raise UsageError(
             f"The run folder has no {CHECKED_COPY}, which this run uses.",
