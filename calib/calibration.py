@@ -17,6 +17,7 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal_estimate import GimbalEstimate
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
+from calib.model.rotation_errors import RotationErrors
 from calib.model.type_b_terms import TypeBTerm
 from calib.model.witness import Amplitude, Witness
 
@@ -216,6 +217,8 @@ class Calibration:
         What the joint adjustment found out about the collimator, for `passport`; None from another engine.
     boresight
         How the camera is turned against the stage's flange; None if no readings determined it.
+    rotation_errors
+        How the errors of the rotations follow from those of camera and collimator; None from another engine.
     """
 
     model: str
@@ -252,6 +255,7 @@ class Calibration:
     glass: Passport | None = None
     remarks: tuple[str, ...] = ()
     boresight: Boresight | None = None
+    rotation_errors: RotationErrors | None = None
 
     @property
     def engine(self) -> dict[str, str | int]:

@@ -243,6 +243,9 @@ def engine_options(command: _Command) -> _Command:
     return command
 
 
+board_option = _OPTIONS["board"]
+
+
 def collimator_options(command: _Command) -> _Command:
     """Add the options of a calibration through a collimator to a command."""
     for name in reversed(_THROUGH_COLLIMATOR):

@@ -240,13 +240,17 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
     return camera_info(calibration.camera, camera_name, calibration.camera.matrix)
 
 
-def camera_info(camera: CameraModel, camera_name: str, rectified: np.ndarray) -> bytes:
+def camera_info(
+    camera: CameraModel, camera_name: str, projection: np.ndarray, rectification: np.ndarray | None = None
+) -> bytes:
     """Write a ROS camera_info YAML.
 
-    rectified: (3, 3) camera matrix of the rectified image, of which P is made.
+    projection: (3, 3) camera matrix of the rectified image; or (3, 4) of one camera of a pair.
+    rectification: (3, 3) rotation; None if the image is not turned.
     """
     coefficients = opencv_coefficients(camera)
-    projection = np.hstack([rectified, np.zeros((3, 1))])
+    whole = np.zeros((3, 4))
+    whole[:, : projection.shape[1]] = projection
     return yaml_bytes(
         {
             **image_size_fields(camera),
@@ -254,8 +258,8 @@ def camera_info(camera: CameraModel, camera_name: str, rectified: np.ndarray) ->
             "camera_matrix": ros_matrix(camera.matrix),
             "distortion_model": _ROS_MODELS[len(coefficients)],
             "distortion_coefficients": ros_matrix(coefficients[None]),
-            "rectification_matrix": ros_matrix(np.eye(3)),
-            "projection_matrix": ros_matrix(projection),
+            "rectification_matrix": ros_matrix(np.eye(3) if rectification is None else rectification),
+            "projection_matrix": ros_matrix(whole),
         }
     )
 
@@ -266,28 +270,33 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     camera_name: Name of the camera, used in ``rostopic``.
     Raises FormatCannotCarry: When no k1 k2 p1 p2 project as the lens does within `_MOST_CHANGE_PX`.
     """
-    camera, told = calibration.camera, b""
+    told, content = kalibr_camera(calibration.camera, camera_name)
+    return told + yaml_bytes({"cam0": content})
+
+
+def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[str, Any]]:
+    """Return a remark and the content of one camera of a camchain, as `kalibr_camchain` writes it.
+
+    Raises FormatCannotCarry: As there.
+    """
+    whole, told = camera, b""
     if not camera.is_fisheye and set(camera.distortion) - set(_RADTAN):
         camera, change_px = nearest_lens(camera, _RADTAN)
         if not change_px <= _MOST_CHANGE_PX:
-            refuse_beyond(_RADTAN, calibration.camera, "Kalibr's radtan")
+            refuse_beyond(_RADTAN, whole, "Kalibr's radtan")
         told = (
             f"# Kalibr's radtan has no k3. These values were fitted to those of results.json: they project the same"
             f" within {change_px:.1g} px.\n"
         ).encode()
-    return told + yaml_bytes(
-        {
-            "cam0": {
-                "camera_model": "pinhole",
-                "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
-                "distortion_model": "equidistant" if camera.is_fisheye else "radtan",
-                "distortion_coeffs": opencv_coefficients(camera)[:4].tolist(),
-                "resolution": list(camera.image_size),
-                "rostopic": f"/{camera_name}/events",
-                "cam_overlaps": [],
-            }
-        }
-    )
+    return told, {
+        "camera_model": "pinhole",
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "distortion_model": "equidistant" if camera.is_fisheye else "radtan",
+        "distortion_coeffs": opencv_coefficients(camera)[:4].tolist(),
+        "resolution": list(camera.image_size),
+        "rostopic": f"/{camera_name}/events",
+        "cam_overlaps": [],
+    }
 
 
 def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:

@@ -132,7 +132,7 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
             remedy="The first view has the number 1.",
         )
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
-    views, used, skipped = _read_views(chosen)
+    views, used, skipped = read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
     require_enough_views(views, options)
     words = words_for(_common_board(used, choices))
@@ -214,7 +214,7 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
     ]
 
 
-def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
+def read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
     """Read the views, with one image size and unique names; return also their sources, and why views were left out.
 
     Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.

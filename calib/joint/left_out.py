@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from calib.joint import amplitudes as amp
 from calib.joint.equations import State
+from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
+from calib.model.rotation_errors import RotationErrors
 
 Array = NDArray[np.float64]
 
@@ -74,11 +76,30 @@ def _of_pose(optimum: Optimum, pose: int, star: float, squares: Array) -> tuple[
     return information - between.T @ follow[:, :-1], right - between.T @ follow[:, -1]
 
 
+def rotation_errors(found: Posterior) -> RotationErrors:
+    """Return how the rotations of all m views follow the shared unknowns, and what each adds."""
+    marginal, optimum = found.optimum.marginal, found.optimum
+    squares = np.exp(2.0 * optimum.eta)
+    stated, random = marginal.problem.stated(), marginal.problem.random
+    prior, pull = stated.information.copy(), stated.off(found.mean)[0].copy()
+    prior[np.ix_(random.places, random.places)] += optimum.solution.inside
+    pull[random.places] -= optimum.solution.inside @ found.mean[random.places]
+    by_shared, own = _follow(optimum, squares)
+    names = marginal.problem.bench.layout.names
+    return RotationErrors(names, found.mean, found.covariance, prior, pull, by_shared, own)
+
+
 def rotation_covariance(optimum: Optimum) -> Array:
     """Return the (3 m, 3 m) joint covariance of the rotation vectors on the camera's side, rad^2."""
+    by_shared, own = _follow(optimum, np.exp(2.0 * optimum.eta))
+    flat = by_shared @ optimum.solution.covariance @ by_shared.T + own
+    return np.asarray(0.5 * (flat + flat.T))
+
+
+def _follow(optimum: Optimum, squares: Array) -> tuple[Array, Array]:
+    """Return (3 m, S) how the rotations follow the shared unknowns, and (3 m, 3 m) the covariance that views add."""
     marginal, solution = optimum.marginal, optimum.solution
     bench, equations = marginal.problem.bench, marginal.equations
-    squares = np.exp(2.0 * optimum.eta)
     back = np.swapaxes(marginal.axes, 1, 2)
     loose = squares[marginal.problem.hyper.at(amp.STAR)] * (back * marginal.loose[:, None]) @ marginal.axes
     places = bench.layout.pose_places
@@ -93,13 +114,11 @@ def rotation_covariance(optimum: Optimum) -> Array:
         loose = kept @ loose
     direct = by_shared - by_field @ solution.follow[bench.poses]
     m = len(bench.poses)
-    flat = direct.reshape(3 * m, -1)
-    whole = (flat @ solution.covariance @ flat.T).reshape(m, 3, m, 3)
+    whole = np.zeros((m, 3, m, 3))
     for pose in range(bench.n_poses):
         views = np.flatnonzero(bench.poses == pose)
         stacked = by_field[views].reshape(3 * len(views), -1)
         local = (stacked @ solution.own[pose] @ stacked.T).reshape(len(views), 3, len(views), 3)
         whole[views[:, None], :, views] += local.transpose(0, 2, 1, 3)
     whole[range(m), :, range(m)] += loose
-    flat = whole.reshape(3 * m, 3 * m)
-    return np.asarray(0.5 * (flat + flat.T))
+    return direct.reshape(3 * m, -1), whole.reshape(3 * m, 3 * m)

@@ -19,7 +19,7 @@ from calib.joint.equations import ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import READINGS
 from calib.joint.layout import CENTRE, RADIAL
-from calib.joint.left_out import left_out_rms, rotation_covariance
+from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.words import MOST_SCATTER, contradiction, notes, require_determined
 from calib.model.budget_row import WORST_CORNER
@@ -145,6 +145,7 @@ def _calibration(
         coverage_factor=factors[0],
         left_out_rms_px=left_out_rms(found.optimum),
         rotation_covariance=rotation_covariance(found.optimum),
+        rotation_errors=rotation_errors(found),
         budget={group: dict(zip(names, part.tolist(), strict=True)) for group, part in budget.items()},
         gimbal=_gimbal(found, parameters, options),
         boresight=boresight(found, parameters.camera, parameters.gimbal),

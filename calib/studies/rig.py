@@ -1,45 +1,74 @@
-"""Two cameras on one rig: their relative rotation, from poses that both saw through one collimator.
+"""Two cameras on one rig: how the second is turned and placed against the first.
 
-Behind a collimator every camera is at infinity from the target. The translation between two cameras is therefore not
-observable, and none is given.
+Through a collimator both see a target at infinity, which gives the rotation. A board at finite distance, seen by both
+at once, gives rotation and translation. What the collimator says about rotation and intrinsics, or what files say about
+the intrinsics, is the prior of the adjustment of the boards; so nothing is held, and nothing counts twice.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import linalg, special
 
 from calib.calibration import Calibration
-from calib.errors import DegenerateViews
+from calib.errors import DegenerateViews, InputMismatch, NotConverged
+from calib.model.camera import CameraModel
+from calib.model.collimator import CENTRE
 from calib.model.rotation import exp_map, log_map, nearest_rotation
+from calib.model.rotation_errors import RotationErrors
+from calib.studies.rig_boards import BoardPair, adjusted
 from calib.uncertainty.projection_uncertainty import ARCSEC
+from calib.view import View
 
 Array = NDArray[np.float64]
 
+#: Standard uncertainty of a value whose file states none, as a share of it.
+_EXACT = 1e-7
+#: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.
+_CONTRADICTS = 5.0
+_RIGID = 0.001
+
 
 @dataclass(frozen=True)
-class RelativeRotation:
-    """The rotation from one camera of a rig to another."""
+class Rig:
+    """Two cameras and how they stand: X_second = rotation X_first + translation."""
 
-    rotation: Array  # (3, 3) float64 rotation, second camera <- first camera
-    covariance: Array  # (3, 3) float64 covariance of the rotation vector on the second camera's side, rad^2
-    views: tuple[str, ...]
+    first: CameraModel
+    second: CameraModel
+    rotation: Array  # (3, 3) second <- first
+    translation_mm: Array | None  # (3,); None if no board at finite distance was seen
+    # Of the values of first, of second, of the rotation vector on the second camera's side, rad, and of the
+    # translation, mm.
+    covariance: Array
+    views: tuple[str, ...] = ()  # Poses behind the collimator
     # (n, 3) float64 relative rotation of each pose minus the common one, about the second camera's axes, arc
     # seconds.
-    residuals_arcsec: Array
-    # chi_square, degrees_of_freedom: Chi-square of the residuals and its degrees of freedom; large if the rig
-    # flexed.
-    chi_square: float
-    degrees_of_freedom: int
+    residuals_arcsec: Array | None = None
+    boards: tuple[str, ...] = ()
+    boards_rms_px: Array | None = None  # (m, 2) of each board in the two images
+    chi_square: float = 0.0  # Large if the rig flexed, or the cameras did not record at the same time
+    degrees_of_freedom: int = 0
+
+    @property
+    def pose_covariance(self) -> Array:
+        """(6, 6) covariance of rotation vector, rad, and translation, mm; (3, 3) without translation."""
+        k = len(self.first.values) + len(self.second.values)
+        return self.covariance[k:, k:]
 
     @property
     def sigma_arcsec(self) -> Array:
         """(3,) float64 1-sigma about the second camera's axes, arc seconds."""
-        return np.asarray(ARCSEC * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(ARCSEC * np.sqrt(np.diag(self.pose_covariance)[:3]))
+
+    @property
+    def sigma_mm(self) -> Array:
+        """(3,) float64 1-sigma of the translation; empty without translation."""
+        return np.asarray(np.sqrt(np.diag(self.pose_covariance)[3:]))
 
     @property
     def vector_deg(self) -> Array:
@@ -49,78 +78,224 @@ class RelativeRotation:
     @property
     def rigid(self) -> bool:
         """Whether the chi-square is below its 99.9 % quantile."""
-        return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
+        return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), _RIGID))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain numbers, lists and names, ready for JSON; the translation is None.
-
-        Returns: Key ``disagreement_arcsec`` holds the residuals.
-        """
+        """Return the result as plain numbers, lists and names, ready for JSON."""
+        moved = self.translation_mm is not None
+        why = "not observable: behind a collimator the target stands at infinity"
         return {
             "rotation": self.rotation.tolist(),
             "vector_deg": self.vector_deg.tolist(),
-            "covariance_rad2": self.covariance.tolist(),
+            "covariance_rad2": self.pose_covariance[:3, :3].tolist(),
             "sigma_arcsec": self.sigma_arcsec.tolist(),
-            "translation": None,
-            "translation_note": "not observable: behind a collimator the target stands at infinity",
+            "translation": None if self.translation_mm is None else self.translation_mm.tolist(),
+            **({"sigma_mm": self.sigma_mm.tolist()} if moved else {"translation_note": why}),
+            "pose_covariance": self.pose_covariance.tolist(),
+            "cameras": [self.first.to_dict(), self.second.to_dict()],
             "views": list(self.views),
-            "disagreement_arcsec": self.residuals_arcsec.tolist(),
+            "disagreement_arcsec": [] if self.residuals_arcsec is None else self.residuals_arcsec.tolist(),
+            "boards": list(self.boards),
+            "boards_rms_px": [] if self.boards_rms_px is None else self.boards_rms_px.tolist(),
             "chi_square": self.chi_square,
             "degrees_of_freedom": self.degrees_of_freedom,
             "rigid": self.rigid,
         }
 
 
-def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotation:
-    """Estimate the rotation second <- first from all poses that both cameras saw, by generalised least squares.
+def common_names(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
+    """Return the names that both have.
 
-    Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T.
-
-    Raises DegenerateViews: If the calibrations have no view with the same name.
+    Raises DegenerateViews: If there is none.
     """
-    names = [view.name for view in first.views]
-    second_names = [view.name for view in second.views]
-    common = tuple(name for name in names if name in second_names)
+    common = tuple(name for name in first if name in second)
     if not common:
         raise DegenerateViews(
             "The two cameras share no pose.", remedy="Give the two views of one pose the same name."
         )
-    a, b = [names.index(name) for name in common], [second_names.index(name) for name in common]
+    return common
+
+
+def through_collimator(first: Calibration, second: Calibration) -> Rig:
+    """Estimate the rotation from all poses that both cameras saw, by generalised least squares.
+
+    Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T. Both looked into one
+    collimator: its centre and radius are the same unknowns, and what was known of them before counts once.
+
+    Raises DegenerateViews: If the calibrations have no view with the same name.
+    """
+    names = [[view.name for view in one.views] for one in (first, second)]
+    common = common_names(*names)
+    a, b = ([own.index(name) for name in common] for own in names)
     pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)
-    covariance = _joint(second.rotation_covariance, b) + _rotated(_joint(first.rotation_covariance, a), pairs)
-    information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
-    jacobian = np.tile(np.eye(3), (len(common), 1))
-    covariance_of_mean = np.asarray(np.linalg.inv(jacobian.T @ information @ jacobian), np.float64)
-    rotation = nearest_rotation(pairs.mean(axis=0))
-    for _ in range(20):
-        off = log_map(pairs @ rotation.T).reshape(-1)
-        step = covariance_of_mean @ jacobian.T @ information @ off
-        rotation = exp_map(step) @ rotation
-        if np.abs(step).max() < 1e-14:
-            break
-    off = log_map(pairs @ rotation.T).reshape(-1)
-    return RelativeRotation(
-        rotation,
-        covariance_of_mean,
+    start = nearest_rotation(pairs.mean(axis=0))
+    one, other = _errors(first), _errors(second)
+    information, pull, places = _one_collimator(one, other)
+    size, n = len(information), 3 * len(common)
+    rows_a, rows_b = (_rows(own) for own in (a, b))
+    turns = linalg.block_diag(*pairs)
+    by = np.zeros((n, size))
+    by[:, places] += other.by_shared[rows_b]
+    by[:, : len(one.names)] -= turns @ one.by_shared[rows_a]
+    own = other.own[np.ix_(rows_b, rows_b)] + turns @ one.own[np.ix_(rows_a, rows_a)] @ turns.T
+    weight = np.linalg.pinv(own, rcond=1e-12, hermitian=True)
+    # The common rotation follows the error of each pose: omega - by u = off + noise.
+    off = log_map(pairs @ start.T).reshape(-1) + other.by_shared[rows_b] @ _shift(one, other)
+    rows = np.hstack([-by, np.tile(np.eye(3), (len(common), 1))])
+    whole = linalg.block_diag(information, np.zeros((3, 3))) + rows.T @ weight @ rows
+    covariance = np.linalg.inv(whole)
+    found = covariance @ (np.concatenate([pull, np.zeros(3)]) + rows.T @ weight @ off)
+    # Each pose by what the cameras know alone.
+    expected = np.linalg.pinv(own + by @ np.linalg.inv(information) @ by.T, rcond=1e-12, hermitian=True)
+    scatter = off + by @ np.linalg.solve(information, pull) - np.tile(found[-3:], len(common))
+    kept = np.r_[0 : len(first.camera.values), places[: len(second.camera.values)], size : size + 3]
+    k = len(first.camera.values)
+    cameras = found[kept]
+    return Rig(
+        first.camera.with_values(first.camera.values + cameras[:k]),
+        second.camera.with_values(second.camera.values + cameras[k:-3]),
+        exp_map(found[-3:]) @ start,
+        None,
+        covariance[np.ix_(kept, kept)],
         common,
-        ARCSEC * off.reshape(-1, 3),
-        float(off @ information @ off),
-        3 * len(common) - 3,
+        ARCSEC * log_map(pairs @ (exp_map(found[-3:]) @ start).T),
+        chi_square=float(scatter @ expected @ scatter),
+        degrees_of_freedom=n - 3,
     )
 
 
-def _joint(covariance: Array, views: list[int]) -> Array:
-    """Return the rows and columns of some views of a (3 n, 3 n) covariance."""
-    rows = np.concatenate([np.arange(3 * i, 3 * i + 3) for i in views])
-    return covariance[np.ix_(rows, rows)]
+def _rows(views: Sequence[int]) -> NDArray[np.int64]:
+    return np.concatenate([np.arange(3 * i, 3 * i + 3) for i in views])
 
 
-def _rotated(covariance: Array, turns: Array) -> Array:
-    """Transform a (3 n, 3 n) covariance from the first camera's side to the second one's.
+def _errors(calibration: Calibration) -> RotationErrors:
+    """Return how the rotations follow what the views share; of a reference method, the camera beside them."""
+    if calibration.rotation_errors is not None:
+        return calibration.rotation_errors
+    size, rows = len(calibration.camera.values), len(calibration.rotation_covariance)
+    return RotationErrors(
+        calibration.camera.parameter_names,
+        calibration.camera.values,
+        calibration.camera_covariance,
+        np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros((rows, size)),
+        calibration.rotation_covariance,
+    )
 
-    Linear propagation, T C T^T (JCGM 100:2008, section 5.2).
+
+def _shift(one: RotationErrors, other: RotationErrors) -> Array:
+    """Return by how much the second calibration must move so that both have one collimator, (S,)."""
+    shift = np.zeros(len(other.names))
+    for name in _shared(one, other):
+        shift[other.names.index(name)] = (
+            one.means[one.names.index(name)] - other.means[other.names.index(name)]
+        )
+    return shift
+
+
+def _shared(one: RotationErrors, other: RotationErrors) -> tuple[str, ...]:
+    return tuple(name for name in CENTRE if name in one.names and name in other.names)
+
+
+def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return information and pull of the unknowns of both calibrations, with one collimator.
+
+    Returns: (U, U) information; (U,) pull, at the means; (S,) places of the second calibration's unknowns.
     """
-    carrier = np.zeros_like(covariance)
-    for i, turn in enumerate(turns):
-        carrier[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = turn
-    return np.asarray(carrier @ covariance @ carrier.T)
+    shared = _shared(one, other)
+    size = len(one.names)
+    places = np.zeros(len(other.names), np.int64)
+    for at, name in enumerate(other.names):
+        places[at] = one.names.index(name) if name in shared else size
+        size += name not in shared
+    information, pull = np.zeros((size, size)), np.zeros(size)
+    k = len(one.names)
+    information[:k, :k] = np.linalg.inv(one.covariance)
+    second = np.linalg.inv(other.covariance)
+    information[np.ix_(places, places)] += second
+    pull[places] -= second @ _shift(one, other)
+    if shared:  # both calibrations hold what was known of the collimator
+        glass = np.array([one.names.index(name) for name in shared])
+        rest = np.setdiff1d(np.arange(k), glass)
+        between, others = one.prior[np.ix_(glass, rest)], one.prior[np.ix_(rest, rest)]
+        carry: Array = between @ np.linalg.pinv(others, hermitian=True)
+        information[np.ix_(glass, glass)] -= one.prior[np.ix_(glass, glass)] - carry @ between.T
+        pull[glass] -= one.prior_pull[glass] - carry @ one.prior_pull[rest]
+    return information, pull, places
+
+
+def stated_cameras(
+    first: CameraModel, second: CameraModel, covariances: Sequence[Array | None] = (None, None)
+) -> Rig:
+    """Return two cameras whose intrinsics are known and whose rig is not, to start from.
+
+    covariances: Of their values; None holds them.
+    """
+    blocks = [
+        np.diag((_EXACT * np.maximum(np.abs(camera.values), 1.0)) ** 2) if one is None else one
+        for camera, one in zip((first, second), covariances, strict=True)
+    ]
+    return Rig(first, second, np.eye(3), None, linalg.block_diag(*blocks))
+
+
+def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, free: bool = False) -> Rig:
+    """Adjust the rig to boards at finite distance that both cameras saw at once.
+
+    start: What is known already: of the cameras, and of the rotation if it has poses behind a collimator.
+    free: Whether nothing is known of the intrinsics but their start.
+    Raises DegenerateViews: If no board was seen by both; or too few points.
+    Raises InputMismatch: If image sizes differ, or a board was not seen at the same time by both.
+    """
+    for camera, views in ((start.first, first), (start.second, second)):
+        for view in views:
+            if view.image_size != camera.image_size:
+                sizes = [
+                    " x ".join(str(side) for side in size) for size in (view.image_size, camera.image_size)
+                ]
+                raise InputMismatch(
+                    f"The view {view.name} has {sizes[0]} px, its camera {sizes[1]} px.",
+                    remedy="Give views and calibration of the same camera.",
+                )
+    by_name = [{view.name: view for view in views} for views in (first, second)]
+    names = common_names(*(list(one) for one in by_name))
+    pairs = [BoardPair(*(one[name] for one in by_name)) for name in names]
+    known = len(start.covariance) > len(start.first.values) + len(start.second.values)
+    information = linalg.block_diag(
+        np.linalg.inv(start.covariance) if not free else np.zeros_like(start.covariance),
+        np.zeros((3 if known else 6,) * 2),
+    )
+    found = adjusted(start.first, start.second, start.rotation if known else None, information, pairs)
+    _require_one_time(names, found.together, found.apart)
+    if not found.converged:
+        raise NotConverged(
+            "The adjustment of the rig found no optimum.", remedy="Show the board at more angles."
+        )
+    return Rig(
+        found.first,
+        found.second,
+        found.rotation,
+        found.translation,
+        found.covariance,
+        start.views,
+        start.residuals_arcsec,
+        names,
+        found.rms_px,
+        start.chi_square,
+        start.degrees_of_freedom,
+    )
+
+
+def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> None:
+    """Refuse boards that moved between the two recordings.
+
+    together, apart: (m,) sums of squares of each board: with one pose for both cameras, and with one for each.
+    """
+    times = np.sqrt(together / np.maximum(apart, np.median(apart)))
+    if (times > _CONTRADICTS).any():
+        worst = int(times.argmax())
+        raise InputMismatch(
+            f"{int((times > _CONTRADICTS).sum())} of {len(names)} boards do not fit one rig: at {names[worst]}, both"
+            f" cameras together fit {times[worst]:.0f} times worse than each alone.",
+            remedy="Record both cameras at the same time; keep the rig rigid, and give equal names to equal times.",
+        )

@@ -1,39 +1,52 @@
-"""The relative rotation of two cameras."""
+"""Two cameras on one rig, against the truth of drawn rigs and against OpenCV's stereo calibration."""
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from drawn_rig import BOARD, SIGMA, SIZES, Drawn
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.errors import DegenerateViews
+from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import exp_map, log_map
-from calib.studies.rig import relative_rotation
+from calib.studies.rig import stated_cameras, through_collimator, with_boards
 
 TURN = exp_map(np.deg2rad([0.5, -1.0, 3.0]))
 
 
-def two_cameras(bench, seed):
+def two_cameras(bench, seed, model="spherical"):
     rng = np.random.default_rng(seed)
     first = bench.views(rng, 0.05)
     second = [bench.view(v.name, TURN @ r, rng, 0.05) for v, r in zip(first, bench.rotations, strict=True)]
-    return tuple(calibrate(views, CalibrationOptions("spherical")) for views in (first, second))
+    return tuple(calibrate(views, CalibrationOptions(model)) for views in (first, second))
 
 
 def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
-    runs = [relative_rotation(*two_cameras(bench, i)) for i in range(12)]
-    z = np.array([log_map(run.rotation @ TURN.T) / np.sqrt(np.diag(run.covariance)) for run in runs])
+    rigs = [through_collimator(*two_cameras(bench, i)) for i in range(12)]
+    z = np.array([log_map(rig.rotation @ TURN.T) / np.sqrt(np.diag(rig.pose_covariance)) for rig in rigs])
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.3)
-    assert runs[0].views == ("pose-001", "pose-002", "pose-003")
-    assert sum(run.rigid for run in runs) >= 11
-    assert runs[0].sigma_arcsec.max() < 60
+    assert rigs[0].views == ("pose-001", "pose-002", "pose-003")
+    assert sum(rig.rigid for rig in rigs) >= 11
+    assert rigs[0].sigma_arcsec.max() < 60
+
+
+def test_what_both_cameras_say_about_one_collimator_counts_together(bench):
+    first, second = two_cameras(bench, 5, "joint")
+    errors = second.rotation_errors
+    other = replace(errors, names=tuple(f"other {name}" for name in errors.names))
+    rig = through_collimator(first, second)
+    apart = through_collimator(first, replace(second, rotation_errors=other))
+    assert (rig.sigma_arcsec <= apart.sigma_arcsec).all()
+    assert (rig.sigma_arcsec < 140).all()
+    assert (np.abs(206265 * log_map(rig.rotation @ TURN.T)) < 2.0 * rig.sigma_arcsec).all()
 
 
 def test_a_rig_that_flexed_is_recognised(bench):
     first, second = two_cameras(bench, 3)
     bent = second.rotations.copy()
     bent[1] = exp_map(np.deg2rad([0.0, 0.0, 0.05])) @ bent[1]
-    found = relative_rotation(first, replace(second, rotations=bent))
+    found = through_collimator(first, replace(second, rotations=bent))
     assert not found.rigid
     assert np.linalg.norm(found.residuals_arcsec, axis=1).argmax() == 1
 
@@ -42,4 +55,81 @@ def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):
     first, second = two_cameras(bench, 4)
     renamed = tuple(replace(view, name=f"other {view.name}") for view in second.views)
     with pytest.raises(DegenerateViews, match="share no pose"):
-        relative_rotation(first, replace(second, views=renamed))
+        through_collimator(first, replace(second, views=renamed))
+
+
+def test_drawn_rigs_lie_within_their_uncertainty_in_19_of_20_cases():
+    inside, squares = [], []
+    for seed in range(40):
+        drawn = Drawn(seed)
+        rig = with_boards(stated_cameras(*drawn.stated, [np.diag(SIGMA**2)] * 2), *drawn.views)
+        off = drawn.off(rig)
+        inside.append(np.abs(off) < 1.96 * np.sqrt(np.diag(rig.pose_covariance)))
+        squares.append(off @ np.linalg.solve(rig.pose_covariance, off))
+    assert 0.92 <= np.mean(inside) <= 0.98
+    assert np.mean(squares) == pytest.approx(6.0, abs=1.5)
+
+
+def test_intrinsics_may_be_adjusted_with_the_rig():
+    inside = []
+    for seed in range(12):
+        drawn = Drawn(seed, boards=14)
+        rig = with_boards(stated_cameras(*drawn.stated), *drawn.views, free=True)
+        inside.append(np.abs(drawn.off(rig)) < 1.96 * np.sqrt(np.diag(rig.pose_covariance)))
+        assert abs(rig.first.fx - drawn.cameras[0].fx) < 4.0 * np.sqrt(rig.covariance[0, 0])
+    assert np.mean(inside) >= 0.88
+
+
+def test_with_held_intrinsics_it_is_what_opencv_finds():
+    drawn = Drawn(3)
+    rig = with_boards(stated_cameras(*drawn.cameras), *drawn.views)
+    board = np.column_stack([BOARD, np.zeros(len(BOARD))]).astype(np.float32)
+    matrices = [(c.matrix, np.array([*c.distortion.values(), 0, 0])) for c in drawn.cameras]
+    images = [[view.points_px.astype(np.float32) for view in views] for views in drawn.views]
+    found = cv2.stereoCalibrate(
+        [board] * len(images[0]),
+        *images,
+        *matrices[0],
+        *matrices[1],
+        SIZES[0],
+        flags=cv2.CALIB_FIX_INTRINSIC,
+        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12),
+    )
+    assert log_map(rig.rotation @ found[5].T) == pytest.approx(np.zeros(3), abs=3e-6)
+    assert rig.translation_mm == pytest.approx(found[6].ravel(), abs=5e-3)
+
+
+def test_the_collimator_turns_and_the_boards_place():
+    drawn = Drawn(6)
+    cameras = stated_cameras(*drawn.stated, [np.diag(SIGMA**2)] * 2)
+    sigma = 2e-5
+    known = np.zeros((15, 15))
+    known[:12, :12], known[12:, 12:] = cameras.covariance, sigma**2 * np.eye(3)
+    turned = replace(cameras, rotation=exp_map(np.full(3, 1e-5)) @ drawn.rotation, covariance=known)
+    alone, both = with_boards(cameras, *drawn.views), with_boards(turned, *drawn.views)
+    assert (both.sigma_arcsec < 206265 * 1.01 * sigma).all()
+    assert (both.sigma_mm <= alone.sigma_mm).all()
+    assert (np.abs(drawn.off(both)) < 4.0 * np.sqrt(np.diag(both.pose_covariance))).all()
+
+
+def test_a_board_that_moved_between_the_recordings_is_refused():
+    drawn = Drawn(1)
+    first, second = drawn.views
+    with pytest.raises(InputMismatch, match="do not fit one rig: at board-2"):
+        with_boards(
+            stated_cameras(*drawn.cameras),
+            first,
+            [*second[:2], replace(second[2], points_px=second[2].points_px + 30.0), *second[3:]],
+        )
+
+
+def test_a_camera_of_another_size_is_refused():
+    drawn = Drawn(1)
+    with pytest.raises(InputMismatch, match="has 1280 x 720 px, its camera 1920 x 1200 px"):
+        with_boards(stated_cameras(*drawn.cameras[::-1]), *drawn.views)
+
+
+def test_boards_that_only_one_camera_saw_are_refused():
+    first, second = Drawn(1).views
+    with pytest.raises(DegenerateViews, match="share no pose"):
+        with_boards(stated_cameras(*Drawn(1).cameras), first[:4], second[4:])

@@ -1,0 +1,119 @@
+"""The command `rig`: how two cameras that saw the same poses stand to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.errors import UsageError
+from bench.commands.calibrations import board_option, collimator_options
+from bench.commands.options import ExistingPath, OutputFolder, epilog
+from bench.commands.output import JSON, show
+from bench.report.text import with_uncertainty
+
+if TYPE_CHECKING:
+    from bench.results.rig import RigFound
+    from calib.studies.rig import Rig
+
+
+@click.command(
+    epilog=epilog(
+        "starbench rig runs/left runs/right",
+        "starbench rig left right --board checkerboard:11x7:20mm -o rig",
+        "starbench rig runs/left runs/right --boards left right --board checkerboard:11x7:20mm",
+    )
+)
+@click.argument("first", type=ExistingPath())
+@click.argument("second", type=ExistingPath())
+@click.option(
+    "--boards",
+    nargs=2,
+    type=ExistingPath(),
+    metavar="FIRST SECOND",
+    help="Views of a board of both cameras, which give the translation; the other views are behind a collimator.",
+)
+@click.option(
+    "--calibration",
+    nargs=2,
+    type=ExistingPath(),
+    metavar="FIRST SECOND",
+    help="The intrinsics of both cameras with their uncertainty, as `check` reads them; for views of a board.  "
+    "[default: adjusted with the rig]",
+)
+@board_option
+@click.option(
+    "--output", "-o", type=OutputFolder(), help="New folder for files of Kalibr, ROS, OpenCV and Metavision."
+)
+@collimator_options
+@JSON
+def rig(
+    first: Path,
+    second: Path,
+    boards: tuple[Path, ...] | None,
+    calibration: tuple[Path, ...] | None,
+    output: Path | None,
+    **options: Any,
+) -> int:
+    """Calculate rotation and translation from the camera of FIRST to the camera of SECOND on one rig.
+
+    FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
+    Behind a collimator they give the rotation, of a board the translation too.
+    """
+    from bench.results.offline_folder import write_files
+    from bench.results.offline_options import OfflineOptions
+    from bench.results.rig import find_rig
+    from bench.results.rig_exports import rig_exports
+
+    choices = OfflineOptions.from_command_line(**options)
+    if output is not None and output.exists() and any(output.iterdir()):
+        raise UsageError("The folder is not empty.", where=str(output), remedy="Choose another --output.")
+    found = find_rig((first, second), boards or (), calibration or (), choices)
+    if output is not None and found.rig.translation_mm is None:
+        raise UsageError(
+            "These views give no translation, and the files hold one.",
+            remedy="Add views of a board (--boards, --board), or leave out --output.",
+        )
+    content = {**found.rig.to_dict(), "skipped": list(found.skipped)}
+    if output is not None:
+        write_files(output, rig_exports(found.rig, content))
+    show(lambda: content, _lines(found))
+    return 0
+
+
+def _lines(found: RigFound) -> Iterator[str]:
+    rig = found.rig
+    for reason in found.skipped:
+        yield f"Left out: {reason}"
+    seen = [(rig.views, "poses behind the collimator"), (rig.boards, "boards")]
+    by = " and ".join(f"{len(names)} {what}" for names, what in seen if names)
+    yield f"Second camera <- first camera, by {by} that both cameras saw:"
+    for axis, angle, sigma in zip("xyz", rig.vector_deg, rig.sigma_arcsec, strict=True):
+        text, expanded = with_uncertainty(3600.0 * float(angle), 2.0 * float(sigma))
+        yield f"  rotation vector {axis} {angle:>12.6f} deg = {text} ± {expanded} arcsec (k = 2)"
+    if rig.translation_mm is not None:
+        for axis, length, sigma in zip("xyz", rig.translation_mm, rig.sigma_mm, strict=True):
+            text, expanded = with_uncertainty(float(length), 2.0 * float(sigma))
+            yield f"  translation {axis} {text} ± {expanded} mm (k = 2)"
+    for row in rig.rotation:
+        yield "  [" + " ".join(f"{number:>13.9f}" for number in row) + "]"
+    yield from _residual_lines(rig)
+
+
+def _residual_lines(rig: Rig) -> Iterator[str]:
+    if rig.residuals_arcsec is not None:
+        for view, residual in zip(rig.views, rig.residuals_arcsec, strict=True):
+            yield f"  {view}: residual {' '.join(f'{axis:.1f}' for axis in residual)} arcsec"
+        verdict = (
+            "the views agree with a rigid rig"
+            if rig.rigid
+            else "THE RIG IS NOT RIGID, or the cameras did not see the same poses"
+        )
+        yield f"Chi-square {rig.chi_square:.1f} for {rig.degrees_of_freedom} degrees of freedom: {verdict}."
+    if rig.boards_rms_px is not None:
+        for name, (one, other) in zip(rig.boards, rig.boards_rms_px, strict=True):
+            yield f"  {name}: residual {one:.3f} px in the first camera, {other:.3f} px in the second"
+    if rig.translation_mm is None:
+        yield "The distance between the cameras cannot be measured through a collimator: no translation is given."

@@ -1,0 +1,87 @@
+"""The rig of two cameras from files: behind one collimator, at boards that both saw, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bench.base.errors import UsageError
+from bench.results.camera_files import CameraFile, read_camera_file
+from bench.results.offline import calibrate_paths, read_views, require_common_views
+from bench.results.offline_options import OfflineOptions
+from bench.results.view_sources import view_sources
+from calib.studies.rig import Rig, stated_cameras, through_collimator, with_boards
+from calib.view import View
+
+Pair = Sequence[Path]
+
+
+@dataclass(frozen=True)
+class RigFound:
+    """A rig, and the files that were left out, a sentence each."""
+
+    rig: Rig
+    skipped: tuple[str, ...]
+
+
+def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
+    """Return the rig of two cameras. Every argument has one entry for each camera, or none.
+
+    paths: Views behind a collimator; or of a board, if `choices` names one and `boards` is empty.
+    boards: Views of the board beside those behind the collimator.
+    cameras: Files with the intrinsics, for boards alone.
+    Raises UsageError, BenchError: When a file cannot be used.
+    Raises calib.errors.CalibrationError: When the views do not determine the rig.
+    """
+    if choices.board is None:
+        if boards:
+            raise UsageError(
+                "--boards needs --board.", remedy="Say what the board is: --board checkerboard:11x7:20mm."
+            )
+        if cameras:
+            raise UsageError(
+                "--calibration is for views of a board: behind a collimator, the views give the intrinsics.",
+                remedy="Leave out --calibration, or name the board with --board.",
+            )
+        return _by_views(paths, choices)
+    if not boards:
+        return _by_cameras(paths, cameras, choices) if cameras else _by_views(paths, choices)
+    if cameras:
+        raise UsageError(
+            "The views behind the collimator give the intrinsics.",
+            remedy="Leave out --calibration, or --boards.",
+        )
+    start = _by_views(paths, replace(choices, board=None, model=None))
+    seen, skipped = _board_views(boards, [choices, choices])
+    return RigFound(with_boards(start.rig, *seen), (*start.skipped, *skipped))
+
+
+def _by_views(paths: Pair, choices: OfflineOptions) -> RigFound:
+    """Return the rig by views that give the intrinsics too."""
+    require_common_views(paths[0], paths[1], choices)
+    results = [calibrate_paths([path], choices) for path in paths]
+    skipped = tuple(reason for result in results for reason in result.skipped)
+    first, second = (result.calibration for result in results)
+    if all(result.board for result in results):
+        start = stated_cameras(first.camera, second.camera)
+        return RigFound(with_boards(start, results[0].views, results[1].views, free=True), skipped)
+    return RigFound(through_collimator(first, second), skipped)
+
+
+def _by_cameras(paths: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
+    """Return the rig by boards, with the intrinsics of files."""
+    require_common_views(paths[0], paths[1], choices)
+    stated = [read_camera_file(file) for file in cameras]
+    seen, skipped = _board_views(paths, [_sized(choices, one) for one in stated])
+    start = stated_cameras(stated[0].camera, stated[1].camera, [one.covariance for one in stated])
+    return RigFound(with_boards(start, *seen), tuple(skipped))
+
+
+def _sized(choices: OfflineOptions, stated: CameraFile) -> OfflineOptions:
+    return choices if choices.image_size else replace(choices, image_size=stated.camera.image_size)
+
+
+def _board_views(paths: Pair, choices: Sequence[OfflineOptions]) -> tuple[list[list[View]], list[str]]:
+    found = [read_views(list(view_sources(path, own))) for path, own in zip(paths, choices, strict=True)]
+    return [views for views, *_ in found], [reason for *_, skipped in found for reason in skipped]

@@ -1,0 +1,143 @@
+"""The command `rig` with boards at finite distance: numbers, files, refusals."""
+
+import json
+from copy import deepcopy
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from drawn_rig import Drawn
+
+from bench.commands.cli import main
+from bench.results.exports import camera_info
+from calib.model.rotation import exp_map
+
+SIZE = (1280, 720)
+BOARD = ("--board", "checkerboard:11x7:20mm", "--image-size", "1280x720")
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """The truth, and for each camera its folder of point files and its file of intrinsics."""
+    rig = Drawn(2, boards=10, sizes=(SIZE, SIZE))
+    folder = tmp_path_factory.mktemp("rig")
+    for name, views, camera in zip(("left", "right"), rig.views, rig.cameras, strict=True):
+        (folder / name).mkdir()
+        for view in views:
+            rows = np.column_stack([view.points_px + 0.5, view.target_mm, view.ids])
+            np.savetxt(folder / name / f"{view.name}.csv", rows, delimiter=",")
+        (folder / f"{name}.yaml").write_bytes(camera_info(camera, name, camera.matrix))
+    return rig, folder
+
+
+def said(capsys, *words):
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert end.value.code == 0, capsys.readouterr().err
+    return capsys.readouterr().out
+
+
+def refused(capsys, *words):
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert end.value.code != 0
+    return capsys.readouterr().err
+
+
+def test_rotation_and_translation_come_with_u(capsys, drawn):
+    rig, folder = drawn
+    told = json.loads(said(capsys, "rig", folder / "left", folder / "right", *BOARD, "--json"))
+    off = np.array(told["translation"]) - rig.translation
+    assert (np.abs(off) < 4.0 * np.array(told["sigma_mm"])).all()
+    assert np.array(told["rotation"]) == pytest.approx(rig.rotation, abs=2e-3)
+    shown = said(capsys, "rig", folder / "left", folder / "right", *BOARD)
+    assert "by 10 boards that both cameras saw" in shown
+    assert "translation x" in shown
+
+
+def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_path):
+    rig, folder = drawn
+    files = (folder / "left.yaml", folder / "right.yaml")
+    words = ("rig", folder / "left", folder / "right", *BOARD, "--calibration", *files)
+    said(capsys, *words, "-o", tmp_path / "rig")
+    held = json.loads((tmp_path / "rig" / "rig.json").read_text())
+    t_m = np.array(held["translation"]) / 1000.0
+    assert np.abs(np.array(held["translation"]) - rig.translation).max() < 0.5
+
+    (one,) = json.loads((tmp_path / "rig" / "extrinsics.json").read_text())["T_slave_master"]
+    assert one["tvec"] == pytest.approx(t_m)
+    assert exp_map(np.array(one["rvec"])) == pytest.approx(np.array(held["rotation"]))
+
+    chain = yaml.safe_load((tmp_path / "rig" / "kalibr_camchain.yaml").read_text())
+    pose = np.array(chain["cam1"]["T_cn_cnm1"])
+    assert pose[:3, 3] == pytest.approx(t_m)
+    assert chain["cam0"]["cam_overlaps"] == [1]
+
+    # Rectified by the pair of camera_info, both images show a point in the same row, at a disparity of f B / z.
+    point = np.array([[30.0, -20.0, 700.0]])
+    both = point, point @ rig.rotation.T + rig.translation
+    rows = []
+    for name, camera, there in zip(("cam0", "cam1"), rig.cameras, both, strict=True):
+        info = yaml.safe_load((tmp_path / "rig" / f"{name}_camera_info.yaml").read_text())
+        matrices = [np.array(info[key]["data"]) for key in ("camera_matrix", "distortion_coefficients")]
+        turn = np.array(info["rectification_matrix"]["data"]).reshape(3, 3)
+        projection = np.array(info["projection_matrix"]["data"]).reshape(3, 4)
+        seen = camera.project(there)[None]
+        rows.append(
+            cv2.undistortPoints(seen, matrices[0].reshape(3, 3), matrices[1], R=turn, P=projection[:, :3])[
+                0, 0
+            ]
+        )
+    across = int(abs(projection[1, 3]) > abs(projection[0, 3]))
+    assert rows[0][1 - across] == pytest.approx(rows[1][1 - across], abs=1.0)
+    assert abs(projection[across, 3] / projection[0, 0]) == pytest.approx(np.linalg.norm(t_m), rel=1e-6)
+
+    stored = cv2.FileStorage(str(tmp_path / "rig" / "opencv_stereo.yaml"), cv2.FILE_STORAGE_READ)
+    assert stored.getNode("T").mat().ravel() == pytest.approx(1000.0 * t_m)
+    assert "The folder is not empty" in refused(capsys, *words, "-o", tmp_path / "rig")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board"),
+        (
+            ("{}/left", "{}/right", "--calibration", "{}/left.yaml", "{}/right.yaml"),
+            "--calibration is for views",
+        ),
+        (("{}/left", "{}/other", *BOARD), "share no pose"),
+        (("{}/left", "{}/moved", *BOARD), "do not fit one rig"),
+        (
+            ("{}/left", "{}/right", *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"),
+            "outside an image of 640 x 480 px",
+        ),
+        (
+            ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"),
+            "has 1280 x 720 px, its camera 640 x 480 px",
+        ),
+        (
+            ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"),
+            "The file holds 2 cameras",
+        ),
+    ],
+)
+def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, told):
+    _, folder = drawn
+    (folder / "other").mkdir(exist_ok=True)
+    (folder / "moved").mkdir(exist_ok=True)
+    for at, file in enumerate(sorted((folder / "right").iterdir())):
+        (folder / "other" / f"x{file.name}").write_bytes(file.read_bytes())
+        later = sorted((folder / "right").iterdir())[at - 1]  # recorded one board later than the first camera
+        (folder / "moved" / file.name).write_bytes(later.read_bytes())
+    whole = (folder / "right.yaml").read_text()
+    (folder / "small.yaml").write_text(whole.replace("1280", "640").replace("720", "480"))
+    camera = {
+        "camera_model": "pinhole", "intrinsics": [1, 1, 1, 1], "distortion_model": "radtan",
+        "distortion_coeffs": [0, 0, 0, 0], "resolution": [1280, 720],
+    }  # fmt: skip
+    (folder / "two.yaml").write_text(yaml.safe_dump({"cam0": camera, "cam1": deepcopy(camera)}))
+    message = refused(capsys, "rig", *(word.format(folder) for word in words), "-o", tmp_path / "new")
+    assert told in message
+    assert message.count("Error") <= 1
+    assert not (tmp_path / "new").exists()
