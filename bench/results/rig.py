@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench.base.errors import UsageError
-from bench.results.camera_files import CameraFile, read_camera_file
+from bench.plan.camera_files import CameraFile, read_camera_file
 from bench.results.offline import calibrate_paths, read_views, require_common_views
 from bench.results.offline_options import OfflineOptions
 from bench.results.view_sources import view_sources
