@@ -11,7 +11,8 @@ from drawn_rig import Drawn
 
 from bench.commands.cli import main
 from bench.results.exports import camera_info
-from calib.model.rotation import exp_map
+from calib.model.rotation import exp_map, log_map
+from calib.target import StarTarget
 
 SIZE = (1280, 720)
 BOARD = ("--board", "checkerboard:11x7:20mm", "--image-size", "1280x720")
@@ -54,6 +55,45 @@ def test_rotation_and_translation_come_with_u(capsys, drawn):
     shown = said(capsys, "rig", folder / "left", folder / "right", *BOARD)
     assert "by 10 boards that both cameras saw" in shown
     assert "translation x" in shown
+
+
+def star_files(rig, folder):
+    """Write what both cameras see behind a collimator, in four poses with noise."""
+    rng = np.random.default_rng(4)
+    target = StarTarget()
+    plane = target.positions_mm(target.ids) - target.tag_centre_mm
+    disc = np.linalg.norm(plane, axis=1) < 255.0 * np.tan(np.deg2rad(12.0))
+    rays = np.column_stack([plane, np.full(len(plane), 255.0)])[disc]
+    poses = [(5.0, 2.0, 0.0), (-4.0, 5.0, 30.0), (0.5, -6.0, -80.0), (6.0, -3.0, 160.0)]
+    for name, camera, turn in zip(
+        ("stars-left", "stars-right"), rig.cameras, (np.eye(3), rig.rotation), strict=True
+    ):
+        (folder / name).mkdir()
+        for at, (pan, tilt, roll) in enumerate(poses):
+            held = exp_map(np.deg2rad([tilt, pan, 0.0])) @ exp_map(np.deg2rad([0.0, 0.0, roll]))
+            seen = camera.project(rays @ (turn @ held).T) + 0.05 * rng.standard_normal((len(rays), 2))
+            inside = ((seen > 3) & (seen < np.array(SIZE) - 4)).all(axis=1)
+            rows = np.column_stack([seen + 0.5, target.positions_mm(target.ids)[disc], target.ids[disc]])[
+                inside
+            ]
+            np.savetxt(folder / name / f"pose-{at}.csv", rows, delimiter=",")
+
+
+def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
+    rig, folder = drawn
+    star_files(rig, folder)
+    stars = [folder / "stars-left", folder / "stars-right"]
+    turned = json.loads(said(capsys, "rig", *stars, "--image-size", "1280x720", "--json"))
+    both = json.loads(
+        said(capsys, "rig", *stars, "--boards", folder / "left", folder / "right", *BOARD, "--json")
+    )
+    assert turned["translation"] is None
+    assert len(both["views"]) == 4
+    assert len(both["boards"]) == 10
+    assert max(both["sigma_arcsec"]) < 0.8 * max(turned["sigma_arcsec"])
+    off = 206265 * log_map(np.array(both["rotation"]) @ rig.rotation.T)
+    assert (np.abs(off) < 4.0 * np.array(both["sigma_arcsec"])).all()
+    assert (np.abs(np.array(both["translation"]) - rig.translation) < 4.0 * np.array(both["sigma_mm"])).all()
 
 
 def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_path):
