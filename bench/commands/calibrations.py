@@ -232,6 +232,8 @@ _OPTIONS = {
         "evenly spread]",
     ),
 }
+BOARD = _OPTIONS["board"]
+"""The option of commands that take a board beside the star target."""
 _THROUGH_COLLIMATOR = ("model", "distortion", "passport", "image-size", "views", "origin", "station")
 """Options of commands that take all others from the runs."""
 

@@ -107,6 +107,14 @@ def calibrate_paths(
     return replace(calibrate_sources(sources, choices), paths=tuple(paths))
 
 
+def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:
+    """Return the view of the paths, if they hold one alone."""
+    sources = [source for path in paths for source in view_sources(path, choices)]
+    if choices.view_numbers:
+        sources = [sources[number - 1] for number in choices.view_numbers]
+    return sources[0].read() if len(sources) == 1 else None
+
+
 def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
     """Return a source that takes its view from an earlier calculation, if there is one.
 

@@ -121,6 +121,19 @@ def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, poin
     assert "A change of scale explains it" in shown
 
 
+def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info):
+    words = ["check", points[0] / "view1.txt", "--image-size", "1280x720", "--calibration"]
+    shown = say(capsys, *words, camera_info())
+    assert shown.startswith(
+        "One view without a known collimator: judged is only what no other pose explains."
+    )
+    assert "RIGHT as far as this view can tell" in shown
+    assert "A change of one value alone would be seen from: scale" in shown
+    told = json.loads(say(capsys, *words, camera_info(), "--json"))
+    assert (told["one_view"], told["right"]) == (True, True)
+    assert told["seen_from"]["scale"] > 0.001
+
+
 def test_the_rotation_between_two_cameras_of_a_rig_has_no_translation(capsys, points, tmp_path):
     folder, _ = points
     # The second camera stands on its head: every image point and the principal point mirrored through the middle.

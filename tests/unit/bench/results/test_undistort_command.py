@@ -134,3 +134,16 @@ def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, cal
         said = say(capsys, folder / file, "-o", folder / "new", *here, status=status)
         assert text in said
         assert not (folder / "new").exists()
+
+
+def test_one_photograph_of_a_board_checks_a_calibration(capsys, calibrated):
+    _, folder = calibrated
+    words = ["check", str(folder / "board.png"), "--board", BOARD, "--calibration"]
+    text = (folder / "info.yaml").read_text()
+    changed = text.replace("-0.25", "-0.2").replace("-0.05", "0.02")
+    (folder / "changed.yaml").write_text(changed)
+    for name, status, said in (("info.yaml", 0, "RIGHT as far as"), ("changed.yaml", 1, "NOT RIGHT: after")):
+        with pytest.raises(SystemExit) as end:
+            main([*words, str(folder / name)])
+        assert end.value.code == status
+        assert said in capsys.readouterr().out
