@@ -62,7 +62,7 @@ def rig(
     FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
     Behind a collimator they give the rotation, of a board the translation too.
     """
-    from bench.results.offline_folder import write_files
+    from bench.records.storage import make_folder, write_atomic
     from bench.results.offline_options import OfflineOptions
     from bench.results.rig import find_rig
     from bench.results.rig_exports import rig_exports
@@ -78,7 +78,9 @@ def rig(
         )
     content = {**found.rig.to_dict(), "skipped": list(found.skipped)}
     if output is not None:
-        write_files(output, rig_exports(found.rig, content))
+        make_folder(output)
+        for name, data in rig_exports(found.rig, content).items():
+            write_atomic(output / name, data)
     show(lambda: content, _lines(found))
     return 0
 

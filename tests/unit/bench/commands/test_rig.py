@@ -101,6 +101,10 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
     files = (folder / "left.yaml", folder / "right.yaml")
     words = ("rig", folder / "left", folder / "right", *BOARD, "--calibration", *files)
     said(capsys, *words, "-o", tmp_path / "rig")
+    assert sorted(file.name for file in (tmp_path / "rig").iterdir()) == [
+        "cam0_camera_info.yaml", "cam1_camera_info.yaml", "extrinsics.json", "kalibr_camchain.yaml",
+        "opencv_stereo.yaml", "rig.json",
+    ]  # fmt: skip
     held = json.loads((tmp_path / "rig" / "rig.json").read_text())
     t_m = np.array(held["translation"]) / 1000.0
     assert np.abs(np.array(held["translation"]) - rig.translation).max() < 0.5
@@ -147,6 +151,7 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
             "--calibration is for views",
         ),
         (("{}/left", "{}/other", *BOARD), "share no pose"),
+        (("{}/left", "{}/blank", *BOARD), "The whole board must be in view"),
         (("{}/left", "{}/moved", *BOARD), "do not fit one rig"),
         (
             ("{}/left", "{}/right", *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"),
@@ -164,6 +169,8 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
 )
 def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, told):
     _, folder = drawn
+    (folder / "blank").mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "blank" / "board-0.png"), np.full((720, 1280), 90, np.uint8))
     (folder / "other").mkdir(exist_ok=True)
     (folder / "moved").mkdir(exist_ok=True)
     for at, file in enumerate(sorted((folder / "right").iterdir())):
