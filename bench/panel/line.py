@@ -5,7 +5,6 @@ A run is a process of its own (`starbench run --expect-serial`), which goes on i
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from typing import Any
 
 from bench.base.errors import BenchError, ScriptError, UsageError
 from bench.plan.plan import load_documents, make_plan
-from bench.records.storage import make_folder, storage_errors
+from bench.records.storage import make_folder, read_json, storage_errors
 from bench.report.text import conformity_headline, conformity_sentences
 from bench.run.control import Command, send
 from bench.run.launch import serial_number
@@ -108,8 +107,8 @@ class Line:
 
     def _ended(self, status: int, serial: str, key: str) -> Json:
         try:
-            said = json.loads(self._said.read_bytes())
-        except (OSError, ValueError):
+            said = read_json(self._said)
+        except (BenchError, ValueError):
             said = {}
         phase, word = _WORDS.get(status, _BROKEN)
         error, results = said.get("error") or {}, said.get("results") or {}
