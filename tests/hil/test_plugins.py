@@ -225,10 +225,10 @@ def test_a_run_uses_a_camera_and_a_light_of_a_package(lab, tmp_path, monkeypatch
     assert run_facts["software"]["lab"] == "0.3"
     assert run_facts["plugins"] == {"lab": ["light lablamp", "camera labcam"]}
     assert "lab 0.3 (plug-in: light lablamp, camera labcam)" in (tmp_path / "run" / "report.html").read_text()
-    said = run(lab, "-m", "bench", "verify", tmp_path / "run")
+    said = run(lab, "-m", "bench", "verify", "--again", tmp_path / "run")
     assert "the light lablamp, camera labcam was driven by a plug-in: lab 0.3" in said, said
     assert said.startswith("SEALED: ")
-    elsewhere = run(tmp_path, "-m", "bench", "verify", tmp_path / "run")
+    elsewhere = run(tmp_path, "-m", "bench", "verify", "--again", tmp_path / "run")
     assert "the station needs lab 0.3, which this computer does not have" in elsewhere, elsewhere
 
 
