@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from bench.report.text import with_uncertainty
 
 if TYPE_CHECKING:
     from bench.results.rig import RigFound
+    from calib.studies.clock_offset import ClockOffset
     from calib.studies.rig import Rig
 
 
@@ -43,6 +45,11 @@ if TYPE_CHECKING:
     help="The intrinsics of both cameras with their uncertainty, as `check` reads them; for views of a board.  "
     "[default: adjusted with the rig]",
 )
+@click.option(
+    "--sync",
+    is_flag=True,
+    help="Also the offset of the cameras' clocks, from a sync signal at both trigger inputs; for RAW recordings.",
+)
 @board_option
 @click.option(
     "--output", "-o", type=OutputFolder(), help="New folder for files of Kalibr, ROS, OpenCV and Metavision."
@@ -54,6 +61,7 @@ def rig(
     second: Path,
     boards: tuple[Path, ...] | None,
     calibration: tuple[Path, ...] | None,
+    sync: bool,
     output: Path | None,
     **options: Any,
 ) -> int:
@@ -64,19 +72,21 @@ def rig(
     """
     from bench.records.storage import make_folder, write_atomic
     from bench.results.offline_options import OfflineOptions
-    from bench.results.rig import find_rig
+    from bench.results.rig import find_clocks, find_rig
     from bench.results.rig_exports import rig_exports
 
     choices = OfflineOptions.from_command_line(**options)
     if output is not None and output.exists() and any(output.iterdir()):
         raise UsageError("The folder is not empty.", where=str(output), remedy="Choose another --output.")
-    found = find_rig((first, second), boards or (), calibration or (), choices)
+    pairs = [pair for pair in ((first, second), boards) if pair]
+    clocks = find_clocks(pairs, choices) if sync else ()
+    found = replace(find_rig((first, second), boards or (), calibration or (), choices), clocks=clocks)
     if output is not None and found.rig.translation_mm is None:
         raise UsageError(
             "These views give no translation, and the files hold one.",
             remedy="Add views of a board (--boards, --board), or leave out --output.",
         )
-    content = {**found.rig.to_dict(), "skipped": list(found.skipped)}
+    content = found.to_dict()
     if output is not None:
         make_folder(output)
         for name, data in rig_exports(found.rig, content).items():
@@ -102,6 +112,29 @@ def _lines(found: RigFound) -> Iterator[str]:
     for row in rig.rotation:
         yield "  [" + " ".join(f"{number:>13.9f}" for number in row) + "]"
     yield from _residual_lines(rig)
+    yield from _clock_lines(found.clocks)
+
+
+def _clock_lines(clocks: Sequence[ClockOffset]) -> Iterator[str]:
+    from calib.studies.clock_offset import common_rate
+
+    if not clocks:
+        return
+    rate, sigma = common_rate(clocks)
+    gain, expanded = with_uncertainty(1e6 * rate, 2e6 * sigma)
+    yield f"Clock of the second camera: it gains {gain} ± {expanded} parts in a million (k = 2)."
+    for one in clocks:
+        offset, expanded = with_uncertainty(one.offset_us, 2.0 * one.sigma_us)
+        yield (
+            f"  {one.name}: second - first = {offset} ± {expanded} us (k = 2) at {one.at_us / 1e6:.3f} s of the"
+            f" first clock, by {one.edges} edges"
+        )
+    periods = [one.period_us for one in clocks if one.period_us is not None]
+    if periods:
+        yield (
+            f"The sync signal repeats every {min(periods):.0f} us: the offsets may differ by whole periods. The values"
+            " nearest zero are given."
+        )
 
 
 def _residual_lines(rig: Rig) -> Iterator[str]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from bench.base.errors import UsageError
 from bench.plan.camera_files import CameraFile, read_camera_file
 from bench.results.offline import calibrate_paths, read_views, require_common_views
 from bench.results.offline_options import OfflineOptions
-from bench.results.view_sources import view_sources
+from bench.results.view_sources import RECORDINGS, view_sources
+from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
 from calib.studies.rig import Rig, stated_cameras, through_collimator, with_boards
 from calib.view import View
+from drivers.camera.raw_file import RawFile
 
 Pair = Sequence[Path]
 
@@ -23,6 +26,19 @@ class RigFound:
 
     rig: Rig
     skipped: tuple[str, ...]
+    clocks: tuple[ClockOffset, ...] = ()  # Of each recording, if they were asked for
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain numbers, lists and names, ready for JSON."""
+        told = {**self.rig.to_dict(), "skipped": list(self.skipped)}
+        if not self.clocks:
+            return told
+        rate, sigma = common_rate(self.clocks)
+        every = [one.to_dict() for one in self.clocks]
+        return {
+            **told,
+            "clocks": {"rate_ppm": 1e6 * rate, "sigma_rate_ppm": 1e6 * sigma, "recordings": every},
+        }
 
 
 def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
@@ -85,3 +101,29 @@ def _sized(choices: OfflineOptions, stated: CameraFile) -> OfflineOptions:
 def _board_views(paths: Pair, choices: Sequence[OfflineOptions]) -> tuple[list[list[View]], list[str]]:
     found = [read_views(list(view_sources(path, own))) for path, own in zip(paths, choices, strict=True)]
     return [views for views, *_ in found], [reason for *_, skipped in found for reason in skipped]
+
+
+def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[ClockOffset, ...]:
+    """Return offset and rate of the second camera's clock in each recording that both cameras made.
+
+    folders: Pairs of paths, an entry for each camera.
+    Raises UsageError: When a view is no RAW recording.
+    Raises calib.errors.InputMismatch: When the recordings have no sync edges in common.
+    """
+    clocks = []
+    for pair in folders:
+        first, second = ({source.name: source.path for source in view_sources(p, choices)} for p in pair)
+        common = [name for name in first if name in second]
+        clocks += [clock_offset(name, *(_rising_us(own[name]) for own in (first, second))) for name in common]
+    return tuple(clocks)
+
+
+def _rising_us(path: Path) -> list[int]:
+    if path.suffix.lower() not in RECORDINGS:
+        raise UsageError(
+            "Sync edges stand in RAW recordings only.",
+            where=str(path),
+            remedy="Leave out --sync, or give the recordings of both cameras.",
+        )
+    edges = RawFile.open(path).triggers()
+    return list(map(int, edges.t[edges.value == 1]))

@@ -1,0 +1,168 @@
+"""How the clocks of two cameras stand to each other, by edges of one sync signal that both recorded.
+
+t_second = t_first + offset + rate (t_first - at). Edges may be missing in either camera. A periodic signal leaves the
+offset open by whole periods: then the offset nearest zero is given, and the period with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InputMismatch
+
+Array = NDArray[np.float64]
+
+#: Two crystals of 100 parts in a million each.
+_LARGEST_RATE = 200e-6
+_LEAST_EDGES = 5
+_NEIGHBOURS = 200
+"""Edges around an anchor by which a match is judged."""
+_ANCHORS = 7
+_MISSED = 0.1
+"""Largest share of the edges that one camera may have missed; one edge in any case."""
+_JITTER_US = 3.0
+_REACHES = (16, 128, 1024, 8192)
+#: Times are whole microseconds, in both cameras: variance of the difference of two roundings.
+_ROUNDING_US2 = 2.0 / 12.0
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """The second camera's clock against the first's, in one recording."""
+
+    name: str
+    offset_us: float
+    sigma_us: float
+    at_us: float  # By the first camera's clock: the middle of the edges
+    rate: float  # What the second clock gains, as a share
+    sigma_rate: float
+    edges: int
+    # The offset may differ by whole periods; None if the pattern of the edges leaves one offset only.
+    period_us: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain numbers, ready for JSON."""
+        return {
+            "name": self.name,
+            "offset_us": self.offset_us,
+            "sigma_us": self.sigma_us,
+            "at_us": self.at_us,
+            "rate_ppm": 1e6 * self.rate,
+            "sigma_rate_ppm": 1e6 * self.sigma_rate,
+            "edges": self.edges,
+            "period_us": self.period_us,
+        }
+
+
+def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence[int] | Array) -> ClockOffset:
+    """Estimate offset and rate of the second clock from the rising edges of one recording, by least squares.
+
+    first_us, second_us: Times of the edges by each camera's own clock, us.
+    Raises InputMismatch: If there are too few edges, or the two cameras did not record the same signal together.
+    """
+    first, second = (np.sort(np.asarray(times, np.float64)) for times in (first_us, second_us))
+    fewest = min(len(first), len(second))
+    if fewest < _LEAST_EDGES:
+        raise InputMismatch(
+            f"At {name}, a camera recorded {fewest} rising sync edges; at least {_LEAST_EDGES} are needed.",
+            remedy="Wire one sync signal to the trigger inputs of both cameras, and enable them.",
+        )
+    shifts = _good_shifts(first, second)
+    if not len(shifts):
+        raise InputMismatch(
+            f"At {name}, the sync edges of the two cameras do not belong together: the first has {len(first)} rising"
+            f" edges, {_usual_us(first):.0f} us apart, the second {len(second)}, {_usual_us(second):.0f} us apart.",
+            remedy="Wire one sync signal to both cameras, and record them at the same time.",
+        )
+    anchor, shift = shifts[np.abs(shifts[:, 1]).argmin()]
+    apart = np.diff(shifts[:, 1])
+    apart = apart[apart > _usual_us(first) / 2.0]
+    found = _fitted(name, first, second, anchor, shift)
+    if not len(apart):
+        return found
+    period = float(apart[apart < 1.5 * apart.min()].mean())
+    nearest = found.offset_us - period * round(found.offset_us / period)
+    return replace(found, offset_us=nearest, period_us=period)
+
+
+def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
+    """Return the weighted mean of the rates of all recordings, and its 1-sigma.
+
+    Enlarged if the rates scatter more than they state (Birge, 1932): crystals follow their temperature.
+    """
+    rates = np.array([one.rate for one in clocks])
+    weights = np.array([one.sigma_rate for one in clocks]) ** -2.0
+    mean = float(weights @ rates / weights.sum())
+    birge = weights @ (rates - mean) ** 2 / max(len(rates) - 1, 1)
+    return mean, float(np.sqrt(max(birge, 1.0) / weights.sum()))
+
+
+def _usual_us(times: Array) -> float:
+    return float(np.median(np.diff(times)))
+
+
+def _good_shifts(first: Array, second: Array) -> Array:
+    """Return (n, 2) anchors and shifts by which the edges fit, each edge of the second camera at most once.
+
+    An anchor is an edge of the first camera; some are tried, since the second may have missed it.
+    """
+    for anchor in first[np.linspace(0, len(first) - 1, _ANCHORS + 2).astype(int)[1:-1]]:
+        near = first[np.argsort(np.abs(first - anchor), kind="stable")[:_NEIGHBOURS]]
+        tolerance = _JITTER_US + _LARGEST_RATE * np.abs(near - anchor)
+        fits = [shift for shift in second - anchor if _match(near, second, shift, tolerance)]
+        if fits:
+            return np.column_stack([np.full(len(fits), anchor), fits])
+    return np.empty((0, 2))
+
+
+def _match(near: Array, second: Array, shift: float, tolerance: Array) -> bool:
+    """Return whether both saw nearly all edges of the time that both recorded, and that time is long enough."""
+    moved = near + shift
+    inside = (moved >= second[0] - tolerance) & (moved <= second[-1] + tolerance)
+    begin, end = moved[inside].min(initial=np.inf), moved[inside].max(initial=-np.inf)
+    expected = int(((second >= begin - _JITTER_US) & (second <= end + _JITTER_US)).sum())
+    both = max(int(inside.sum()), expected)
+    if both < max(_LEAST_EDGES, min(len(near), len(second)) / 2):
+        return False
+    matched = int((np.abs(_nearest(second, moved[inside])) <= tolerance[inside]).sum())
+    return both - matched <= max(1.0, _MISSED * both)
+
+
+def _nearest(times: Array, wanted: Array) -> Array:
+    """Return the distance from each wanted time to the nearest of the sorted times."""
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    before = times[after - 1] - wanted
+    return np.where(-before <= times[after] - wanted, before, times[after] - wanted)
+
+
+def _fitted(name: str, first: Array, second: Array, anchor: float, shift: float) -> ClockOffset:
+    """Fit offset and rate in steps that reach further from the anchor, so that each finds the right edges."""
+    order, rate = np.argsort(np.abs(first - anchor), kind="stable"), 0.0
+    allowed = _JITTER_US
+    for reach in (*_REACHES, len(first)):
+        near = first[order[:reach]]
+        moved = near + shift + rate * (near - anchor)
+        off = _nearest(second, moved)
+        # Until a rate is known, edges far from the anchor are off by it.
+        fits = np.abs(off) <= allowed + (_LARGEST_RATE * np.abs(near - anchor) if reach == _REACHES[0] else 0)
+        difference = moved[fits] + off[fits] - near[fits]
+        rate, shift = np.polyfit(near[fits] - anchor, difference, 1)
+        left = difference - shift - rate * (near[fits] - anchor)
+        allowed = max(_JITTER_US, 5.0 * float(np.sqrt(np.mean(left**2))))
+    times = near[fits]
+    at, span = float(times.mean()), float(np.ptp(times))
+    scatter = float(left @ left) / (len(times) - 2)
+    return ClockOffset(
+        name,
+        float(shift + rate * (at - anchor)),
+        float(np.sqrt(scatter / len(times) + _ROUNDING_US2)),
+        at,
+        float(rate),
+        float(np.sqrt(scatter / float(((times - at) ** 2).sum()) + 2.0 * _ROUNDING_US2 / span**2)),
+        len(times),
+    )

@@ -1,0 +1,72 @@
+"""Offset and rate of two clocks by edges of one signal: against the truth of drawn signals, with edges missing."""
+
+import numpy as np
+import pytest
+
+from calib.errors import InputMismatch
+from calib.studies.clock_offset import clock_offset, common_rate
+
+RATE = 41e-6
+
+
+def drawn(seed, intervals, offset_us, *, rate=RATE, missed=0.01, jitter_us=0.5):
+    """Edge times of one signal by two clocks, some edges missed by each, and the truth as a function."""
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(0, 5000) + np.cumsum(intervals)
+    middle = t.mean()
+    both = t, t + offset_us + rate * (t - middle)
+    seen = [
+        np.floor(one + jitter_us * rng.standard_normal(len(t)))[rng.random(len(t)) > missed] for one in both
+    ]
+    return seen[0][seed % 40 :], seen[1][: -(seed % 30) or None], lambda at: offset_us + rate * (at - middle)
+
+
+def pattern(seed, n=600):
+    return np.random.default_rng([7, seed]).choice([3000.0, 4000.0, 5500.0], n)
+
+
+def test_a_pattern_gives_the_offset_within_its_uncertainty_however_large_it_is():
+    off, slope = [], []
+    for seed in range(30):
+        offset = np.random.default_rng([8, seed]).uniform(-1e5, 1e8)
+        first, second, truth = drawn(seed, pattern(seed), offset)
+        found = clock_offset("a", first, second)
+        assert found.period_us is None
+        assert found.sigma_us < 1.0
+        off.append((found.offset_us - truth(found.at_us)) / found.sigma_us)
+        slope.append((found.rate - RATE) / found.sigma_rate)
+    assert np.sqrt(np.mean(np.square(off))) < 1.2
+    assert np.abs(slope).max() < 3.0
+
+
+@pytest.mark.parametrize("n", [12, 300, 3000])
+def test_a_periodic_signal_gives_the_offset_up_to_whole_periods(n):
+    first, second, truth = drawn(3, np.full(n, 4000.0), 1234.5)
+    found = clock_offset("a", first, second)
+    assert found.period_us == pytest.approx(4000.0 * (1 + RATE), abs=1.0)
+    assert found.offset_us == pytest.approx(truth(found.at_us), abs=4.0 * found.sigma_us)
+    later = clock_offset("a", first, second + 20_000.0)
+    assert later.offset_us == pytest.approx(found.offset_us, abs=2.0)
+
+
+def test_rates_of_all_recordings_are_one_rate():
+    clocks = [clock_offset(str(seed), *drawn(seed, pattern(seed), 50.0)[:2]) for seed in range(5)]
+    rate, sigma = common_rate(clocks)
+    assert abs(rate - RATE) < 3.0 * sigma
+    assert sigma < min(one.sigma_rate for one in clocks)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "said"),
+    [
+        (np.arange(100) * 4000, np.arange(100) * 5000, "4000 us apart, the second 100, 5000 us apart"),
+        (np.arange(100) * 4000, np.arange(300) * 4004, "do not belong together"),
+        (np.cumsum(pattern(1)), np.cumsum(pattern(2)), "do not belong together"),
+        (np.cumsum(pattern(1))[:200], np.cumsum(pattern(1))[300:], "do not belong together"),
+        (np.arange(4), np.arange(100), "At pose, a camera recorded 4 rising sync edges"),
+        ([], [], "recorded 0 rising"),
+    ],
+)
+def test_recordings_without_a_common_signal_are_refused(first, second, said):
+    with pytest.raises(InputMismatch, match=said):
+        clock_offset("pose", first, second)
