@@ -271,10 +271,10 @@ def read_authorities(
 
 
 def _read_certificates(path: Path, *, needed: bool) -> tuple[Certificate, ...]:
-    from cryptography.x509 import load_pem_x509_certificates
-
     if not needed and not path.exists():
         return ()
+    from cryptography.x509 import load_pem_x509_certificates
+
     with storage_errors(path):
         refuse_writable_by_others(path, "the list of trusted time stamping authorities")
         data = path.read_bytes()

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
-from typing import Any, Protocol, Unpack, cast
-
-from transitions import EventData, Machine
+from typing import TYPE_CHECKING, Any, Protocol, Unpack, cast
 
 from bench.records.events import Circumstances, Entering, Event, LeftOff
 from bench.records.history import History
 from bench.records.journal import Entry
+
+if TYPE_CHECKING:
+    from transitions import EventData
 
 # How long a run still takes: the times of its plan, scaled by what its steps took so far.
 
@@ -202,6 +203,8 @@ class RunMachine:
         unknown = set(work) - set(STATES)
         if unknown:
             raise ValueError(f"unknown states: {sorted(unknown)}")
+        from transitions import Machine  # here, because `status` needs the states alone
+
         self._machine = Machine(
             model=self,
             states=list(STATES),

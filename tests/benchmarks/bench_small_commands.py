@@ -42,6 +42,7 @@ class Version:
         self.run_folder = folder / "run"
         home = {"STARBENCH_HOME": str(folder / "home"), "STARBENCH_LOCKS": str(folder / "locks")}
         self._environment = {**os.environ, **home, "PYTHONPATH": str(source)}
+        self._environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed program has its bytecode
         self._source = source
         self.cpu_s(
             "run", "three_pose", "--station", "simulated", "--seed", "1", "--output", str(self.run_folder)
