@@ -6,7 +6,6 @@ not by its name. What a file does not state, such as a covariance, stays unknown
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,12 @@ from sequences.yaml_text import parse
 Array = NDArray[np.float64]
 
 _MOST_BYTES = 20_000_000
+_MOST_PX = 200_000_000
+_LARGEST = 1e15
+"""Of any value: a lens of long focal length has coefficients of 1e9."""
+_NEGATIVE = 1e-6
+"""Least eigenvalue of a covariance, as a share of the largest: rounding."""
+_OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
 _RESULTS = "results.json"
 _STORAGE = b"%YAML"
 #: Number of coefficients of each distortion model of ROS, and of Kalibr's.
@@ -68,7 +73,7 @@ def parse_camera(data: bytes, file: Path) -> CameraFile:
     try:
         kind, camera, covariance = _recognised(data, file)
         _require_possible(camera, covariance)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, cv2.error) as error:
+    except (*_OF_OTHER_FORM, cv2.error, SystemError) as error:  # OpenCV raises SystemError at a torn file
         what = (
             f"it has no {error}"
             if isinstance(error, KeyError)
@@ -84,10 +89,19 @@ def parse_camera(data: bytes, file: Path) -> CameraFile:
 
 
 def _require_possible(camera: CameraModel, covariance: Array | None) -> None:
-    """Raise ValueError: If a value is not finite, or a length is not positive."""
-    values = [*camera.values.tolist(), *([] if covariance is None else covariance.ravel().tolist())]
-    if not all(map(math.isfinite, values)) or min(camera.fx, camera.fy, *camera.image_size) <= 0:
+    """Raise ValueError: If a value is not finite, a length is not positive, or the covariance is none."""
+    lengths, sides = (camera.fx, camera.fy), camera.image_size
+    if not (np.abs(camera.values) < _LARGEST).all() or min(lengths) < 1.0 or min(sides) < 1:
         raise ValueError("a value of the camera is not possible")
+    if sides[0] * sides[1] > _MOST_PX:
+        raise ValueError(f"an image of {sides[0]} x {sides[1]} px is not possible")
+    if covariance is None:
+        return
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    if not (np.abs(covariance) < _LARGEST).all() or (np.diag(covariance) < 0).any():
+        raise ValueError("a variance is not possible")
+    if np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0] < -_NEGATIVE * len(covariance):
+        raise ValueError("the covariance matrix is not positive")
 
 
 _Found = tuple[str, CameraModel, Array | None]

@@ -21,6 +21,7 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 _MIN_POINTS = 6
+_IN_A_LINE = 1e-6
 _ROUNDS = 60
 _SMALL = 1e-3
 """Last step, in sigmas."""
@@ -167,10 +168,18 @@ def _pose(camera: CameraModel, view: View) -> tuple[Array, Array]:
     rays = camera.rays(view.points_px)
     seen = np.isfinite(rays).all(axis=1)
     flat = np.column_stack([view.target_mm, np.zeros(len(view))])[seen]
+    spread = (
+        np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False) if len(flat) >= _MIN_POINTS else np.zeros(2)
+    )
     plane = np.ascontiguousarray(rays[seen, :2] / rays[seen, 2:])
-    done, vector, place = cv2.solvePnP(flat, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    done = bool(spread[1] > _IN_A_LINE * spread[0])
+    if done:
+        done, vector, place = cv2.solvePnP(flat, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not done:
-        raise DegenerateViews(f"The view {view.name} does not show how the board stands.")
+        raise DegenerateViews(
+            f"The view {view.name} does not show how the board stands.",
+            remedy="Show more of the board, and check that the calibration is of this camera.",
+        )
     return exp_map(np.asarray(vector.ravel(), np.float64)), np.asarray(place.ravel(), np.float64)
 
 

@@ -399,6 +399,82 @@ PASSPORTS = {
     "deep": '{"a":' * 50_000,
 }
 
+# ---------------------------------------------------------------- cameras
+
+GEOMETRY = {
+    "type": "pinhole",
+    "width": 1280,
+    "height": 720,
+    "K": [1800.0, 0, 640, 0, 1800, 360, 0, 0, 1],
+    "D": [0, 0, 0, 0, 0],
+}
+_CAMERA = {
+    "camera_model": "pinhole",
+    "intrinsics": [1800.0, 1800, 640, 360],
+    "distortion_model": "radtan",
+    "distortion_coeffs": [0, 0, 0, 0],
+    "resolution": [1280, 720],
+}
+_VALUES = {"fx": 1800.0, "fy": 1800.0, "cx": 640.0, "cy": 360.0, "k1": 0.0}
+
+
+def _results(**changes):
+    names = list(_VALUES)
+    held = {"camera": _VALUES, "image_size": [1280, 720], "sigma": dict.fromkeys(names, 1.0)}
+    return json.dumps({"calibration": {**held, "covariance": {"names": names, "matrix": []}, **changes}})
+
+
+CAMERAS = {
+    "fisheye": json.dumps({**GEOMETRY, "type": "kannala-brandt"}),
+    "list-type": json.dumps({**GEOMETRY, "type": ["pinhole"]}),
+    "short-k": json.dumps({**GEOMETRY, "K": [1, 2, 3]}),
+    "text-k": json.dumps({**GEOMETRY, "K": ["a"] * 9}),
+    "number-k": json.dumps({**GEOMETRY, "K": 5}),
+    "nan-k": json.dumps(GEOMETRY).replace("1800.0", "NaN"),
+    "infinite-k": json.dumps(GEOMETRY).replace("1800.0", "1e999"),
+    "null-d": json.dumps({**GEOMETRY, "D": None}),
+    "skew": json.dumps({**GEOMETRY, "K": [1800.0, 9, 640, 0, 1800, 360, 0, 0, 1]}),
+    "negative-focal": json.dumps({**GEOMETRY, "K": [-1800.0, 0, 640, 0, 1800, 360, 0, 0, 1]}),
+    "tiny-focal": json.dumps({**GEOMETRY, "K": [1e-300, 0, 640, 0, 1e-300, 360, 0, 0, 1]}),
+    "huge-lens": json.dumps({**GEOMETRY, "D": [1e300] * 5}),
+    "no-pixels": json.dumps({**GEOMETRY, "width": 0}),
+    "negative-size": json.dumps({**GEOMETRY, "height": -720}),
+    "many-pixels": json.dumps({**GEOMETRY, "width": 10**9, "height": 10**9}),
+    "infinite-size": json.dumps(GEOMETRY).replace("1280", "1e999"),
+    "text-size": json.dumps({**GEOMETRY, "width": "wide"}),
+    "extrinsics": json.dumps({"T_slave_master": [{"camera": "b", "rvec": [0, 0, 0], "tvec": [1, 0, 0]}]}),
+    "two-cameras": json.dumps({"cam0": _CAMERA, "cam1": _CAMERA}).replace("{", "{ ", 1),
+    "chain-of-text": "cam0: text\n",
+    "chain-of-numbers": "cam0: 5\n",
+    "chain-list": "cam0: [1, 2]\n",
+    "other-lens": json.dumps({"cam0": {**_CAMERA, "distortion_model": "fov"}}),
+    "omni": json.dumps({"cam0": {**_CAMERA, "camera_model": "omni"}}),
+    "list-model": json.dumps({"cam0": {**_CAMERA, "camera_model": [1]}}),
+    "list-lens": json.dumps({"cam0": {**_CAMERA, "distortion_model": [1]}}),
+    "ros-list-lens": "distortion_model: [a]\ncamera_matrix: {data: [1]}\n",
+    "ros-no-data": "distortion_model: plumb_bob\ncamera_matrix: 5\ndistortion_coefficients: 5\n",
+    "ros-many": "distortion_model: plumb_bob\ndistortion_coefficients: {data: [0, 0, 0, 0, 0, 0, 0]}\n",
+    "opencv-empty": "%YAML:1.0\n---\n",
+    "opencv-scalar": "%YAML:1.0\n---\ncamera_matrix: 5\ndistortion_coefficients: 7\n",
+    "opencv-torn": "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [1",
+    "opencv-claims": "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 1000000000\n   cols: 3\n   dt: d\n"
+    "   data: [ 1. ]\n",
+    "opencv-not-utf-8": b"%YAML:1.0\n---\ncamera_matrix: \xff\xfe\n",
+    "opencv-of-json": '{"camera_matrix": 5, "distortion_coefficients": "x"}',
+    "results-empty": '{"calibration": {}}',
+    "results-null": '{"calibration": null}',
+    "results-text": '{"calibration": "good"}',
+    "results-no-matrix": _results(),
+    "results-wrong-matrix": _results(covariance={"names": list(_VALUES), "matrix": [[1.0]]}),
+    "results-text-value": _results(camera={**_VALUES, "fx": "long"}),
+    "results-negative-variance": _results(
+        covariance={"names": list(_VALUES), "matrix": (-np.eye(5)).tolist()}
+    ),
+    "results-infinite-variance": _results(
+        covariance={"names": list(_VALUES), "matrix": (1e308 * np.eye(5)).tolist()}
+    ),
+}
+
 # ---------------------------------------------------------------- XML
 
 _DCC = "https://ptb.de/dcc"

@@ -20,11 +20,26 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
-from hostile_files import HDF5, NPZ, PASSPORTS, PICTURES, POINTS, RAW, WRONG, XML, YAML, write_hdf5, write_npz
+from hostile_files import (
+    CAMERAS,
+    GEOMETRY,
+    HDF5,
+    NPZ,
+    PASSPORTS,
+    PICTURES,
+    POINTS,
+    RAW,
+    WRONG,
+    XML,
+    YAML,
+    write_hdf5,
+    write_npz,
+)
 from station_texts import PLAIN
 
 MOST_MB, MOST_CPU_S, MOST_WALL_S = 200, 10, 30
@@ -56,6 +71,7 @@ def _file(words, name, write):
     return make
 
 
+BOARD_OF_POINTS = ("--board", "checkerboard:5x4:10mm", "--image-size", "1280x720")
 READERS = {
     "plan-sequence": (("plan", "{}", "--station", "simulated"), "bad.yaml"),
     "run-sequence": (("run", "{}", "--station", "simulated", "--output", "out"), "bad.yaml"),
@@ -79,11 +95,18 @@ READERS = {
     "certificate-from-dcc": (("certificate", "from-dcc", "{}"), "bad.xml"),
     "certificate-show": (("certificate", "show", "{}"), "bad"),
     "certificate-config": (("certificate", "issue", "RUN", "--config", "{}", "--output", "out"), "bad.yaml"),
+    "check": (("check", "points.csv", "--calibration", "{}"), "bad.yaml"),
+    "rig": (
+        ("rig", "points.csv", "points.csv", *BOARD_OF_POINTS, "--calibration", "{}", "{}", "-o", "out"),
+        "bad.json",
+    ),
+    "undistort": (("undistort", "{}", "--output", "out"), "bad.yaml"),
+    "undistort-preview": (("undistort", "camera.json", "-o", "out", "--preview", "{}"), "bad.png"),
     "folder-verify": (("verify", "{}"), "bad"),
     "folder-status": (("status", "{}"), "bad"),
 }
 FEW_WRONG = {"empty", "random", "sparse", "fifo", "device", "link-to-itself", "endless-line"}
-_FEW_READERS = ("plan-sequence", "calibrate-points", "convert", "passport-show")
+_FEW_READERS = ("plan-sequence", "calibrate-points", "convert", "passport-show", "undistort")
 
 
 def wrong_files(run: Path) -> Iterator[Case]:
@@ -146,6 +169,20 @@ def spoilt_files() -> Iterator[Case]:
         words = ("calibrate", "points.csv", "--passport", "{}")
         yield Case(f"with-passport:{name}", _file(words, "bad.json", text(content)), named=True)
 
+    for name, content in CAMERAS.items():
+        for reader in ("check", "rig", "undistort"):
+            yield Case(f"camera:{reader}:{name}", _file(*READERS[reader], text(content)))
+        yield Case(f"camera:step:{name}", partial(_checked_in_a_sequence, content=content))
+
+
+def _checked_in_a_sequence(folder: Path, content: str | bytes) -> list[str]:
+    (folder / "camera.yaml").write_bytes(content if isinstance(content, bytes) else content.encode())
+    (folder / "bad.yaml").write_text(
+        "format: starbench/sequence/1\nname: Check\nsteps:\n  - light\n  - record\n"
+        "  - check: {calibration: camera.yaml}\n  - report\n"
+    )
+    return ["plan", "bad.yaml", "--station", "simulated"]
+
 
 _CONVERTIBLE = {
     *("header-only", "odd-byte", "zero-words", "vectors", "clock-storm", "triggers-only", "noise", "ones"),
@@ -178,6 +215,17 @@ STATION_VALUES = {
     "sim-focal": ("simulation: {}", "simulation: {camera: {fx: 1e-300}}"),
     "name": ("name: ", 'name: "\\u202e\\u0007\\u001b[2J"  # '),
     "serial": ("serial: 100101", 'serial: "\\u001b[2J"'),
+    "no-limit": ("simulation: {}", "simulation: {}\nlimits: [{result: fx}]"),
+    "limits-crossed": ("simulation: {}", "simulation: {}\nlimits: [{result: fx, lower: 2, upper: 1}]"),
+    "limit-nan": ("simulation: {}", "simulation: {}\nlimits: [{result: fx, lower: .nan}]"),
+    "limit-huge": ("simulation: {}", "simulation: {}\nlimits: [{result: fx, lower: 1e300}]"),
+    "limit-unknown": ("simulation: {}", "simulation: {}\nlimits: [{result: rms, upper: 1}]"),
+    "limit-text": ("simulation: {}", "simulation: {}\nlimits: all"),
+    "many-limits": (
+        "simulation: {}",
+        "simulation: {}\nlimits: [" + "{result: fx, upper: 1}, " * 200 + "]",
+    ),
+    "check-standard": ("simulation: {}", "simulation: {}\ncheck_standard: {serial: [5]}"),
     "passport-device": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: /dev/zero"),
     "passport-fifo": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: pipe"),
 }
@@ -399,6 +447,8 @@ def few_cases(run: Path) -> list[Case]:
         "station:spy-url",
     }
     wanted |= {"convert-hdf5:external-link:out.raw", "convert-hdf5:chunk-bomb:out.raw", "convert-npz:pickle"}
+    wanted |= {"camera:check:opencv-torn", "camera:rig:infinite-size", "camera:undistort:many-pixels"}
+    wanted |= {"camera:step:fisheye", "station:limits-crossed"}
     wanted |= {"picture:bomb.png", "picture:loop.tif", "name:escape-sequences", "plan-sequence:tag"}
     return [*chosen, *(case for case in cases if case.name in wanted)]
 
@@ -478,6 +528,7 @@ def run_case(case: Case, where: Path, watched: Path) -> dict[str, object]:
     folder = where / "case"
     folder.mkdir()
     (folder / "points.csv").write_text("".join(f"{n * 7} {n * 5} {n} {n} {n}\n" for n in range(50)))
+    (folder / "camera.json").write_text(json.dumps(GEOMETRY))
     words = case.make(folder)
     before = prints(watched)
     base = base_kb()
