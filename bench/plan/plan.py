@@ -402,7 +402,7 @@ def make_plan(
     solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
     passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
     checked_copy = passport_copy.with_name(CHECKED_COPY) if passport_copy is not None else None
-    checked = choose_stated_camera(sequence, script, copy=checked_copy)
+    checked = choose_stated_camera(sequence, script, station.value.expected, copy=checked_copy)
     findings = check_script(sequence, script, station.value, passport.steps_for_one_pose)
     missing = find_placeholders(station.tree)
     is_new = passport_copy is None  # a run that has begun holds its files already

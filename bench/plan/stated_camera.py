@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bench.base.errors import BenchError, UsageError
 from bench.plan.passports import setting_path
 from bench.records.run_folder import CHECKED_COPY
+from bench.stations.station import ExpectedConfig
 from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
@@ -46,10 +47,11 @@ class StatedCameraChoice:
 
 
 def choose_stated_camera(
-    sequence: Located[Sequence], steps: Iterable[Step], *, copy: Path | None
+    sequence: Located[Sequence], steps: Iterable[Step], expected: ExpectedConfig | None, *, copy: Path | None
 ) -> StatedCameraChoice:
     """Find and read the calibration that the steps ``check`` name.
 
+    expected: What the station expects; a new run with a sensor of another size is refused.
     copy: Copy in the folder of a run that has begun; it is read in place of the named file. None for a new run.
     """
     named = [
@@ -64,7 +66,10 @@ def choose_stated_camera(
         fault = sequence.fault(other.path, "the check steps name different calibrations; a run checks one.")
         return StatedCameraChoice(faults=(fault,))
     try:
-        return StatedCameraChoice(StatedCamera(name, _read(sequence.file_at(path, name), copy)))
+        found = StatedCamera(name, _read(sequence.file_at(path, name), copy))
+        if copy is None and expected is not None:
+            _require_same_sensor(found.file, expected.image_size)
+        return StatedCameraChoice(found)
     except BenchError as error:
         where = f"{error.where}: " if error.where else ""
         remedy = f" {error.remedy}" if error.remedy else ""
@@ -84,3 +89,13 @@ def _read(file: Path, copy: Path | None) -> CameraFile:
     if copy is None and not file.exists():
         raise UsageError("There is no such file or folder.", where=str(file), remedy="Check the path.")
     return read_camera_file(file if copy is None else copy)
+
+
+def _require_same_sensor(file: CameraFile, expected: tuple[int, int]) -> None:
+    if file.camera.image_size != expected:
+        sizes = [" x ".join(map(str, size)) for size in (file.camera.image_size, expected)]
+        raise UsageError(
+            f"This calibration is of a sensor of {sizes[0]} px; the station expects {sizes[1]} px.",
+            where=str(file.path),
+            remedy="Check a calibration of this camera, or correct `expected.image_size` of the station.",
+        )

@@ -142,8 +142,8 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
-    require_enough_views(views, options)
     words = words_for(_common_board(used, choices))
+    require_enough_views(views, options, board=words.is_board)
     with errors_in(words):
         calibration = calibrate(views, options)
     notes = tuple(words.fitting(note) for note in (*calibration.notes, *cautions))
@@ -163,11 +163,17 @@ def _common_board(sources: Sequence[ViewSource], choices: OfflineOptions) -> Boa
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:
-    """Refuse two folders of a rig that share no pose, before any star is looked for.
+    """Refuse one path for both cameras of a rig, or two that share no pose, before any star is looked for.
 
     Raises DegenerateViews: If no view of one has the name of a view of the other.
     Raises UsageError, BenchError: When a path cannot be used.
     """
+    if first.resolve() == second.resolve():
+        raise UsageError(
+            "Both cameras have the same views.",
+            where=str(first),
+            remedy="Give the views of the second camera as the second path.",
+        )
     names = [{source.name for source in view_sources(path, choices)} for path in (first, second)]
     if not names[0] & names[1]:
         shown = [", ".join(sorted(some)[:_MOST_NAMES]) for some in names]

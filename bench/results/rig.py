@@ -68,6 +68,7 @@ def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) 
             "The views behind the collimator give the intrinsics.",
             remedy="Leave out --calibration, or --boards.",
         )
+    require_common_views(boards[0], boards[1], choices)
     start = _by_views(paths, replace(choices, board=None, model=None))
     seen, skipped = _board_views(boards, [choices, choices])
     return RigFound(with_boards(start.rig, *seen), (*start.skipped, *skipped))

@@ -417,7 +417,7 @@ def solve_run(
     views = [m.view for m in measurements if m.view is not None]
     readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
     options = solve_options(job, step, readings)
-    require_enough_views(views, options)
+    require_enough_views(views, options, board=job.board is not None)
     notes, words = _notes(job, step, history, measurements), words_for(job.board)
     with errors_in(words):
         calibration = _with_notes(calibrate(views, options), notes, words)

@@ -72,14 +72,18 @@ def stated_radial_sigma(station: Station) -> float | None:
     return None if r_mm is None else station.budget.radial_sigma(r_mm)
 
 
-def require_enough_views(views: Sequence[View], options: CalibrationOptions) -> None:
+def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, board: bool) -> None:
     """Refuse one view without a passport that holds the collimator's centre.
+
+    board: Whether the views show a board, for which no passport exists.
 
     Raises DegenerateViews: If there is one view, and it does not determine the camera; says what a passport
       would give.
     """
     if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
-        remedy = f"Record the target from more angles. {ONE_VIEW}"
+        remedy = (
+            "Show the board at more angles." if board else f"Record the target from more angles. {ONE_VIEW}"
+        )
         raise DegenerateViews("1 view given; at least 2 needed.", remedy=remedy)
 
 

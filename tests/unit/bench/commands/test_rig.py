@@ -151,6 +151,12 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
             "--calibration is for views",
         ),
         (("{}/left", "{}/other", *BOARD), "share no pose"),
+        (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views."),
+        (("{}/left/board-0.csv", "{}/right/board-0.csv", *BOARD), "Show the board at more angles."),
+        (
+            ("{}/left", "{}/right", "--boards", "{}/left", "{}/left", *BOARD),
+            "Both cameras have the same views.",
+        ),
         (("{}/left", "{}/blank", *BOARD), "The whole board must be in view"),
         (("{}/left", "{}/moved", *BOARD), "do not fit one rig"),
         (

@@ -96,12 +96,19 @@ def planned(folder, *steps):
         (["check: {calibration: gone.yaml}"], "There is no such file or folder. Check the path."),
         (["check: {calibration: other.yaml}"], "does not hold a calibrated camera"),
         (["check: {calibration: two.yaml}"], "The file holds 2 cameras: cam0, cam1."),
+        (
+            ["check: {calibration: small.json}"],
+            "of a sensor of 640 x 480 px; the station expects 1280 x 720 px. Check a calibration of this camera",
+        ),
         (["check: {calibration: a.yaml}", "check: {calibration: b.yaml}"], "a run checks one"),
     ],
 )
 def test_a_calibration_that_cannot_be_checked_is_a_fault_before_anything_moves(tmp_path, steps, said):
     (tmp_path / "other.yaml").write_text("a: 1\n")
     (tmp_path / "two.yaml").write_text("cam0: {}\ncam1: {}\n")
+    matrix = [800, 0, 320, 0, 800, 240, 0, 0, 1]
+    small = {"type": "pinhole", "width": 640, "height": 480, "K": matrix, "D": [0, 0, 0, 0, 0]}
+    (tmp_path / "small.json").write_text(json.dumps(small))
     faults = planned(tmp_path, *steps)
     assert any(said in fault and f"sequence.yaml:{4 + len(steps)}:" in fault for fault in faults), faults
 
