@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar, get_type_hints
 
+from bench.base.errors import EvidenceError
 from bench.certificate import run_facts
 from bench.certificate.budget_rows import RowSource, budget_of
 from bench.certificate.certificate_data import (
@@ -141,6 +142,32 @@ RULE = (
 )
 
 
+def _rules_of(found: Results, lab: LabConfig) -> Sequence[LabRuleConfig]:
+    """Return the limits to state conformity with: the laboratory's, or those of the run if the laboratory has none.
+
+    Limits of the collimator are left out: the certificate is about the camera.
+    Raises EvidenceError: If the run has limits of a value that it did not determine.
+    """
+    if lab.decision_rules:
+        return lab.decision_rules
+    judged = found.get("conformity")
+    rules = []
+    for one in judged["statements"] if judged else ():
+        if one["result"] in found["calibration"]["camera"]:
+            text = one["specification"] or f"limits of the run's {one['stated_by']}"
+            rules.append(
+                LabRuleConfig(
+                    result=one["result"], specification=text, lower=one["lower"], upper=one["upper"]
+                )
+            )
+        elif one["value"] is None:
+            raise EvidenceError(
+                f"The run has limits of {one['result']}, and no such result.",
+                remedy="State the limits of the certificate as decision_rules in lab.yaml.",
+            )
+    return rules
+
+
 def conformity_of(rule: LabRuleConfig, result: Result) -> Conformity:
     """Return the statement of conformity of a result."""
     return Conformity(
@@ -212,9 +239,7 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
             for one in results
         ),
         before_adjustment=_before(found, lab),
-        conformity=tuple(
-            conformity_of(rule, _named(results, rule.result)) for rule in lab.decision_rules or ()
-        ),
+        conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in _rules_of(found, lab)),
         customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,

@@ -16,7 +16,7 @@ from bench.cluster.tasks import Task, find_places
 from bench.commands.calibrations import engine_options, offline_dict, offline_lines
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, epilog
-from bench.commands.output import JSON, show, wants_json
+from bench.commands.output import JSON, NOT_KEPT, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
 from bench.records.run_facts import coverage_factor, factors_text
 from bench.report.text import unit_text, with_uncertainty, words_for
@@ -307,4 +307,4 @@ def _calibrate_together(
     show(lambda: offline_dict(result, baselines), offline_lines(result, baselines))
     if output is not None and not wants_json():
         click.echo(f"Report: {output / REPORT}")
-    return 0
+    return NOT_KEPT if (judged := result.conformity) and not judged["passed"] else 0

@@ -9,7 +9,15 @@ import click
 
 from bench.commands.options import CheckedStation, Number
 from bench.records.run_facts import coverage_factor
-from bench.report.text import TargetWords, exact, unit_text, with_uncertainty, words_for
+from bench.report.text import (
+    TargetWords,
+    conformity_headline,
+    conformity_sentences,
+    exact,
+    unit_text,
+    with_uncertainty,
+    words_for,
+)
 
 if TYPE_CHECKING:
     from bench.records.results import CalibrationData
@@ -33,6 +41,9 @@ def offline_lines(
 ) -> Iterator[str]:
     """Return a calibration made without devices as text, and other methods on the same points if there are any."""
     words = words_for(result.board)
+    if judged := result.conformity:
+        yield conformity_headline(judged)
+        yield from (f"  {sentence}" for sentence in conformity_sentences(judged))
     yield calibration_text(cast("CalibrationData", result.calibration.to_dict()), words)
     if baselines is not None:
         yield "\n" + comparison_text(baselines)

@@ -26,6 +26,7 @@ from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from drivers.light import LightSettings
+from sequences.limits import ResultLimitConfig
 from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
 # The steps of a script with parking after the last step that needs devices.
@@ -168,6 +169,11 @@ class Job:
     def camera_kind(self) -> CameraKind:
         """What the run does with the station's kind of camera."""
         return camera_kind(self.station)
+
+    @property
+    def limits(self) -> dict[str, tuple[ResultLimitConfig, ...]]:
+        """Limits of the results by the document that states them, ``station`` or ``sequence``."""
+        return {"station": self.station.limits, "sequence": self.plan.sequence.value.limits}
 
     @property
     def lens(self) -> str | None:

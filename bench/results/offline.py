@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bench.base.errors import BenchError, UsageError
+from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
+from bench.records.conformity import conformity
+from bench.records.results import CalibrationData, ConformityData
 from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
 from bench.results.solution import errors_in, planar_calibration
@@ -51,10 +54,22 @@ class OfflineResult:
     choices: OfflineOptions = field(default_factory=OfflineOptions)
 
     @property
+    def job(self) -> Job | None:
+        """The run of which all views are; None if they are not of one run."""
+        jobs = {id(source.job): source.job for source in self.sources}
+        return next(iter(jobs.values())) if len(jobs) == 1 else None
+
+    @property
+    def conformity(self) -> ConformityData | None:
+        """PASS or FAIL by the limits of the run's station and sequence; None if there are none."""
+        if self.job is None:
+            return None
+        return conformity(cast("CalibrationData", self.calibration.to_dict()), self.job.limits, [])
+
+    @property
     def readings(self) -> dict[str, Any] | None:
         """Whether the gimbal's readings entered, as results.json states it; None if the views are not of one run."""
-        jobs = {id(source.job): source.job for source in self.sources}
-        job = next(iter(jobs.values())) if len(jobs) == 1 else None
+        job = self.job
         if job is None:
             return None
         stated = job.station.gimbal is not None
@@ -86,6 +101,7 @@ class OfflineResult:
             "passport": self.passport.to_dict() if self.passport else None,
             "gimbal_readings": self.readings,
             "skipped": list(self.skipped),
+            **({"conformity": told} if (told := self.conformity) else {}),
         }
 
 

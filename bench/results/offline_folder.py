@@ -190,6 +190,7 @@ def offline_results(
         "gimbal_readings": result.readings,
         "poses": _pose_rows(result),
         "gates": [],
+        **({"conformity": told} if (told := result.conformity) else {}),
         "deviations": [f"Left out: {why}" for why in result.skipped],
         "sources": list(sources),
         "truth": None,

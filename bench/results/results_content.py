@@ -147,9 +147,8 @@ def _conformity(
     job: Job, calibration: CalibrationData, gates: Sequence[GateData], *, checks: bool
 ) -> dict[str, Any]:
     """Return PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any."""
-    limits = {"station": job.station.limits, "sequence": job.plan.sequence.value.limits}
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
-    found = conformity(calibration, limits, failed, checks=checks)
+    found = conformity(calibration, job.limits, failed, checks=checks)
     return {} if found is None else {"conformity": found}
 
 

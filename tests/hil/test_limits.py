@@ -30,6 +30,9 @@ def test_a_run_that_keeps_its_limits_passes(home, tmp_path):
     assert said.returncode == 0, said.stderr
     assert said.stdout.startswith("PASS: 1 of 1 limits kept.\n")
     assert results(folder)["conformity"]["passed"]
+    again = starbench("calibrate", folder, home=home)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.startswith("PASS: 1 of 1 limits kept.\n")
 
 
 def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_path):
@@ -42,6 +45,11 @@ def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_pa
     assert page.index("FAIL: 1 of 2 limits kept.") < page.index("<h2>Result</h2>")
     assert 'class="verdict fail"' in page
     assert starbench("verify", folder, "--again", home=home).returncode == 0
+    again = starbench("calibrate", folder, "-o", tmp_path / "again", home=home)
+    assert again.returncode == 4, again.stderr
+    assert again.stdout.startswith("FAIL: 1 of 2 limits kept.\n")
+    assert results(tmp_path / "again")["conformity"] == results(folder)["conformity"]
+    assert starbench("verify", tmp_path / "again", "--again", home=home).returncode == 0
 
 
 def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):

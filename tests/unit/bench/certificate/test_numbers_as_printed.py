@@ -6,14 +6,16 @@ import math
 from decimal import Decimal
 
 import pytest
-from certificate_sample import full_certificate, sample_results
+from certificate_sample import LAB, full_certificate, identity, sample_lab, sample_results
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
 from bench.base.errors import EvidenceError
 from bench.certificate.budget_rows import budget_of, expanded, print_result, round_expanded
-from bench.records.conformity import verdict_of
+from bench.certificate.compose import compose
+from bench.records.conformity import conformity, verdict_of
+from sequences.limits import ResultLimitConfig
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
 
@@ -141,12 +143,40 @@ def test_with_many_degrees_of_freedom_k_is_two_everywhere():
 
 
 def test_data_of_the_customer_mark_the_results_that_depend_on_them():
-    from certificate_sample import LAB, identity, sample_lab
-
-    from bench.certificate.compose import compose
-
     text = LAB.replace('data sheet of the camera."}', 'data sheet of the camera.", results: [k1]}')
     certificate = compose(sample_results(), sample_lab(text).value, identity())
     assert [one.symbol for one in certificate.results if one.customer_supplied] == ["k1"]
     assert "customer" in certificate.statement("customer_data")
     assert dataclasses.replace(certificate) == certificate
+
+
+def run_with_limits(*limits):
+    """The results of the sample, whose run states these limits, and a laboratory that states none."""
+    results = json.loads(json.dumps(sample_results()))
+    rules = [ResultLimitConfig(**one) for one in limits]
+    results["conformity"] = conformity(results["calibration"], {"sequence": rules}, [])
+    head, _, rest = LAB.partition("decision_rules:\n")
+    return results, sample_lab(
+        f"{head}decision_rules: none\n{rest[rest.index('previous_certificate') :]}"
+    ).value
+
+
+def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others():
+    results, lab = run_with_limits(
+        {"result": "fx", "upper": 3350.0}, {"result": "r", "lower": 9999.0}, {"result": "cx", "lower": 9999.0}
+    )
+    certificate = compose(results, lab, identity())
+    stated = {one["result"]: one["verdict"] for one in results["conformity"]["statements"]}
+    assert [(one.symbol, one.verdict) for one in certificate.conformity] == [
+        ("fx", stated["fx"]), ("cx", "fail"),
+    ]  # fmt: skip
+    assert certificate.conformity[0].specification == "limits of the run's sequence"
+    assert [one.specification for one in compose(sample_results(), sample_lab().value, identity()).conformity] == [
+        "Customer drawing 4711, focal length", "Customer drawing 4711",
+    ]  # fmt: skip
+
+
+def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_silence():
+    results, lab = run_with_limits({"result": "kb1", "upper": 1.0})
+    with pytest.raises(EvidenceError, match=r"The run has limits of kb1, and no such result. State"):
+        compose(results, lab, identity())
