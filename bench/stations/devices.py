@@ -1,7 +1,7 @@
 """Opens the devices that a station file names, makes them safe together, and closes them.
 
-This module selects the driver for each section of the station file. A port such as ``sim:gimbal`` belongs to the
-simulated bench, which is then started first. Apart from that, simulated and real devices are treated in the same way.
+The sections of stage and light open their own drivers. A port such as ``sim:gimbal`` belongs to the simulated bench,
+which is then started first. Apart from that, simulated and real devices are treated in the same way.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from bench.base.clock import BenchClock
 from bench.base.device_ends import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
-from bench.stations import stages_and_lights, station_cameras
-from bench.stations.sections import EventCameraSection, FrameCameraSection, LightSection, StageSection
+from bench.stations import station_cameras
+from bench.stations.sections import EventCameraSection, FrameCameraSection, PortName
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.camera import EventCamera
@@ -29,13 +29,7 @@ from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.device_hold import DeviceHold
 from drivers.errors import DriverError
 from drivers.light import Light
-from drivers.light.gardasoft import GardasoftLight
-from drivers.light.scpi import ScpiLight
 from drivers.stage import Stage
-from drivers.stage.esp import EspAxis, EspStage
-from drivers.stage.grbl import GrblAxis, GrblStage
-from drivers.stage.ximc import XimcAxis, XimcStage
-from drivers.stage.zaber import ZaberAxis, ZaberStage
 from drivers.wire_log import WireLog
 
 # Locks on the devices of a station by family and serial number, in addition to the locks on their ports.
@@ -51,29 +45,7 @@ def serial_devices(station: Station) -> tuple[str, ...]:
 
     Returns: Family and serial number of each device, such as ``Zaber 100101``, without repetition.
     """
-    found: list[tuple[str, str, str | None]] = []
-    match station.stage:
-        case stages_and_lights.ZaberStageConfig() as config:
-            found += [(config.port, "Zaber", axis.serial) for axis in config.axes.values()]
-        case stages_and_lights.XimcStageConfig() as config:
-            found += [(axis.port, "Standa", axis.serial) for axis in config.axes.values()]
-        case stages_and_lights.EspStageConfig() as config:
-            found += [(config.port, "Newport", axis.serial) for axis in config.axes.values()]
-        case stages_and_lights.GrblStageConfig() as config:
-            found.append((config.port, "GRBL", config.serial))
-    if isinstance(station.light, stages_and_lights.ScpiLightConfig):
-        found.append((station.light.port, "generator", station.light.serial))
-    real = [
-        f"{family} {serial}"
-        for port, family, serial in found
-        if serial and not port.startswith(SIMULATED_PREFIX)
-    ]
-    for section in (station.stage, station.light):
-        if isinstance(section, StageSection | LightSection) and not any(
-            port.startswith(SIMULATED_PREFIX) for port in section.ports
-        ):
-            real += section.device_names
-    return tuple(dict.fromkeys(real))
+    return tuple(dict.fromkeys((*station.stage.device_names, *station.light.device_names)))
 
 
 @contextmanager
@@ -247,9 +219,6 @@ def _without_recording(camera: Camera) -> str:
     return f"it answers{serial}, and no recording is in progress"
 
 
-PortName = Callable[[str], str]
-
-
 def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
     """Open the stage of a station. Nothing moves, and nothing is switched on.
 
@@ -257,35 +226,7 @@ def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
     wire_log: Records the bytes on serial lines; None to record nothing.
     Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
-    match station.stage:
-        case stages_and_lights.ZaberStageConfig() as config:
-            zaber = [ZaberAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
-            return ZaberStage.open(
-                port(config.port), zaber, baudrate=config.baudrate, clock=clock, wire_log=wire_log
-            )
-        case stages_and_lights.XimcStageConfig() as config:
-            ximc = [
-                XimcAxis(name=n, limits=a.limits, **(a.driver_options() | {"port": port(a.port)}))
-                for n, a in config.axes.items()
-            ]
-            return XimcStage.open(ximc, clock=clock, wire_log=wire_log)
-        case stages_and_lights.GrblStageConfig() as config:
-            grbl = [GrblAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
-            return GrblStage.open(
-                port(config.port),
-                grbl,
-                serial=config.serial or "",
-                baudrate=config.baudrate,
-                clock=clock,
-                wire_log=wire_log,
-            )
-        case stages_and_lights.EspStageConfig() as config:
-            esp = [EspAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
-            return EspStage.open(
-                port(config.port), esp, baudrate=config.baudrate, clock=clock, wire_log=wire_log
-            )
-        case StageSection() as config:
-            return config.open_device(port, clock=clock, wire_log=wire_log)
+    return station.stage.open_device(port, clock=clock, wire_log=wire_log)
 
 
 def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
@@ -295,31 +236,7 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
     wire_log: Records the bytes on serial lines; None to record nothing.
     Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
-    match station.light:
-        case stages_and_lights.ScpiLightConfig() as config:
-            return ScpiLight.open(
-                port(config.port),
-                serial=config.serial,
-                baudrate=config.baudrate,
-                load=config.load,
-                dialect=config.dialect,
-                clock=clock,
-                wire_log=wire_log,
-            )
-        case stages_and_lights.GardasoftLightConfig() as config:
-            return GardasoftLight.open(
-                port(config.port),
-                model=config.model,
-                channel=config.channel,
-                sync_channel=config.sync_channel,
-                full_percent=config.full_percent,
-                sync_percent=config.sync_percent,
-                baudrate=config.baudrate,
-                clock=clock,
-                wire_log=wire_log,
-            )
-        case LightSection() as config:
-            return config.open_device(port, clock=clock, wire_log=wire_log)
+    return station.light.open_device(port, clock=clock, wire_log=wire_log)
 
 
 def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:  # noqa: PLR0911 - one for each driver

@@ -1,8 +1,7 @@
 """Bases of the sections of stages, lights and cameras in a station file. A plug-in's section derives from one of them.
 
-A section holds the keys of a driver, with ranges and defaults, and opens the driver. The built-in sections are in
-`station_stages`, `station_lights` and `station_cameras`; `devices` opens most of those. This module loads no plug-in,
-so a plug-in may import it. docs/plugins.md is for its authors.
+A section holds the keys of a driver, with ranges and defaults, and opens the driver; `devices` opens the built-in
+cameras. This module loads no plug-in, so a plug-in may import it. docs/plugins.md is for its authors.
 """
 
 from __future__ import annotations
@@ -13,12 +12,20 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated, Any, Final, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar, Union
 
-from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    create_model,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_fields import Serial, Text
+from bench.stations.station_fields import SIMULATED_PREFIX, UNKNOWN_PORT, Serial, Text
 from drivers.camera import EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.clock import Clock
@@ -33,6 +40,7 @@ from sequences.strict_model import StrictModel
 NotNegative = Annotated[int, Field(ge=0, le=8191)]
 Pixels = Annotated[int, Field(gt=0, le=8192)]
 Hertz = Annotated[float, Within(0.001, 1e7, "Hz")]
+_A = TypeVar("_A")
 PortName = Callable[[str], str]
 """Returns the system's name of a port: of a simulated one, the name that it has today."""
 
@@ -79,25 +87,49 @@ class AxisConfig(StrictModel):
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
-class StageSection(StrictModel):
-    """A stage section that opens its own driver: one with a description, or a plug-in's.
+Controllers = Sequence[tuple[str, str | None]]
+"""Port and serial number of each controller of a section; None where the section states no number."""
 
-    A subclass has the keys ``driver`` (a Literal) and ``axes``, a mapping of pan, tilt and roll to a subclass of
-    `AxisConfig`.
-    """
 
-    driver: str
-    axes: Mapping[Axis, AxisConfig]
+class _Section(StrictModel):
+    """What the sections of stages and lights share. A built-in section states its controllers."""
+
+    maker: ClassVar[str] = ""
+    """Word before the serial numbers of its controllers; empty if it names none."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def driver(self) -> str: ...
 
     @property
-    @abstractmethod
+    def controllers(self) -> Controllers:
+        """Controllers of the device."""
+        return ()
+
+    @property
     def ports(self) -> tuple[str, ...]:
-        """Ports of the stage."""
+        """Ports of the device."""
+        return tuple(dict.fromkeys(port for port, _ in self.controllers))
 
     @property
     def device_names(self) -> tuple[str, ...]:
         """Maker and serial number of each controller, which one process at a time may hold; none by default."""
-        return ()
+        named = (
+            f"{self.maker} {serial}"
+            for port, serial in self.controllers
+            if self.maker and serial and not port.startswith(SIMULATED_PREFIX)
+        )
+        return tuple(dict.fromkeys(named))
+
+
+class AnyStage(_Section):
+    """A stage section that opens its own driver."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def axes(self) -> Mapping[Axis, AxisConfig]: ...  # noqa: D102 - a key
 
     @abstractmethod
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
@@ -124,25 +156,31 @@ class StageSection(StrictModel):
         """
 
 
-class LightSection(StrictModel):
-    """A light section that opens its own driver: one with a description, or a plug-in's.
+class StageSection(AnyStage):
+    """A stage section of a plug-in.
 
-    A subclass has the key ``driver``, a Literal.
+    A subclass has the keys ``driver`` (a Literal) and ``axes``, a mapping of pan, tilt and roll to a subclass of
+    `AxisConfig`.
     """
 
     driver: str
-    frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
-    sync_output: bool = True
+    axes: Mapping[Axis, AxisConfig]
 
     @property
     @abstractmethod
     def ports(self) -> tuple[str, ...]:
-        """Ports of the light."""
+        """Ports of the stage."""
 
-    @property
-    def device_names(self) -> tuple[str, ...]:
-        """Maker and serial number of each controller, which one process at a time may hold; none by default."""
-        return ()
+
+class AnyLight(_Section):
+    """A light section that opens its own driver."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def frequency_range_hz(self) -> tuple[float, float]: ...  # noqa: D102 - a key
+        @property
+        def sync_output(self) -> bool: ...  # noqa: D102 - a key
 
     def settings(self, flicker: Flicker) -> LightSettings:
         """Convert the flicker of a sequence to settings of the driver, which takes 5 V as full level.
@@ -184,6 +222,47 @@ class LightSection(StrictModel):
         drivers.errors.DriverError
             If it cannot be opened, or is not the one that the section names.
         """
+
+
+class LightSection(AnyLight):
+    """A light section of a plug-in. A subclass has the key ``driver``, a Literal."""
+
+    driver: str
+    frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
+    sync_output: bool = True
+
+    @property
+    @abstractmethod
+    def ports(self) -> tuple[str, ...]:
+        """Ports of the light."""
+
+
+def driver_axes(kind: Callable[..., _A], axes: Mapping[Axis, AxisConfig], port: PortName) -> list[_A]:
+    """Return the axes of a stage as its driver takes them.
+
+    kind: Class of the driver's axis; its parameters have the names of the keys.
+    """
+    made = []
+    for name, axis in axes.items():
+        options = axis.driver_options()
+        if "port" in options:
+            options["port"] = port(options["port"])
+        made.append(kind(name=name, limits=axis.limits, **options))
+    return made
+
+
+def differing(*keys: str) -> AfterValidator:
+    """Return a check that no two axes have the same values of these keys; an open placeholder does not count."""
+
+    def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
+        given = [tuple(getattr(axis, key) for key in keys) for axis in axes.values()]
+        filled = [values for values in given if UNKNOWN_PORT not in values]
+        if len(set(filled)) < len(filled):
+            shared = " and ".join(keys)
+            raise PydanticCustomError("same_address", "two axes have the same {shared}.", {"shared": shared})
+        return axes
+
+    return AfterValidator(check)
 
 
 Bias = Annotated[int, Field(ge=-255, le=2047)]

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, cast
 
 from bench.base.clock import Aborted, BenchClock
 from bench.simulated import SimulatedBench
-from bench.stations.devices import Devices, hold_devices, open_camera, open_light, open_stage, serial_devices
+from bench.stations.devices import Devices, hold_devices, open_camera, open_light, open_stage
 from bench.stations.station import Station
 from drivers.errors import DriverError, StillOpening
 from drivers.light import Light
@@ -23,7 +23,6 @@ from drivers.wire_log import WireLog
 
 _CLOSE_S: Final = 15.0
 """Longest wait for a device that is still being opened, s."""
-_LIGHT_FAMILY: Final = "generator "
 
 
 class LateDevice:
@@ -125,16 +124,15 @@ class SeparateDevices(Devices):
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
         self._clock = clock
         self._simulation: SimulatedBench | None = None
-        held = {name: _serials(station, name) for name in ("stage", "light")}
 
         def stage(stack: ExitStack) -> Stage:
-            stack.enter_context(hold_devices(held["stage"]))
+            stack.enter_context(hold_devices(station.stage.device_names))
             device = open_stage(station, self._port, clock, wire_log)
             stack.callback(device.close)
             return device
 
         def light(stack: ExitStack) -> Light:
-            stack.enter_context(hold_devices(held["light"]))
+            stack.enter_context(hold_devices(station.light.device_names))
             device = open_light(station, self._port, clock, wire_log)
             stack.callback(device.close)
             return device
@@ -178,9 +176,3 @@ class _LateStage(_Late):
     @property
     def limits(self) -> Mapping[str, AxisLimits]:
         return {name: axis.limits for name, axis in self._station.axes.items()}
-
-
-def _serials(station: Station, name: str) -> tuple[str, ...]:
-    """Return the serial devices of a station that belong to its stage or to its light."""
-    wanted = name == "light"
-    return tuple(one for one in serial_devices(station) if one.startswith(_LIGHT_FAMILY) == wanted)

@@ -1,62 +1,43 @@
-"""The light section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them."""
+"""The stage and light sections of a station file: keys, ranges and defaults, one model for each driver.
+
+The keys of an axis are the parameter names of the driver's axis, so that the values are passed on unchanged. A driver
+is imported when its section is opened: to read a station file needs none.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.sections import AxisConfig, Hertz, LightSection, PortName, StageSection, with_plugins
-from bench.stations.station_fields import (
-    SIMULATED_PREFIX,
-    UNKNOWN_PORT,
-    Port,
-    Serial,
-    Text,
-    ToFillIn,
-    not_zero,
+from bench.stations.sections import (
+    AnyLight,
+    AnyStage,
+    AxisConfig,
+    Controllers,
+    Hertz,
+    PortName,
+    differing,
+    driver_axes,
+    with_plugins,
 )
+from bench.stations.station_fields import Port, Serial, Text, ToFillIn, not_zero
 from bench.stations.station_text import TextLightConfig, TextStageConfig
 from drivers.clock import Clock
-from drivers.light import LightSettings
+from drivers.light import Light, LightSettings
 from drivers.light.scpi import DialectName, Load
 from drivers.stage import Stage
-from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
-from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.wire_log import WireLog
 from sequences.plain_number import Within
 from sequences.schema import Axis
 from sequences.script import Flicker
-from sequences.strict_model import StrictModel
 
-# The stage section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens
-# them.
-#
-# The keys of an axis are the parameter names of the driver's axis, so that the values are passed on
-# unchanged.
-
-# The stage sections of Thorlabs rotation stages and of Dynamixel servos, and how they open their drivers.
-
-
-_Scale = Annotated[
-    float,
-    AfterValidator(not_zero),
-    Within(0.01, 1e9, "counts/deg", either_sign=True),
-    ToFillIn,
+_BAUD_RATES = Within(50, 20_000_000, "Bd")
+Scale = Annotated[
+    float, AfterValidator(not_zero), Within(0.01, 1e9, "counts/deg", either_sign=True), ToFillIn
 ]
-
-
-def _each_its_own(key: str) -> AfterValidator:
-    """Return a check that no two axes have the same value of a key; what is not filled in yet does not count."""
-
-    def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
-        given = [value for axis in axes.values() if (value := getattr(axis, key)) != UNKNOWN_PORT]
-        if len(set(given)) < len(given):
-            raise PydanticCustomError("same_address", "two axes have the same {key}.", {"key": key})
-        return axes
-
-    return AfterValidator(check)
 
 
 class ThorlabsAxisConfig(AxisConfig):
@@ -65,7 +46,7 @@ class ThorlabsAxisConfig(AxisConfig):
     port: Port
     serial: Annotated[Serial, Field(description="Serial number of the controller, from its label.")]
     counts_per_deg: Annotated[
-        _Scale,
+        Scale,
         Field(
             description="136533.333 for a K10CR1, 1919.6418579 for a PRM1Z8; negative if the counter decreases."
         ),
@@ -77,32 +58,23 @@ class ThorlabsAxisConfig(AxisConfig):
     ] = 0.005
 
 
-class ThorlabsStageConfig(StageSection):
+class ThorlabsStageConfig(AnyStage):
     """One to three Thorlabs rotation stages (K10CR1, or on a KDC101 and the like), each on its own port."""
 
+    maker: ClassVar[str] = "Thorlabs"
     driver: Literal["thorlabs_apt"]
-    axes: Annotated[dict[Axis, ThorlabsAxisConfig], Field(min_length=1, max_length=3), _each_its_own("port")]
+    axes: Annotated[dict[Axis, ThorlabsAxisConfig], Field(min_length=1, max_length=3), differing("port")]
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Ports of the controllers."""
-        return tuple(axis.port for axis in self.axes.values())
-
-    @property
-    def device_names(self) -> tuple[str, ...]:
-        """Maker and serial number of each controller that is not simulated."""
-        return tuple(
-            f"Thorlabs {axis.serial}"
-            for axis in self.axes.values()
-            if not axis.port.startswith(SIMULATED_PREFIX)
-        )
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(axis.port, axis.serial) for axis in self.axes.values()]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
-        """See `StageSection.open_device`."""
-        axes = [
-            ThorlabsAxis(name=name, limits=axis.limits, **(axis.driver_options() | {"port": port(axis.port)}))
-            for name, axis in self.axes.items()
-        ]
+        """See `AnyStage.open_device`."""
+        from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
+
+        axes = driver_axes(ThorlabsAxis, self.axes, port)
         return ThorlabsStage.open(axes, clock=clock, wire_log=wire_log)
 
 
@@ -115,7 +87,7 @@ class DynamixelAxisConfig(AxisConfig):
         Field(description="Model of the servo, such as XL430-W250; another one with this id is refused."),
     ]
     counts_per_deg: Annotated[
-        _Scale,
+        Scale,
         Field(
             description="11.377778 without a gear; times the ratio of a gear; negative if the counter decreases."
         ),
@@ -131,45 +103,27 @@ class DynamixelAxisConfig(AxisConfig):
     ] = 0.3
 
 
-class DynamixelStageConfig(StageSection):
+class DynamixelStageConfig(AnyStage):
     """One to three Dynamixel servos of the X series on one bus (Protocol 2.0)."""
 
     driver: Literal["dynamixel"]
+    axes: Annotated[dict[Axis, DynamixelAxisConfig], Field(min_length=1, max_length=3), differing("id")]
     port: Port
-    baudrate: Annotated[int, Within(50, 20_000_000, "Bd")] = 57_600
-    axes: Annotated[dict[Axis, DynamixelAxisConfig], Field(min_length=1, max_length=3), _each_its_own("id")]
+    baudrate: Annotated[int, _BAUD_RATES] = 57_600
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the adapter."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(self.port, None)]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
-        """See `StageSection.open_device`."""
-        axes = [
-            DynamixelAxis(name=name, limits=axis.limits, **axis.driver_options())
-            for name, axis in self.axes.items()
-        ]
+        """See `AnyStage.open_device`."""
+        from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
+
+        axes = driver_axes(DynamixelAxis, self.axes, port)
         return DynamixelStage.open(
             port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log
         )
-
-
-_SCALES = Within(0.01, 1e9, "counts/deg", either_sign=True)
-_BAUD_RATES = Within(50, 20_000_000, "Bd")
-Scale = Annotated[float, AfterValidator(not_zero), _SCALES, ToFillIn]
-
-
-def _differing(*keys: str) -> AfterValidator:
-    """Return a check that no two axes have the same values of these keys."""
-
-    def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
-        if len({tuple(getattr(axis, key) for key in keys) for axis in axes.values()}) < len(axes):
-            shared = " and ".join(keys)
-            raise PydanticCustomError("same_address", "two axes have the same {shared}.", {"shared": shared})
-        return axes
-
-    return AfterValidator(check)
 
 
 class ZaberAxisConfig(AxisConfig):
@@ -185,18 +139,26 @@ class ZaberAxisConfig(AxisConfig):
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
-class ZaberStageConfig(StrictModel):
+class ZaberStageConfig(AnyStage):
     """One to three rotary axes with Zaber's ASCII protocol on one serial line."""
 
+    maker: ClassVar[str] = "Zaber"
     driver: Literal["zaber_ascii"]
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 115_200
-    axes: Annotated[dict[Axis, ZaberAxisConfig], Field(min_length=1), _differing("device", "axis")]
+    axes: Annotated[dict[Axis, ZaberAxisConfig], Field(min_length=1), differing("device", "axis")]
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(self.port, axis.serial) for axis in self.axes.values()]
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `AnyStage.open_device`."""
+        from drivers.stage.zaber import ZaberAxis, ZaberStage
+
+        axes = driver_axes(ZaberAxis, self.axes, port)
+        return ZaberStage.open(port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log)
 
 
 class XimcAxisConfig(AxisConfig):
@@ -209,16 +171,24 @@ class XimcAxisConfig(AxisConfig):
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
-class XimcStageConfig(StrictModel):
+class XimcStageConfig(AnyStage):
     """One to three rotary axes on Standa controllers with the XIMC protocol, each on its own port."""
 
+    maker: ClassVar[str] = "Standa"
     driver: Literal["ximc"]
-    axes: Annotated[dict[Axis, XimcAxisConfig], Field(min_length=1), _differing("port")]
+    axes: Annotated[dict[Axis, XimcAxisConfig], Field(min_length=1), differing("port")]
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Ports of the controllers."""
-        return tuple(axis.port for axis in self.axes.values())
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(axis.port, axis.serial) for axis in self.axes.values()]
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `AnyStage.open_device`."""
+        from drivers.stage.ximc import XimcAxis, XimcStage
+
+        axes = driver_axes(XimcAxis, self.axes, port)
+        return XimcStage.open(axes, clock=clock, wire_log=wire_log)
 
 
 class GrblAxisConfig(AxisConfig):
@@ -235,9 +205,10 @@ class GrblAxisConfig(AxisConfig):
     ]
 
 
-class GrblStageConfig(StrictModel):
+class GrblStageConfig(AnyStage):
     """One to three rotary axes on a board that runs GRBL 1.1."""
 
+    maker: ClassVar[str] = "GRBL"
     driver: Literal["grbl"]
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 115_200
@@ -245,12 +216,25 @@ class GrblStageConfig(StrictModel):
         Serial | None,
         Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
     ] = None
-    axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), _differing("letter")]
+    axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), differing("letter")]
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(self.port, self.serial)]
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `AnyStage.open_device`."""
+        from drivers.stage.grbl import GrblAxis, GrblStage
+
+        return GrblStage.open(
+            port(self.port),
+            driver_axes(GrblAxis, self.axes, port),
+            serial=self.serial or "",
+            baudrate=self.baudrate,
+            clock=clock,
+            wire_log=wire_log,
+        )
 
 
 class EspAxisConfig(AxisConfig):
@@ -272,37 +256,53 @@ class EspAxisConfig(AxisConfig):
         return int(value) if isinstance(value, str) and value in {"-1", "+1", *"123456"} else value
 
 
-class EspStageConfig(StrictModel):
+class EspStageConfig(AnyStage):
     """One to three rotary axes on a Newport ESP300, ESP301 or ESP302."""
 
+    maker: ClassVar[str] = "Newport"
     driver: Literal["esp30x"]
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 19_200
-    axes: Annotated[dict[Axis, EspAxisConfig], Field(min_length=1), _differing("number")]
+    axes: Annotated[dict[Axis, EspAxisConfig], Field(min_length=1), differing("number")]
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(self.port, axis.serial) for axis in self.axes.values()]
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `AnyStage.open_device`."""
+        from drivers.stage.esp import EspAxis, EspStage
+
+        axes = driver_axes(EspAxis, self.axes, port)
+        return EspStage.open(port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log)
 
 
 if TYPE_CHECKING:
-    _Stages = ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig | StageSection
+    StageConfig = AnyStage
 else:
-    _OWN = (ZaberStageConfig, XimcStageConfig, GrblStageConfig, EspStageConfig)
-    _BUILT_IN = (*_OWN, ThorlabsStageConfig, DynamixelStageConfig, TextStageConfig)
-    _Stages = with_plugins("stage", _BUILT_IN)
-
-StageConfig = _Stages
+    StageConfig = with_plugins(
+        "stage",
+        (
+            ZaberStageConfig,
+            XimcStageConfig,
+            GrblStageConfig,
+            EspStageConfig,
+            ThorlabsStageConfig,
+            DynamixelStageConfig,
+            TextStageConfig,
+        ),
+    )
 
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
 Percent = Annotated[float, Within(0.01, 1000, "%")]
 
 
-class ScpiLightConfig(StrictModel):
+class ScpiLightConfig(AnyLight):
     """A function generator that drives the lamp. Its sync output is connected to the camera's trigger input."""
 
+    maker: ClassVar[str] = "generator"
     driver: Literal["scpi"]
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 9600
@@ -325,26 +325,34 @@ class ScpiLightConfig(StrictModel):
         return self
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyLight.controllers`."""
+        return [(self.port, self.serial)]
 
     def settings(self, flicker: Flicker) -> LightSettings:
         """Convert the flicker of a sequence to settings of the driver.
 
         Returns: With the levels of this lamp, V.
         """
-        return LightSettings(
-            waveform=flicker.waveform,
-            frequency_hz=flicker.frequency_hz,
-            duty_percent=flicker.duty_percent,
-            low_v=self.low_v,
-            high_v=self.low_v + (self.high_v - self.low_v) * flicker.level_percent / 100,
-            sync_output=self.sync_output,
+        high_v = self.low_v + (self.high_v - self.low_v) * flicker.level_percent / 100
+        return replace(super().settings(flicker), low_v=self.low_v, high_v=high_v)
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Light:
+        """See `AnyLight.open_device`."""
+        from drivers.light.scpi import ScpiLight
+
+        return ScpiLight.open(
+            port(self.port),
+            serial=self.serial,
+            baudrate=self.baudrate,
+            load=self.load,
+            dialect=self.dialect,
+            clock=clock,
+            wire_log=wire_log,
         )
 
 
-class GardasoftLightConfig(StrictModel):
+class GardasoftLightConfig(AnyLight):
     """A Gardasoft RT strobe controller. One channel drives the lamp, another one the camera's trigger input."""
 
     driver: Literal["gardasoft"]
@@ -361,32 +369,33 @@ class GardasoftLightConfig(StrictModel):
     frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyLight.controllers`."""
+        return [(self.port, None)]
 
     @property
     def sync_output(self) -> bool:
         """Whether a channel drives the camera's trigger input."""
         return self.sync_channel is not None
 
-    def settings(self, flicker: Flicker) -> LightSettings:
-        """Convert the flicker of a sequence to settings of the driver, which takes 5 V as full brightness.
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Light:
+        """See `AnyLight.open_device`."""
+        from drivers.light.gardasoft import GardasoftLight
 
-        Returns: The level is in ``high_v``, V.
-        """
-        return LightSettings(
-            waveform=flicker.waveform,
-            frequency_hz=flicker.frequency_hz,
-            duty_percent=flicker.duty_percent,
-            high_v=LightSettings.high_v * flicker.level_percent / 100,
-            sync_output=self.sync_output,
+        return GardasoftLight.open(
+            port(self.port),
+            model=self.model,
+            channel=self.channel,
+            sync_channel=self.sync_channel,
+            full_percent=self.full_percent,
+            sync_percent=self.sync_percent,
+            baudrate=self.baudrate,
+            clock=clock,
+            wire_log=wire_log,
         )
 
 
 if TYPE_CHECKING:
-    _Lights = ScpiLightConfig | GardasoftLightConfig | LightSection
+    LightConfig = AnyLight
 else:
-    _Lights = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
-
-LightConfig = _Lights
+    LightConfig = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))

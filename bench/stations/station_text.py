@@ -10,9 +10,17 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, PrivateAttr
-from pydantic_core import PydanticCustomError
 
-from bench.stations.sections import AxisConfig, LightSection, PortName, StageSection
+from bench.stations.sections import (
+    AnyLight,
+    AnyStage,
+    AxisConfig,
+    Controllers,
+    Hertz,
+    PortName,
+    differing,
+    driver_axes,
+)
 from bench.stations.station_fields import Port, Serial, ToFillIn, not_zero
 from bench.stations.text_descriptions import Described, LightProtocol, StageProtocol
 from drivers.clock import Clock
@@ -92,29 +100,23 @@ class TextAxisConfig(AxisConfig):
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
-def _different(axes: dict[Axis, TextAxisConfig]) -> dict[Axis, TextAxisConfig]:
-    if len({axis.address for axis in axes.values()}) < len(axes):
-        raise PydanticCustomError("same_address", "two axes have the same address.")
-    return axes
-
-
-class TextStageConfig(StageSection):
+class TextStageConfig(AnyStage):
     """One to three rotary axes on a controller whose text protocol a file describes."""
 
     driver: Literal["text"]
+    axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), differing("address")]
     protocol: _Protocol
     port: Port
     baudrate: Annotated[_BaudRate | None, Field(description="Default: that of the description.")] = None
     serial: Annotated[
         Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
     ] = None
-    axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), AfterValidator(_different)]
     _read: tuple[StageProtocol, bytes] | None = PrivateAttr(default=None)
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(self.port, self.serial)]
 
     @property
     def described(self) -> StageProtocol:
@@ -130,11 +132,8 @@ class TextStageConfig(StageSection):
         return (f"{self.described.maker} {self.serial}",) if self.serial else ()
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
-        """See `StageSection.open_device`."""
-        axes = [
-            TextAxis(name=name, limits=axis.limits, **axis.driver_options())
-            for name, axis in self.axes.items()
-        ]
+        """See `AnyStage.open_device`."""
+        axes = driver_axes(TextAxis, self.axes, port)
         return TextStage.open(
             port(self.port),
             axes,
@@ -146,10 +145,12 @@ class TextStageConfig(StageSection):
         )
 
 
-class TextLightConfig(LightSection):
+class TextLightConfig(AnyLight):
     """A light whose text protocol a file describes."""
 
     driver: Literal["text"]
+    frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
+    sync_output: bool = True
     protocol: _Protocol
     port: Port
     baudrate: Annotated[_BaudRate | None, Field(description="Default: that of the description.")] = None
@@ -162,9 +163,9 @@ class TextLightConfig(LightSection):
     _read: tuple[LightProtocol, bytes] | None = PrivateAttr(default=None)
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Port of the device."""
-        return (self.port,)
+    def controllers(self) -> Controllers:
+        """See `AnyStage.controllers`."""
+        return [(self.port, self.serial)]
 
     @property
     def described(self) -> LightProtocol:
@@ -180,7 +181,7 @@ class TextLightConfig(LightSection):
         return (f"{self.described.maker} {self.serial}",) if self.serial else ()
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Light:
-        """See `LightSection.open_device`."""
+        """See `AnyLight.open_device`."""
         return TextLight.open(
             port(self.port),
             self.described.for_driver(),

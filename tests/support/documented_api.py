@@ -20,7 +20,7 @@ PLUGIN_API = {
     "bench/front_door/__init__.py": "*",
     "bench/front_door/own_packages.py": "*",
     "bench/results/run_reader.py": "Pose Run load",
-    "bench/stations/sections.py": "AxisConfig StageSection LightSection BiasesConfig EventCameraConfig"
+    "bench/stations/sections.py": "AxisConfig AnyStage StageSection AnyLight LightSection BiasesConfig EventCameraConfig"
     " EventCameraSection FrameCameraConfig FrameCameraSection",
     "bench/plugin_tests/__init__.py": "*",
     "bench/plugin_tests/cameras.py": "*",
