@@ -10,7 +10,6 @@ import functools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from html.parser import HTMLParser
 from typing import Any, NamedTuple
 
 import jinja2
@@ -26,9 +25,6 @@ from bench.report.run_tables import left, source_rows
 from bench.report.text import NOTHING, TargetWords, moment, number, value_text, words_of
 from bench.report.verdict import change, verdict
 from bench.report.view_picture import PLOTS, ViewPicture, pictured_poses, thinned
-
-_GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
-"""Elements whose text belongs to images and plots; in the template, sections contain nothing else."""
 
 
 @dataclass(frozen=True)
@@ -138,45 +134,6 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
         "pictures": [(_markup(svg), name) for svg, name in pictures],
         "courses": [replace(course, plot=_markup(course.plot)) for course in found],
     }
-
-
-def printed_text(html: str) -> list[str]:
-    """Extract the texts and numbers of a report, without those in images and plots.
-
-    Two reports of the same results have the same texts, even if another version of a library encoded their images.
-
-    Returns: Its texts in order, with spaces normalised.
-    """
-    reader = _TextReader()
-    reader.feed(html)
-    reader.close()
-    return reader.texts
-
-
-class _TextReader(HTMLParser):
-    """Collects the text outside of images, plots and styles."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.texts: list[str] = []
-        self._open_graphics: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Enter an element; the text of a graphic element is ignored."""
-        del attrs
-        if tag in _GRAPHIC_TAGS:
-            self._open_graphics.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        """Leave an element."""
-        if self._open_graphics and self._open_graphics[-1] == tag:
-            self._open_graphics.pop()
-
-    def handle_data(self, data: str) -> None:
-        """Collect a text."""
-        shown = " ".join(data.split())
-        if shown and not self._open_graphics:
-            self.texts.append(shown)
 
 
 @functools.cache

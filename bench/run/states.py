@@ -290,7 +290,7 @@ class StateWork:
             self._until_answered(question)
         simulation = self._run.devices.opened.simulation if question and question.placement else None
         if question and simulation:  # on a simulated bench nobody else can place the board
-            simulation.hands.place_board(question.placement)
+            simulation.set_up("board", "place", number=question.placement)
 
     def park(self, *_: Any, **__: Any) -> None:
         """Switch the light off and move the stage to zero, because no later step needs them."""

@@ -279,9 +279,9 @@ class EspStageConfig(AnyStage):
 
 
 if TYPE_CHECKING:
-    StageConfig = AnyStage
+    _Stages = AnyStage
 else:
-    StageConfig = with_plugins(
+    _Stages = with_plugins(
         "stage",
         (
             ZaberStageConfig,
@@ -293,6 +293,8 @@ else:
             TextStageConfig,
         ),
     )
+
+StageConfig = _Stages
 
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
@@ -396,6 +398,8 @@ class GardasoftLightConfig(AnyLight):
 
 
 if TYPE_CHECKING:
-    LightConfig = AnyLight
+    _Lights = AnyLight
 else:
-    LightConfig = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
+    _Lights = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
+
+LightConfig = _Lights

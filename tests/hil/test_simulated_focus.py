@@ -23,47 +23,46 @@ def bench():
 
 
 def test_hands_turn_ring_aperture_and_camera_and_read_them_back(bench):
-    hands = bench.hands
-    start = hands.look()
-    assert (start.focus_distance_m, start.ring_deg, start.f_number) == (math.inf, 0.0, 2.8)
-    near = hands.turn_focus(30.0)
-    assert near.ring_deg == pytest.approx(30.0)
-    assert 0.2 < near.focus_distance_m < 3.0
-    assert hands.turn_focus(-30.0).focus_distance_m == pytest.approx(math.inf)
-    assert hands.focus_at(1.5).focus_distance_m == 1.5
-    assert hands.set_focus_ring(999.0).ring_deg == pytest.approx(180.0)
-    assert hands.set_aperture(8).f_number == 8.0
-    assert hands.turn_camera(roll_deg=4.0).turn_deg == (0.0, 0.0, 4.0)
-    assert hands.turn_camera(roll_deg=6.0, pan_deg=-1.0).turn_deg == (-1.0, 0.0, 10.0)
-    assert hands.shift_camera(1.0, -2.0).shift_mm == (1.0, -2.0)
-    assert hands.put_back() == start
-    assert hands.look() == start
-    assert bench.truth()["lens"]["focus"] == "on the pattern"  # a look turns nothing
+    start = bench.set_up("lens", "turn", deg=0.0)
+    assert (start["focus_distance_m"], start["ring_deg"], start["f_number"]) == ("infinity", 0.0, 2.8)
+    near = bench.set_up("lens", "turn", deg=30.0)
+    assert near["ring_deg"] == pytest.approx(30.0)
+    assert 0.2 < near["focus_distance_m"] < 3.0
+    assert float(bench.set_up("lens", "turn", deg=-30.0)["focus_distance_m"]) == pytest.approx(math.inf)
+    assert bench.set_up("lens", "focus", distance_m=1.5)["focus_distance_m"] == 1.5
+    assert bench.set_up("lens", "ring", deg=999.0)["ring_deg"] == pytest.approx(180.0)
+    assert bench.set_up("lens", "aperture", f_number=8)["f_number"] == 8.0
+    assert bench.set_up("mount", "turn", roll_deg=4.0)["turn_deg"] == [0.0, 0.0, 4.0]
+    assert bench.set_up("mount", "turn", roll_deg=6.0, pan_deg=-1.0)["turn_deg"] == [-1.0, 0.0, 10.0]
+    assert bench.set_up("mount", "shift", x_mm=1.0, y_mm=-2.0)["shift_mm"] == [1.0, -2.0]
+    bench.set_up("mount", "mend")
+    assert bench.set_up("lens", "mend") == start
+    assert bench.truth()["lens"]["focus"] == "on the pattern"  # what does nothing turns nothing
 
 
 @pytest.mark.parametrize(
-    ("act", "word"),
+    ("what", "number", "word"),
     [
-        (lambda hands: hands.focus_at(0.01), "does not reach"),
-        (lambda hands: hands.set_aperture(0.2), "from 1 to 32"),
-        (lambda hands: hands.turn_focus(math.nan), "finite"),
+        ("focus", {"distance_m": 0.01}, "does not reach"),
+        ("aperture", {"f_number": 0.2}, "from 1 to 32"),
+        ("turn", {"deg": math.nan}, "finite"),
     ],
 )
-def test_what_hands_cannot_do_is_said(bench, act, word):
-    before = bench.hands.look()
+def test_what_hands_cannot_do_is_said(bench, what, number, word):
+    before = bench.set_up("lens", "turn", deg=0.0)
     with pytest.raises(SimulationError, match=word):
-        act(bench.hands)
-    assert bench.hands.look() == before
+        bench.set_up("lens", what, **number)
+    assert bench.set_up("lens", "turn", deg=0.0) == before
 
 
 def test_the_truth_file_tells_the_breathed_focal_length(bench):
     assert bench.truth()["camera"]["fx"] == 836
-    bench.hands.focus_at(0.5)
+    bench.set_up("lens", "focus", distance_m=0.5)
     truth = bench.truth()
     focal_mm = 836 * 4.86e-3
     assert truth["camera"]["fx"] == pytest.approx(836 * 500 / (500 - focal_mm), rel=1e-6)
     assert truth["lens"]["blur_px"] == pytest.approx(focal_mm / 2.8 * focal_mm / (500 - focal_mm) / 4.86e-3)
-    bench.hands.put_back()
+    bench.set_up("lens", "mend")
     assert bench.truth()["camera"]["fx"] == 836
 
 
@@ -74,9 +73,9 @@ def test_an_answer_says_infinity_in_words(bench):
 
 def test_orders_after_the_end_are_refused_with_a_sentence():
     with SimulatedBench({"camera": SMALL}, 3) as ended:
-        hands = ended.hands
+        pass
     with pytest.raises(SimulationError, match="has ended"):
-        hands.look()
+        ended.set_up("lens", "turn", deg=0.0)
 
 
 def words(turn=None, *, seed=3):

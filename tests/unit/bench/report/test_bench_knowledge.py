@@ -1,7 +1,8 @@
 """What the report says about the collimator's passport, the gimbal's readings and the input files."""
 
-from bench.report.html import ReportData, printed_text, render_report
+from bench.report.html import ReportData, render_report
 from bench.report.run_tables import inputs, passport_rows, readings_rows, source_rows
+from tests.support.printed_text import printed_text
 
 
 def test_the_report_names_the_passport_with_values_and_hash(data):

@@ -9,12 +9,13 @@ from certificate_sample import sample_results
 
 from bench.certificate.run_facts import further_of
 from bench.report.calibration_tables import _VERDICTS, checks
-from bench.report.html import ReportData, printed_text, render_report
+from bench.report.html import ReportData, render_report
 from bench.report.run_tables import boresight_rows
 from bench.report.text import angle
 from calib.model.boresight import Boresight
 from calib.model.rotation import exp_map
 from calib.studies.gimbal_verdict import VerdictKind
+from tests.support.printed_text import printed_text
 
 
 def test_every_verdict_has_a_heading():

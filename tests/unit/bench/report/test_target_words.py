@@ -6,8 +6,9 @@ import re
 import pytest
 from report_sample import SMALL, sample
 
-from bench.report.html import ReportData, printed_text, render_report
+from bench.report.html import ReportData, render_report
 from bench.report.text import BOARD, STARS
+from tests.support.printed_text import printed_text
 
 STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")
 

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 
-from bench.report.html import ReportData, printed_text, render_report
+from bench.report.html import ReportData, render_report
 from bench.report.text import with_uncertainty
 from calib.model.camera import CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
+from tests.support.printed_text import printed_text
 
 
 def test_uncertainty_comes_before_reprojection_error(html):

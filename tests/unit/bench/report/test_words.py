@@ -6,7 +6,8 @@ from pathlib import Path
 
 from report_sample import SIGMA, SMALL, TRUE, sample
 
-from bench.report.html import ReportData, printed_text, render_report
+from bench.report.html import ReportData, render_report
+from tests.support.printed_text import printed_text
 from tests.unit.bench.report.structure import Structure
 
 

@@ -15,7 +15,6 @@ from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
 from bench.plan.plan import load_documents, make_plan
-from bench.report.html import printed_text
 from bench.results.again_recalculated import check_recalculated
 from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
@@ -25,6 +24,7 @@ from bench.results.passports import passport_from_certificate, write_passport
 from bench.results.solve_options import ONE_VIEW
 from calib.errors import DegenerateViews
 from calib.studies.predicted_views import predicted_view
+from tests.support.printed_text import printed_text
 
 
 @pytest.fixture(scope="module")
