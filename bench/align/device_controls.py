@@ -287,16 +287,7 @@ class LightControl:
             "frequency_hz": now.flicker.frequency_hz,
             "duty_percent": now.flicker.duty_percent,
             "level_percent": now.flicker.level_percent,
-            "read_back": None
-            if found is None
-            else {
-                "waveform": found.waveform,
-                "frequency_hz": found.frequency_hz,
-                "duty_percent": found.duty_percent,
-                "low_v": found.low_v,
-                "high_v": found.high_v,
-                "sync_output": found.sync_output,
-            },
+            "read_back": None if found is None else asdict(found),
             "frequency_range_hz": list(self._config.frequency_range_hz),
             "faults": list(now.faults),
             "failure": now.failure.to_dict() if now.failure else None,

@@ -36,6 +36,15 @@ from sequences.reader import read_document
 RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
+_NO_RUN: Mapping[str, Any] = {
+    "accepted": 0,
+    "recordings": 0,
+    "deviations": 0,
+    "temperature_c": None,
+    "model": None,
+    "rms_px": None,
+    "sealed": False,
+}
 _NO_PLACE = {"ledger_number": None, "ledger_head": None}
 
 
@@ -192,29 +201,13 @@ def _attempt_times(attempts: Sequence[RunAttempt]) -> dict[str, Any]:
 
 def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, Any]:
     """Return what a run's own journal says about it; default values if it has none."""
-    if run is None:
-        counts = {"accepted": 0, "recordings": 0, "deviations": 0}
-        result: dict[str, Any] = {
-            "temperature_c": None,
-            "model": None,
-            "rms_px": None,
-            "sealed": False,
-            "parameters": {},
-        }
-        return {"camera": "", "poses": planned_poses, **counts, **result, **_NO_PLACE}
+    stated = vars(run) if run is not None else {**_NO_RUN, **_NO_PLACE}
     return {
-        "camera": run.camera,
+        "camera": stated.get("camera", ""),
         "poses": planned_poses,
-        "accepted": run.accepted,
-        "recordings": run.recordings,
-        "deviations": run.deviations,
-        "temperature_c": run.temperature_c,
-        "model": run.model,
-        "rms_px": run.rms_px,
-        "sealed": run.sealed,
-        "parameters": parameters_data(run.parameters),
-        "ledger_number": run.ledger_number,
-        "ledger_head": run.ledger_head,
+        **{name: stated[name] for name in _NO_RUN},
+        "parameters": parameters_data(run.parameters) if run is not None else {},
+        **{name: stated[name] for name in _NO_PLACE},
     }
 
 

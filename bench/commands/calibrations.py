@@ -100,14 +100,7 @@ def _baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
 
     if isinstance(row, MethodFailure):
         return {"name": row.name, "failed": row.why}
-    return {
-        "name": row.name,
-        "camera": row.camera.to_dict(),
-        "sigma": dict(row.sigma),
-        "rms_px": row.rms_px,
-        "mean_px": row.mean_px,
-        "left_out_rms_px": row.left_out_rms_px,
-    }
+    return {**vars(row), "camera": row.camera.to_dict(), "sigma": dict(row.sigma)}
 
 
 def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:

@@ -19,7 +19,6 @@ from bench.history.statistics import (
     SHEWHART_CHANCE,
     Drift,
     Ewma,
-    Individuals,
     ewma,
     find_drift,
     holm,
@@ -396,21 +395,12 @@ def _parameter(name: str, runs: Sequence[ChartRun], baseline: int | None) -> Jso
     days = [(run.begun - runs[0].begun).total_seconds() / 86400.0 for run in runs]
     drift = find_drift(days, [run.temperature_c for run in runs], values, sigmas)
     averages = ewma(values, limits.centre, limits.sigma)
-    return {**chart, **_limit_facts(limits), "ewma": _ewma_facts(averages), "drift": _drift_facts(drift)}
-
-
-def _limit_facts(limits: Individuals) -> Json:
     return {
-        "centre": limits.centre,
-        "sigma": limits.sigma,
-        "lower": limits.lower,
-        "upper": limits.upper,
-        "beyond": list(limits.beyond),
+        **chart,
+        **vars(limits),
         "ranges": limits.ranges.tolist(),
-        "range_mean": limits.range_mean,
-        "range_upper": limits.range_upper,
-        "ranges_beyond": list(limits.ranges_beyond),
-        "baseline": limits.baseline,
+        "ewma": _ewma_facts(averages),
+        "drift": _drift_facts(drift),
     }
 
 

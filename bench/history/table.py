@@ -211,33 +211,21 @@ def table_row(
     Returns: Value by column, in the order of `table_schema.COLUMNS`; None where nothing is known.
     """
     row: dict[str, Any] = dict.fromkeys(column.name for column in COLUMNS)
-    row |= {name: value for name, value in details.items() if name in _COPIED}
+    stated = {**vars(run), **details}
+    row |= {name: value for name, value in stated.items() if name in _COPIED}
     software = details.get("software") or {}
     row |= {
         "schema": SCHEMA,
         "run": run.id,
-        "folder": run.folder,
         "kind": kind_of(run),
-        "simulated": run.simulated,
         "outcome": run.how,
-        "begun_utc": run.begun_utc,
-        "sequence": run.sequence,
-        "operator": run.operator,
-        "station": run.station,
         "bench": place.bench or None,
         "ledger": place.ledger or None,
         "ledger_state": place.state,
-        "ledger_number": run.ledger_number,
-        "ledger_head": run.ledger_head,
         "evidence_state": str(state.state),
         "evidence": state.text,
         "camera_serial": run.camera or None,
-        "temperature_c": run.temperature_c,
         "poses_accepted": run.accepted,
-        "recordings": run.recordings,
-        "model": run.model,
-        "rms_px": run.rms_px,
-        "coverage_factor": run.coverage_factor,
         "software_starbench": software.get("starbench"),
         "software_program": software.get("program"),
         "software": json.dumps(software, sort_keys=True) if software else None,

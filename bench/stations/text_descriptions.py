@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Text
@@ -35,85 +34,85 @@ def template(text: str, known: frozenset[str], readable: frozenset[str] | None) 
         raise PydanticCustomError("template", "{fault}", {"fault": str(fault)}) from fault
 
 
-def request_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
-    """Return a check of a request that may carry one value, and then must.
-
-    known: Names that may stand without a kind.
-    value: Name of the value; empty for none.
-    """
-
-    def check(text: str) -> str:
-        found = template(text, known, frozenset({value} - {""}))
-        if value and value not in found.read_names:
-            raise PydanticCustomError(
-                "no_value",
-                "the value is missing; write {name} where it belongs.",
-                {"name": f"{{{value}:...}}"},
-            )
-        return text
-
-    return check
+def _has(found: Template, value: str, where: str) -> None:
+    """Refuse a template without the value that it must have."""
+    if value and value not in found.read_names:
+        raise PydanticCustomError(
+            "no_value",
+            "the value is missing; write {name} where it {where}.",
+            {"name": f"{{{value}:...}}", "where": where},
+        )
 
 
-def reply_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
-    """Return a check of a reply that must have one value, or need not have any.
-
-    known: Names that may stand without a kind, besides ``request``.
-    value: Name of the value; empty for none.
-    """
-
-    def check(text: str) -> str:
-        found = template(text, known | {"request"}, None)
-        if value and value not in found.read_names:
-            raise PydanticCustomError(
-                "no_value",
-                "the value is missing; write {name} where it stands.",
-                {"name": f"{{{value}:...}}"},
-            )
-        return text
-
-    return check
+def _request(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
+    """Read a request, which may carry one value, and then must."""
+    found = template(text, known, frozenset({value} - {""}))
+    _has(found, value, "belongs")
+    return found
 
 
-def make_exchange(send: str, reply: str | None, known: frozenset[str], value: str = "") -> of.Exchange:
-    """Return an exchange for the driver, from templates that were checked.
+def _reply(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
+    """Read a reply, which must have one value, or need not have any; ``request`` may stand in it too."""
+    found = template(text, known | {"request"}, None)
+    _has(found, value, "stands")
+    return found
 
-    send, reply: The templates; None for no reply.
-    known: Names that may stand without a kind.
-    value: Name of the value that the request carries; empty for none.
-    """
-    return of.Exchange(
-        template(send, known, frozenset({value} - {""})),
-        None if reply is None else template(reply, known | {"request"}, None),
-    )
+
+def _is_request(text: str) -> str:
+    _request(text)
+    return text
+
+
+def _is_reply(text: str) -> str:
+    _reply(text)
+    return text
 
 
 Line = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class Command(StrictModel):
-    """A command to the whole device, with the reply that confirms it."""
+class _Exchange(StrictModel):
+    """A request and its reply."""
 
-    send: Annotated[Line, AfterValidator(request_check(NOTHING))]
-    reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
+    known: ClassVar[frozenset[str]] = NOTHING  # Names that may stand in both without a kind
+    carries: ClassVar[str] = ""  # Name of the value that the request carries; empty for none
+    tells: ClassVar[str] = ""  # Name of the value that the reply must have; empty if it need not have any
+
+    send: Line
+    reply: Line
+
+    @field_validator("send")
+    @classmethod
+    def _is_request(cls, text: str) -> str:
+        _request(text, cls.known, cls.carries)
+        return text
+
+    @field_validator("reply")
+    @classmethod
+    def _is_reply(cls, text: str) -> str:
+        _reply(text, cls.known, cls.tells)
+        return text
 
     def exchange(self) -> of.Exchange:
         """Return the exchange for the driver."""
-        return make_exchange(self.send, self.reply, NOTHING)
+        return of.Exchange(_request(self.send, self.known, self.carries), _reply(self.reply, self.known))
 
 
-class SerialQuery(StrictModel):
+class Command(_Exchange):
+    """A command to the whole device, with the reply that confirms it."""
+
+
+class SerialQuery(_Exchange):
     """A query of the serial number."""
 
-    send: Annotated[Line, AfterValidator(request_check(NOTHING))]
-    reply: Annotated[Line, AfterValidator(reply_check(NOTHING, "serial"))]
+    tells = "serial"
 
 
-class StateQuery(StrictModel):
+class StateQuery(_Exchange):
     """A query of a state. ``when`` lists the answers that mean: idle, homed, on, no fault."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "state"))]
+    known, tells = ADDRESS, "state"
+
     when: Annotated[list[Text], Field(min_length=1, max_length=20)]
 
     @model_validator(mode="after")
@@ -126,7 +125,7 @@ class StateQuery(StrictModel):
 
     def switch(self) -> of.Switch:
         """Return the query for the driver."""
-        return of.Switch(make_exchange(self.send, self.reply, ADDRESS), tuple(self.when))
+        return of.Switch(self.exchange(), tuple(self.when))
 
 
 Tolerance = Annotated[float, Within(0, 50, "%")]
@@ -164,7 +163,7 @@ class LineConfig(StrictModel):
         ),
     ] = ""
     setup: Annotated[
-        tuple[Annotated[Line, AfterValidator(request_check(NOTHING))], ...],
+        tuple[Annotated[Line, AfterValidator(_is_request)], ...],
         Field(max_length=10, description="Requests that set the form of the replies, and nothing else."),
     ] = ()
 
@@ -172,7 +171,7 @@ class LineConfig(StrictModel):
 class RefusalConfig(StrictModel):
     """A reply by which the device refuses a request."""
 
-    reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
+    reply: Annotated[Line, AfterValidator(_is_reply)]
     means: Text | None = None
     codes: Annotated[
         dict[Annotated[str, Field(max_length=20)], Text],
@@ -211,16 +210,11 @@ class Described(StrictModel):
             start_s=self.line.start_s,
             checksum=self.line.checksum,
             clear=self.line.clear.encode("ascii"),
-            setup=tuple(template(text, NOTHING, NOTHING) for text in self.line.setup),
+            setup=tuple(map(_request, self.line.setup)),
             identity=self.identity.exchange(),
-            serial=None
-            if self.serial is None
-            else make_exchange(self.serial.send, self.serial.reply, NOTHING),
+            serial=None if self.serial is None else self.serial.exchange(),
             refusals=tuple(
-                of.Refusal(
-                    template(one.reply, frozenset({"request"}), None), one.means or "", dict(one.codes)
-                )
-                for one in self.refusals
+                of.Refusal(_reply(one.reply), one.means or "", dict(one.codes)) for one in self.refusals
             ),
             notices=tuple(of.Notice(one.text, one.means or "") for one in self.notices),
         )
@@ -229,18 +223,16 @@ class Described(StrictModel):
 # The description of a light's protocol: keys, checks, and its form for the driver. Opens nothing.
 
 
-class _Set(StrictModel):
+class _Set(_Exchange):
     """A command that sets a value of a light."""
 
-    send: Annotated[Line, AfterValidator(request_check(NOTHING, "value"))]
-    reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
+    carries = "value"
 
 
-class _Get(StrictModel):
+class _Get(_Exchange):
     """A query of a value of a light."""
 
-    send: Annotated[Line, AfterValidator(request_check(NOTHING))]
-    reply: Annotated[Line, AfterValidator(reply_check(NOTHING, "value"))]
+    tells = "value"
 
 
 _WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}}
@@ -285,8 +277,8 @@ class LightSettingConfig(StrictModel):
         lowest, highest = self.range or (float("-inf"), float("inf"))
         return of.LightSetting(
             quantity=self.quantity,
-            set=make_exchange(self.set.send, self.set.reply, NOTHING, "value"),
-            query=make_exchange(self.query.send, self.query.reply, NOTHING),
+            set=self.set.exchange(),
+            query=self.query.exchange(),
             factor=self.factor,
             inverse=self.takes == "reciprocal",
             words=dict(self.words),
@@ -340,26 +332,16 @@ class LightProtocol(Described):
         )
 
 
-class _AxisQuery(StrictModel):
+class _AxisQuery(_Exchange):
     """A query to an axis whose reply has the value ``counts``."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "counts"))]
-
-    def exchange(self) -> of.Exchange:
-        """Return the exchange for the driver."""
-        return make_exchange(self.send, self.reply, ADDRESS)
+    known, tells = ADDRESS, "counts"
 
 
-class _AxisCommand(StrictModel):
+class _AxisCommand(_Exchange):
     """A command to an axis, with the reply that confirms it."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS))]
-
-    def exchange(self) -> of.Exchange:
-        """Return the exchange for the driver."""
-        return make_exchange(self.send, self.reply, ADDRESS)
+    known = ADDRESS
 
 
 class _Home(_AxisCommand):
@@ -371,37 +353,30 @@ class _Home(_AxisCommand):
     ] = "at_once"
 
 
-class _Move(StrictModel):
+class _Move(_Exchange):
     """A move to an absolute position, which stands as ``{target:...}`` in counts."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS, "target"))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS))]
-
-    def exchange(self) -> of.Exchange:
-        """Return the exchange for the driver."""
-        return make_exchange(self.send, self.reply, ADDRESS, "target")
+    known, carries = ADDRESS, "target"
 
 
-class _Scale(StrictModel):
+class _Scale(_Exchange):
     """A query of the scale of an axis."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "scale"))]
+    known, tells = ADDRESS, "scale"
+
     unit: Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
 
 
-class _SetAxis(StrictModel):
+class _SetAxis(_Exchange):
     """A command that sets a value of an axis."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS, "value"))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS))]
+    known, carries = ADDRESS, "value"
 
 
-class _GetAxis(StrictModel):
+class _GetAxis(_Exchange):
     """A query of a value of an axis."""
 
-    send: Annotated[Line, AfterValidator(request_check(ADDRESS))]
-    reply: Annotated[Line, AfterValidator(reply_check(ADDRESS, "value"))]
+    known, tells = ADDRESS, "value"
 
 
 class AxisSettingConfig(StrictModel):
@@ -423,8 +398,8 @@ class AxisSettingConfig(StrictModel):
         """Return the setting for the driver."""
         return of.AxisSetting(
             quantity=self.quantity,
-            set=make_exchange(self.set.send, self.set.reply, ADDRESS, "value"),
-            query=make_exchange(self.query.send, self.query.reply, ADDRESS),
+            set=self.set.exchange(),
+            query=self.query.exchange(),
             constant=self.value or 0.0,
             tolerance_percent=self.tolerance_percent,
         )
@@ -473,7 +448,7 @@ class StageProtocol(Described):
             encoder=None if axis.encoder is None else axis.encoder.exchange(),
             reference=None if axis.reference is None else axis.reference.switch(),
             faults=None if axis.faults is None else axis.faults.switch(),
-            scale=None if axis.scale is None else make_exchange(axis.scale.send, axis.scale.reply, ADDRESS),
+            scale=None if axis.scale is None else axis.scale.exchange(),
             scale_unit=axis.scale.unit if axis.scale else "counts_per_deg",
             lowest=None if axis.lowest is None else axis.lowest.exchange(),
             highest=None if axis.highest is None else axis.highest.exchange(),

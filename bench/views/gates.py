@@ -6,8 +6,8 @@ This module uses no device and no file. Each reason for a rejection states what 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, cast
 
 from bench.records.events import GateData, MeasuredFacts
 from drivers.camera import RecordingFacts
@@ -50,13 +50,7 @@ class Gate:
 
         Returns: The gate's fields.
         """
-        return {
-            "name": self.name,
-            "value": self.value,
-            "unit": self.unit,
-            "limit": self.limit,
-            "verdict": self.verdict,
-        }
+        return cast("GateData", asdict(self))
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
