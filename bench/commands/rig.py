@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     nargs=2,
     type=ExistingPath(),
     metavar="FIRST SECOND",
-    help="The intrinsics of both cameras with their uncertainty, as `check` reads them; for views of a board.  "
+    help="The intrinsics of both cameras with their uncertainty, from other views, as `check` reads them.  "
     "[default: adjusted with the rig]",
 )
 @click.option(

@@ -46,7 +46,7 @@ def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) 
 
     paths: Views behind a collimator; or of a board, if `choices` names one and `boards` is empty.
     boards: Views of the board beside those behind the collimator.
-    cameras: Files with the intrinsics, for boards alone.
+    cameras: Files with the intrinsics from other views.
     Raises UsageError, BenchError: When a file cannot be used.
     Raises calib.errors.CalibrationError: When the views do not determine the rig.
     """
@@ -55,35 +55,34 @@ def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) 
             raise UsageError(
                 "--boards needs --board.", remedy="Say what the board is: --board checkerboard:11x7:20mm."
             )
-        if cameras:
-            raise UsageError(
-                "--calibration is for views of a board: behind a collimator, the views give the intrinsics.",
-                remedy="Leave out --calibration, or name the board with --board.",
-            )
-        return _by_views(paths, choices)
+        return _by_views(paths, choices, cameras)
     if not boards:
         return _by_cameras(paths, cameras, choices) if cameras else _by_views(paths, choices)
-    if cameras:
-        raise UsageError(
-            "The views behind the collimator give the intrinsics.",
-            remedy="Leave out --calibration, or --boards.",
-        )
     require_common_views(boards[0], boards[1], choices)
-    start = _by_views(paths, replace(choices, board=None, model=None))
+    start = _by_views(paths, replace(choices, board=None, model=None), cameras)
     seen, skipped = _board_views(boards, [choices, choices])
     return RigFound(with_boards(start.rig, *seen), (*start.skipped, *skipped))
 
 
-def _by_views(paths: Pair, choices: OfflineOptions) -> RigFound:
-    """Return the rig by views that give the intrinsics too."""
+def _by_views(paths: Pair, choices: OfflineOptions, cameras: Pair = ()) -> RigFound:
+    """Return the rig by views that give the intrinsics too; `cameras` add what is known of them from other views."""
     require_common_views(paths[0], paths[1], choices)
+    stated = [read_camera_file(file) for file in cameras]
+    for path, own in zip(paths, stated, strict=bool(stated)):
+        if own.path.resolve().is_relative_to(path.resolve()):
+            raise UsageError(
+                "This calibration was made from these views, which would count twice.",
+                where=str(own.path),
+                remedy="Give a calibration from other views, or leave out --calibration.",
+            )
     results = [calibrate_paths([path], choices) for path in paths]
     skipped = tuple(reason for result in results for reason in result.skipped)
     first, second = (result.calibration for result in results)
     if all(result.board for result in results):
         start = stated_cameras(first.camera, second.camera)
         return RigFound(with_boards(start, results[0].views, results[1].views, free=True), skipped)
-    return RigFound(through_collimator(first, second), skipped)
+    known = [(one.camera, one.covariance) for one in stated] or (None, None)
+    return RigFound(through_collimator(first, second, known), skipped)
 
 
 def _by_cameras(paths: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:

@@ -27,6 +27,9 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
+#: A camera from other views, and the covariance of its values; None holds them.
+StatedCamera = tuple[CameraModel, Array | None]
+
 #: Standard uncertainty of a value whose file states none, as a share of it.
 _EXACT = 1e-7
 #: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.
@@ -116,13 +119,17 @@ def common_names(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]
     return common
 
 
-def through_collimator(first: Calibration, second: Calibration) -> Rig:
+def through_collimator(
+    first: Calibration, second: Calibration, stated: Sequence[StatedCamera | None] = (None, None)
+) -> Rig:
     """Estimate the rotation from all poses that both cameras saw, by generalised least squares.
 
     Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T. Both looked into one
     collimator: its centre and radius are the same unknowns, and what was known of them before counts once.
 
+    stated: What else is known of each camera, from other views.
     Raises DegenerateViews: If the calibrations have no view with the same name.
+    Raises InputMismatch: If a stated camera contradicts the views.
     """
     names = [[view.name for view in one.views] for one in (first, second)]
     common = common_names(*names)
@@ -131,6 +138,14 @@ def through_collimator(first: Calibration, second: Calibration) -> Rig:
     start = nearest_rotation(pairs.mean(axis=0))
     one, other = _errors(first), _errors(second)
     information, pull, places = _one_collimator(one, other)
+    for calibration, camera, at in zip(
+        (first, second), stated, (np.arange(len(one.names)), places), strict=True
+    ):
+        if camera is not None:
+            here = at[: len(calibration.camera.values)]
+            known, toward = _known(calibration, *camera)
+            information[np.ix_(here, here)] += known
+            pull[here] += toward
     size, n = len(information), 3 * len(common)
     rows_a, rows_b = (_rows(own) for own in (a, b))
     turns = linalg.block_diag(*pairs)
@@ -162,6 +177,36 @@ def through_collimator(first: Calibration, second: Calibration) -> Rig:
         chi_square=float(scatter @ expected @ scatter),
         degrees_of_freedom=n - 3,
     )
+
+
+def _known(calibration: Calibration, stated: CameraModel, covariance: Array | None) -> tuple[Array, Array]:
+    """Return information and pull of a stated camera, at the values that the views give.
+
+    A coefficient that the stated camera does not have is zero in its model.
+    Raises InputMismatch: If it is of another sensor or lens model, or contradicts the views.
+    """
+    found, names = calibration.camera, calibration.camera.parameter_names
+    held = dict(zip(stated.parameter_names, stated.values, strict=True))
+    if stated.image_size != found.image_size or any(held[name] for name in held if name not in names):
+        raise InputMismatch(
+            "A stated camera has another sensor or another lens model than its views.",
+            remedy="Give views and calibration of the same camera.",
+        )
+    values = np.array([held.get(name, 0.0) for name in names])
+    spread = np.diag((_EXACT * np.maximum(np.abs(values), 1.0)) ** 2)
+    if covariance is not None:
+        have = [names.index(name) for name in held if name in names]
+        rows = [at for at, name in enumerate(held) if name in names]
+        spread[np.ix_(have, have)] = covariance[np.ix_(rows, rows)]
+    off = values - found.values
+    apart = float(off @ np.linalg.solve(spread + calibration.camera_covariance, off))
+    if apart > special.chdtri(len(off), _RIGID):
+        raise InputMismatch(
+            "A stated camera contradicts its views behind the collimator by more than their uncertainties.",
+            remedy="Look at it with `starbench check`, or leave out --calibration.",
+        )
+    known = np.linalg.inv(spread)
+    return known, known @ off
 
 
 def _rows(views: Sequence[int]) -> NDArray[np.int64]:

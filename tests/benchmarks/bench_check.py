@@ -29,7 +29,7 @@ from tests.support.drawn_benches import TWENTY_FIVE, draw_bench
 from tests.support.truth_table import CERTIFICATE_MM, gimbal_errors, readings
 
 ONE = [{"pan": 3.0, "tilt": 2.0}]
-CHANGES = (0.0, 0.5, 1.0, 3.0)
+CHANGES = (0.0, 0.5, 1.0, 2.0, 3.0)
 KINDS = {"scale": ("fx", "fy"), "principal point": ("cx",)}
 
 

@@ -27,7 +27,8 @@ from sequences.solve_schema import LimitConfig, SolveConfig
 
 ROOT = Path(__file__).parents[3]
 DOCS = {
-    name: (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("sequences", "stations")
+    name: (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    for name in ("sequences", "stations", "check")
 }
 EXAMPLES = [
     (name, text)
@@ -46,7 +47,8 @@ def test_an_example_in_the_documents_is_read_without_a_fault(name, text):
             text = "\n".join(kept) + "\n" + text
         assert check_document(text.encode(), "example", Station).value.stage.axes
     else:
-        whole = text if text.startswith("format") else SCRIPT + text
+        head = SCRIPT.partition("steps")[0] if text.startswith("steps") else SCRIPT
+        whole = text if text.startswith("format") else head + text
         assert flatten(check_document(whole.encode(), "example", Sequence))
 
 

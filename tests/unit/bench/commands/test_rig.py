@@ -91,6 +91,14 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     assert len(both["views"]) == 4
     assert len(both["boards"]) == 10
     assert max(both["sigma_arcsec"]) < 0.8 * max(turned["sigma_arcsec"])
+    files = [folder / "left.yaml", folder / "right.yaml"]
+    words = ("rig", *stars, "--image-size", "1280x720", "--json", "--calibration")
+    held = json.loads(said(capsys, *words, *files))  # no uncertainty is stated: the true values are held
+    assert max(held["sigma_arcsec"]) < 0.5 * max(turned["sigma_arcsec"])
+    assert held["cameras"][0]["fx"] == pytest.approx(rig.cameras[0].fx, abs=0.01)
+    off = 206265 * log_map(np.array(held["rotation"]) @ rig.rotation.T)
+    assert (np.abs(off) < 4.0 * np.array(held["sigma_arcsec"])).all()
+    assert "contradicts its views" in refused(capsys, *words, *files[::-1])
     off = 206265 * log_map(np.array(both["rotation"]) @ rig.rotation.T)
     assert (np.abs(off) < 4.0 * np.array(both["sigma_arcsec"])).all()
     assert (np.abs(np.array(both["translation"]) - rig.translation) < 4.0 * np.array(both["sigma_mm"])).all()
@@ -147,8 +155,8 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
     [
         (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board"),
         (
-            ("{}/left", "{}/right", "--calibration", "{}/left.yaml", "{}/right.yaml"),
-            "--calibration is for views",
+            ("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"),
+            "made from these views, which would count twice",
         ),
         (("{}/left", "{}/other", *BOARD), "share no pose"),
         (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views."),
@@ -189,6 +197,7 @@ def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, wo
         "camera_model": "pinhole", "intrinsics": [1, 1, 1, 1], "distortion_model": "radtan",
         "distortion_coeffs": [0, 0, 0, 0], "resolution": [1280, 720],
     }  # fmt: skip
+    (folder / "left" / "a.yaml").write_text(whole)
     (folder / "two.yaml").write_text(yaml.safe_dump({"cam0": camera, "cam1": deepcopy(camera)}))
     message = refused(capsys, "rig", *(word.format(folder) for word in words), "-o", tmp_path / "new")
     assert told in message

@@ -42,6 +42,33 @@ def test_what_both_cameras_say_about_one_collimator_counts_together(bench):
     assert (np.abs(206265 * log_map(rig.rotation @ TURN.T)) < 2.0 * rig.sigma_arcsec).all()
 
 
+def test_intrinsics_from_other_views_count_with_their_uncertainty(bench):
+    z, sharper = [], []
+    for seed in range(8):
+        pair = two_cameras(bench, seed)
+        rng, stated = np.random.default_rng([3, seed]), []
+        for one in pair:
+            sigma = 0.3 * np.sqrt(np.diag(one.camera_covariance))
+            true = [bench.truth[name] for name in one.camera.parameter_names]
+            values = np.array(true) + sigma * rng.standard_normal(len(sigma))
+            stated.append((one.camera.with_values(values), np.diag(sigma**2)))
+        rig, alone = through_collimator(*pair, stated), through_collimator(*pair)
+        z.append(log_map(rig.rotation @ TURN.T) / np.sqrt(np.diag(rig.pose_covariance)))
+        sharper.append(rig.sigma_arcsec <= alone.sigma_arcsec)
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.35)
+    assert np.all(sharper)
+
+
+def test_intrinsics_that_contradict_the_views_or_are_of_another_camera_are_refused(bench):
+    first, second = two_cameras(bench, 1)
+    camera = first.camera
+    longer = camera.with_values(camera.values * np.where(np.arange(len(camera.values)) < 2, 1.05, 1.0))
+    with pytest.raises(InputMismatch, match="contradicts its views"):
+        through_collimator(first, second, ((longer, first.camera_covariance), None))
+    with pytest.raises(InputMismatch, match="another sensor"):
+        through_collimator(first, second, (None, (replace(camera, image_size=(640, 480)), None)))
+
+
 def test_a_rig_that_flexed_is_recognised(bench):
     first, second = two_cameras(bench, 3)
     bent = second.rotations.copy()
