@@ -117,7 +117,6 @@ class Link:
 
     resynchronise: Brings the line back into step; see ``prove_in_step``. It is called with the lock
       held, may call ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
-    terminator: End of a line.
     unsolicited: Gets each line; returns True when the line is a message that answers no request.
     wire_log: Records every byte; None for no record.
     lock: While a thread holds it, no other thread can send.

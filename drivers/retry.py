@@ -102,7 +102,6 @@ def read_position_until_agreed(
     Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
     Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
 
-    read: Reads once.
     tolerance_deg: Largest tremble of an axis at rest, in degrees.
     speed_deg_s: Highest speed of the axis, in degrees per second.
     Returns: Position, in degrees.

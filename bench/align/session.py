@@ -327,10 +327,7 @@ class Session:
         self.say(f"The stage was stopped, {why}.")
 
     def stop_for_lost(self, page: str) -> None:
-        """Stop the stage if a page that was closed or lost has set it in motion.
-
-        page: Id of the page.
-        """
+        """Stop the stage if a page that was closed or lost has set it in motion."""
         bench = self._bench
         if bench is not None and bench.stage.moving and bench.stage.state.by == page:
             with suppress(DriverError):  # said by `stop`

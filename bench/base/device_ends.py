@@ -78,7 +78,6 @@ def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
 def lost_ends(why: str) -> list[DeviceEnd]:
     """Return the states of devices that cannot be asked any more.
 
-    why: Why they cannot be asked.
     Returns: All of them not confirmed.
     """
     return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]

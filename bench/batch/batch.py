@@ -192,7 +192,6 @@ class Batch:
 
         Returns: The summary, as in ``summary.json``.
         Raises RunFolderError: When the folder belongs to something else, or another process works on it.
-        Raises StorageError: When a file cannot be written.
         """
         make_folder(self.folder / RUNS)
         lock = lock_folder(self.folder)

@@ -75,7 +75,6 @@ def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
     """Write ``summary.json`` and ``summary.html``.
 
     Returns: Content of ``summary.json``.
-    Raises StorageError: When a file cannot be written.
     """
     summary = summarise(folder, record)
     write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())

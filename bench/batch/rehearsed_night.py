@@ -40,7 +40,6 @@ def rehearse_batch(
       journals, byte for byte.
     Returns: The summary, as in ``summary.json``.
     Raises RunFolderError: When the folder is not empty, because a rehearsal cannot be continued.
-    Raises StorageError: When a file cannot be written.
     """
     make_folder(folder)
     with storage_errors(folder):

@@ -35,7 +35,6 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
 
     ledger: The laboratory's ledger; None, or one that does not have the number: nothing is compared with it.
     Returns: Faults, what could not be compared, and whether the certificate is superseded.
-    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}

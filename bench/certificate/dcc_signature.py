@@ -45,7 +45,6 @@ def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | No
     ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
     Raises EvidenceError: When others can read the file, it is protected and nobody can be asked, or it is not
       a key that can sign.
-    Raises StorageError: When it cannot be read.
     """
     with storage_errors(path):
         refuse_readable_by_others(path)
@@ -82,7 +81,6 @@ def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
 
     Returns: The certificates, in the order of the file.
     Raises EvidenceError: When the file has none, more than ten, or one that cannot be read.
-    Raises StorageError: When it cannot be read.
     """
     with storage_errors(path):
         data = path.read_bytes()
@@ -233,7 +231,6 @@ def signer_of_files(
     ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
     Returns: Takes a DCC and the time of signing; returns the signed DCC (see `sign_dcc`).
     Raises EvidenceError: When key or certificates cannot be used, or do not belong together.
-    Raises StorageError: When a file cannot be read.
     Raises UsageError: When signxml is not installed.
     """
     library("signxml")

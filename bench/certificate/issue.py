@@ -136,7 +136,6 @@ def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str
     key: The bench's key.
     Returns: SHA-256 of its SHA256SUMS.
     Raises UsageError: When the name is taken.
-    Raises StorageError: When a file cannot be written.
     """
     part = unfinished(folder)
     make_folder(folder.parent)
@@ -160,10 +159,7 @@ def unfinished(folder: Path) -> Path:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what a process left behind that was killed while it made this folder.
-
-    Raises StorageError: When it cannot be removed.
-    """
+    """Remove what a process left behind that was killed while it made this folder."""
     part = unfinished(folder)
     if part.is_symlink() or not part.is_dir():
         return
@@ -220,7 +216,6 @@ def issue(
     Raises EvidenceError: When the run is refused, it has a certificate already, or the series of numbers is
       not in order.
     Raises UsageError: When the folder exists, or a library is missing.
-    Raises StorageError: When a file cannot be read or written.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -315,7 +310,6 @@ def finished_certificate(one: Numbered) -> Certificate | None:
 
     Returns: None if there is none, or if it has another number.
     Raises EvidenceError: When its certificate.json is not of the expected form.
-    Raises StorageError: When it cannot be read.
     """
     folder = Path(one.folder)
     if not one.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():

@@ -132,7 +132,6 @@ def check_run_of_certificate(
 
     folder: The certificate's folder; its files have no fault.
     verify_run: Verifies a run as ``verify --again`` does.
-    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))

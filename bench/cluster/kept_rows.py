@@ -61,7 +61,6 @@ class KeptRows:
     folder: The folder; it is made if it does not exist.
     Raises UsageError: If the folder holds other things, but not the file.
     Raises RunFolderError: If another process works in the folder.
-    Raises StorageError: If the file cannot be read or written.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -104,10 +103,7 @@ class KeptRows:
         return self._rows.get(key)
 
     def add(self, key: str, value: Any) -> None:
-        """Keep a result.
-
-        Raises StorageError: If it cannot be written.
-        """
+        """Keep a result."""
         line = (json.dumps({"key": key, "value": value}, allow_nan=False) + "\n").encode()
         with storage_errors(self.path):
             write_all(self._stream, line)

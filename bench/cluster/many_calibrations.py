@@ -143,10 +143,7 @@ def plan_study(
 
 
 def write_study_plot(study: MonteCarloStudy, path: Path) -> None:
-    """Draw the z-scores of each parameter as histograms beside the normal distribution, in an SVG file.
-
-    Raises StorageError: When the file cannot be written.
-    """
+    """Draw the z-scores of each parameter as histograms beside the normal distribution, in an SVG file."""
     from bench.report.trend_plots import study_plot
 
     svg = study_plot(study.names, (study.values - study.truth) / study.sigmas, study.z_rms)

@@ -71,7 +71,6 @@ class ResultsFolders:
     table_only: True writes the table alone, and no folder for a run.
     Raises UsageError: If the folder holds something else.
     Raises RunFolderError: If another process works in it.
-    Raises StorageError: If it cannot be read or written.
     """
 
     def __init__(self, folder: Path, key: BenchKey | None, *, table_only: bool = False) -> None:
@@ -141,7 +140,6 @@ class ResultsFolders:
 
         name: Its name, of `name_for`.
         Raises EvidenceError: If it cannot be sealed.
-        Raises StorageError: If a file cannot be written.
         """
         part = self.folder / f"{_PART}{name}"
         try:
@@ -157,20 +155,14 @@ class ResultsFolders:
             sync_folder(self.folder)
 
     def add(self, row: dict[str, Any]) -> None:
-        """Add a row to the table, synced.
-
-        Raises StorageError: If it cannot be written.
-        """
+        """Add a row to the table, synced."""
         with storage_errors(self._table):
             write_all(self._stream, _line(row))
             os.fsync(self._stream)
         self._rows[row["folder"]] = row
 
     def finish(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write the table again, in the order given; rows of folders that were not given this time stay behind them.
-
-        Raises StorageError: If it cannot be written.
-        """
+        """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""
         given = {str(row["folder"]): row for row in rows}
         others = [row for place, row in self._rows.items() if place not in given]
         write_atomic(self._table, b"".join(_line(row) for row in (*given.values(), *others)))
@@ -272,7 +264,6 @@ class Counts:
 class Recalculation:
     """Calibrates many runs again.
 
-    places: The runs, each once.
     output: The folder for results; None to write nothing.
     ended: Called with the row of each run when it ends.
     progress: Called with the counts, and the seconds left if known, when anything ends or time passes.

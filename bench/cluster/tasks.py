@@ -73,7 +73,6 @@ class Place:
         only: Names of the small files that are needed; None for all. On a disk all are there.
         Yields: The folder itself; for a URL a copy, which exists only in the block.
         Raises UsageError: If there is no such folder.
-        Raises StorageError: If it cannot be read.
         """
         if not self.is_remote:
             yield Path(self.name)

@@ -133,7 +133,6 @@ def run_text(row: Mapping[str, Any]) -> str:
 def change_text(row: Mapping[str, Any]) -> str:
     """Return the largest change of a value against the run's own results.
 
-    row: Row of a run that is done.
     Returns: In units of the standard uncertainty that the run stated.
     """
     before = row["before"]

@@ -31,7 +31,6 @@ def find_runs(choice: RunChoice) -> MergedRuns:
     """Find runs by ledgers and folders, and name what does not agree.
 
     Raises UsageError: When a named folder holds no ledger.
-    Raises StorageError: When a file cannot be read.
     """
     home, clock = home_folder(), BenchClock()
 
@@ -54,7 +53,6 @@ def export_runs(choice: RunChoice, path: Path) -> int:
 
     Returns: Exit status: 1 if ledgers and folders do not agree, else 0; the table is written in both cases.
     Raises UsageError: When no table can be written under this name, or a named folder holds no ledger.
-    Raises StorageError: When a file cannot be read or written.
     """
     require_writable_table(path)
     merged = find_runs(choice)
@@ -89,7 +87,6 @@ def chart_runs(
       else 0.
     Raises UsageError: When no run has a result or this parameter, or the page cannot be written under its
       name.
-    Raises StorageError: When a file cannot be read or written.
     """
     _require_page(page)
     merged = find_runs(choice)

@@ -151,7 +151,6 @@ def read_data(data: DataConfig) -> tuple[View, ...]:
     data: Where they are.
     Returns: In order of their names or numbers.
     Raises BenchError: If there is no such data, or a file is not of the form.
-    Raises StorageError: If a file cannot be read.
     """
     return _read(data.model_dump_json(), data_digest(data))
 

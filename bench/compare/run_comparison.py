@@ -71,7 +71,6 @@ def compare(
     on_progress: Called with the number of rows done, of all rows, and the time left in seconds, if known.
     Returns: One row for each repetition of each column, in their order.
     Raises UsageError: If the folder holds something else.
-    Raises StorageError: If a file cannot be read or written.
     Raises BenchError: If the tasks cannot be done.
     """
     _prepare(folder, text)

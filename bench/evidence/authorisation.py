@@ -53,7 +53,6 @@ def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> Signin
     ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
     Raises EvidenceError: When other users can read the file, the passphrase is wrong, or it is not a key that
       can sign here.
-    Raises StorageError: When the file cannot be read.
     """
     with storage_errors(path):
         refuse_readable_by_others(path)
@@ -99,7 +98,6 @@ def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path
     agent: Path of the agent's socket; None if there is no agent.
     ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
     Raises EvidenceError: When there is no such key, more than one, or it cannot be used.
-    Raises StorageError: When a file cannot be read.
     """
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)
@@ -248,7 +246,6 @@ def compare_authorisation(folder: Path, known: Known) -> Compared:
     """Compare the authorisation of a folder with the one that the ledger names.
 
     Returns: Empty if they agree, or if the ledger names none for this seal.
-    Raises StorageError: When a file cannot be read.
     """
     manifest, signature = folder / MANIFEST, folder / AUTHORISATION
     with storage_errors(folder):
@@ -312,7 +309,6 @@ def check_authorisation(
     """Check the authorisation beside a seal.
 
     seal_key: The key that sealed, as SSH encodes it; None if the seal could not be read.
-    Raises OSError: When a file cannot be read.
     """
     try:
         data = read_beside(folder, AUTHORISATION)
@@ -385,7 +381,6 @@ def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: dat
     now: The present time, with its time zone.
     Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
       it.
-    Raises StorageError: When a file cannot be read.
     """
     require_unauthorised(folder)
     with storage_errors(folder):
@@ -428,7 +423,6 @@ def named_person(folder: Path) -> NamedPerson | None:
 
     Returns: The person; None if the folder is not a certificate.
     Raises EvidenceError: When a certificate names nobody, or cannot be read.
-    Raises OSError: When a file cannot be read.
     """
     path = folder / _CERTIFICATE
     if not path.is_file():

@@ -22,7 +22,6 @@ def check_ended_page(
 
     now, stated: The present time, and when the folder says that it was made; with their time zones.
     Returns: What does not hold, and what does: a sentence without a full stop. Both are empty without a page.
-    Raises OSError: When a file cannot be read.
     """
     try:
         armoured = read_beside(folder, PAGE_SIGNATURE)

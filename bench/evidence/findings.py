@@ -157,7 +157,6 @@ def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) ->
 
     manifest: SHA-256 by file name, as the seal lists them.
     found: Findings; faults are added.
-    Raises OSError: When a file cannot be read.
     """
     path = folder / JOURNAL
     if path.is_symlink() or not path.is_file():

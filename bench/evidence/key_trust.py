@@ -40,7 +40,6 @@ def read_trust(
     revoked_keys: File to use instead of ``revoked_keys``.
     tsa_certificates: File to use instead of ``tsa_certificates.pem``.
     Raises EvidenceError: When a list cannot be read, is not understood, or other users can change it.
-    Raises StorageError: When a file cannot be read.
     """
     signers = allowed_signers or home / SIGNERS_FILE
     return Trust(

@@ -65,7 +65,6 @@ def load_public_key(folder: Path) -> Signer:
 
     Raises EvidenceError: When there is no key, others have access to it, or it is not an Ed25519 key in
       OpenSSH's format.
-    Raises StorageError: When it cannot be read.
     """
     path = folder / KEY_FILE
     try:
@@ -107,7 +106,6 @@ def read_key_file(path: Path) -> bytes:
     """Read the file of a private key, if nobody else can read or change it.
 
     Raises EvidenceError: When there is no key, or others have access to it.
-    Raises StorageError: When it cannot be read.
     """
     if not path.exists():
         raise EvidenceError(
@@ -124,7 +122,6 @@ def principal_of(public_path: Path) -> str:
 
     Returns: The name, as ``name@place``.
     Raises EvidenceError: When it states none.
-    Raises StorageError: When it cannot be read.
     """
     fields = read_bounded(public_path, _MOST_KEY_BYTES).decode("utf-8", "replace").split()
     principal = fields[2] if len(fields) > 2 else ""
@@ -207,7 +204,6 @@ def ensure_key(
     Returns: The key; its ``created`` is set if it is new.
     Raises EvidenceError: When the key cannot be used: other users can read it, it is protected and nobody can
       be asked, or it is not an Ed25519 key.
-    Raises StorageError: When it cannot be read or written.
     """
     make_folder(folder)
     with locked_folder(folder):  # two runs started at the same time must not make two keys
@@ -222,7 +218,6 @@ def locked_folder(folder: Path) -> Iterator[None]:
     """Lock the configuration folder while a key is made or replaced; waits for other processes.
 
     Yields: For the block.
-    Raises StorageError: When it cannot be locked.
     """
     with storage_errors(folder):
         lock = open_to_lock(folder)
@@ -239,7 +234,6 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
     principal: Name of the signer, as ``name@place``; None for ``bench@`` and the name of the computer.
     passphrase: Encrypts the private key; None leaves it unencrypted.
     Raises EvidenceError: When there is a key already, or the principal is not ``name@place``.
-    Raises StorageError: When it cannot be written.
     """
     path = folder / KEY_FILE
     if path.exists():
@@ -341,7 +335,6 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
     ask_passphrase: Returns the passphrase of a protected key, given the path of its file; None if nobody can
       be asked.
     Raises EvidenceError: When there is no key, or it cannot be used (see `ensure_key`).
-    Raises StorageError: When it cannot be read.
     """
     _finish_locked(folder)
     return _load(folder, ask_passphrase)

@@ -43,7 +43,6 @@ def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: b
     passphrase: Encrypts the new private key; None leaves it unencrypted.
     keep_old: Whether the old private key is kept in ``old_keys``; else it is deleted.
     Raises EvidenceError: When there is no key, or its public key cannot be read.
-    Raises StorageError: When a file cannot be written.
     """
     if not (folder / KEY_FILE).exists():
         raise EvidenceError(

@@ -284,7 +284,6 @@ def make_manifest(path: Path) -> bytes:
     Returns: The text of ``SHA256SUMS``.
     Raises EvidenceError: When the folder has something that cannot be listed: a link, a device, a name with
       control characters.
-    Raises StorageError: When a file cannot be read.
     """
     lines = []
     with storage_errors(path):
@@ -376,7 +375,6 @@ def read_beside(folder: Path, name: str) -> bytes | None:
 
     Returns: Its bytes; None if there is no such file.
     Raises EvidenceError: When it is a link, not a file, or larger than 1 MiB.
-    Raises OSError: When it cannot be read.
     """
     path = folder / name
     try:
@@ -395,7 +393,6 @@ def add_beside(folder: Path, name: str, data: bytes) -> None:
 
     name: One of `bench.evidence.seal.RESERVED`.
     Raises EvidenceError: When the name is not reserved, or there is such a file: it is never replaced.
-    Raises StorageError: When it cannot be written.
     """
     if name not in RESERVED:
         raise EvidenceError(f"{name!r} cannot be added to a sealed folder.", where=str(folder))

@@ -59,7 +59,6 @@ def read_list(path: Path, what: str) -> str:
     what: What it is, for the message: ``the list of trusted keys``.
     Raises EvidenceError: When other users can change it, it is not a file, is larger than 16 MB, or is not
       text.
-    Raises OSError: When it cannot be read.
     """
     refuse_writable_by_others(path, what)
     if not path.is_file():  # a pipe would never answer
@@ -248,7 +247,6 @@ def trust(folder: Path, line: str) -> Signer:
     line: A line of ``allowed_signers``.
     Raises EvidenceError: When this is not a line of a key, the key is trusted for the other purpose already,
       or other users can change the file.
-    Raises StorageError: When the file cannot be read or written.
     """
     signer = read_signer(line)
     path = folder / SIGNERS_FILE
@@ -266,7 +264,6 @@ def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added
 
     public_key: The key whose lines get ``valid-before``; a line that ends earlier stays as it is.
     Raises EvidenceError: When a line is not understood, or other users can change the file.
-    Raises StorageError: When the file cannot be read or written.
     """
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
@@ -285,10 +282,7 @@ def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added
 
 
 def make_private_folder(folder: Path) -> None:
-    """Make the configuration folder, which other users cannot change. A folder that exists is left as it is.
-
-    Raises StorageError: When it cannot be made.
-    """
+    """Make the configuration folder, which other users cannot change. A folder that exists is left as it is."""
     if not folder.exists():
         make_folder(folder)
         with storage_errors(folder):
@@ -418,7 +412,6 @@ def revoke(folder: Path, key: RevokedKey) -> None:
 
     Raises EvidenceError: When it is revoked already, the reason is not one line of text, or other users can
       change the file.
-    Raises StorageError: When the file cannot be written.
     """
     path = folder / REVOKED_FILE
     if not key.reason.strip() or not key.reason.isprintable():

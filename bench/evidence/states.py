@@ -36,7 +36,6 @@ def stated_time(folder: Path) -> datetime | None:
     """Return when a folder says that it was made: the end of a run, the issue of a certificate, a recalculation.
 
     Returns: The moment, UTC; None if no file states one.
-    Raises OSError: When a file cannot be read.
     """
     if (folder / JOURNAL).is_file():
         return _last_time(folder / JOURNAL)
@@ -127,7 +126,6 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
     now: The present time, with its time zone.
     at: Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp
       goes before it. None: the bench's own clock states the moment of the seal.
-    Raises StorageError: When a file cannot be read.
     """
     found = Standing()
     with storage_errors(folder):

@@ -176,7 +176,6 @@ def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampChec
 
     authorities: The trusted authorities, from `read_authorities`.
     Returns: What was found; nothing for a folder without time stamps.
-    Raises OSError: When a file cannot be read.
     """
     check = StampCheck()
     for name in STAMPED:
@@ -262,7 +261,6 @@ def read_authorities(
     laboratory: File to use instead of ``tsa_laboratory.pem``; it must exist.
     Returns: The certificates; none where the configuration folder has no such file.
     Raises EvidenceError: When a file holds no certificate, or other users can change it.
-    Raises StorageError: When a file cannot be read.
     """
     return TrustedAuthorities(
         _read_certificates(certificates or home / TSA_FILE, needed=certificates is not None),

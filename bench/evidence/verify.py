@@ -59,7 +59,6 @@ def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
 
     found: Findings; faults are added.
     Returns: SHA-256 by file name, as the seal lists them; None if there is no list that can be read.
-    Raises OSError: When a file cannot be read.
     """
     path = folder / MANIFEST
     if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_SEAL_BYTES:
@@ -159,7 +158,6 @@ def verify_folder(
     again: Whether they make the results again from the recordings; it is only stated.
     Returns: All faults, what was not compared, and remarks.
     Raises RunFolderError: When there is no such folder, or it is of none of these kinds.
-    Raises StorageError: When a file cannot be read.
     """
     if not folder.is_dir() or not any((folder / name).exists() for name in (MANIFEST, *KINDS)):
         raise RunFolderError(

@@ -94,8 +94,6 @@ def study(
 ) -> GaugeStudy:
     """Analyse the scatter of a parameter.
 
-    values: One of each run.
-    cameras: Camera of each run.
     factors: By name, such as ``operator``, the level of each run.
     Raises UsageError: When the runs do not hold such a study; says what is missing.
     """

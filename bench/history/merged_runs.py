@@ -72,7 +72,6 @@ def read_source(ledger: Ledger, *, required: bool = True) -> LedgerSource:
 
     required: Whether a missing ledger is an error.
     Raises UsageError: When there is no ledger, and it is required.
-    Raises StorageError: When it cannot be read.
     """
     bench = _bench_name(ledger.home)
     if required and not ledger.path.is_file():
@@ -112,10 +111,7 @@ def _bench_name(home: Path) -> str:
 
 
 def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
-    """Merge ledgers. A run that several of them enter with the same line is one run.
-
-    Returns: All runs.
-    """
+    """Merge ledgers. A run that several of them enter with the same line is one run."""
     kept: dict[Path, LedgerSource] = {}
     notes: list[str] = []
     for source in sources:
@@ -167,7 +163,6 @@ def merge_runs(
 
     folders: Run folders that were found elsewhere; they go before the paths that the ledgers state.
     only_folders: Whether to leave out the runs that are in ``ledgers`` alone.
-    Raises StorageError: When the index cannot be read or written.
     """
     merged = MergedRuns(faults=list(ledgers.faults), notes=list(ledgers.notes))
     stated = [] if only_folders else [Path(one.run.folder) for one in ledgers.entered.values()]

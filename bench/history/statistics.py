@@ -144,7 +144,6 @@ def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
     Montgomery, section 9.2.
 
     number: (N,) float64, number of values so far.
-    sigma: Standard deviation of a value.
     Returns: (N,) float64, in the unit of ``sigma``.
     """
     shares = weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2.0 * np.asarray(number, float)))

@@ -315,7 +315,6 @@ def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> 
     rows: Rows, as `bench.history.table.table_row` makes them.
     faults: What was noticed when the runs were merged; Parquet keeps it in the metadata of the file.
     Raises UsageError: As `require_writable_table`.
-    Raises StorageError: When the file cannot be written.
     """
     require_writable_table(path)
     part = path.with_name(f".{path.name}.part")

@@ -100,7 +100,6 @@ class Outbox:
         """Keep a message for its channels. It is on the disk when this returns; a key that is known changes nothing.
 
         channels: Its channels, from `bench.messaging.messages.channels_of`.
-        Raises StorageError: When it cannot be written.
         """
         fields = (message.occasion, message.subject, message.text, message.run, message.folder, message.utc)
         place = (message.ledger_number, message.ledger_head)

@@ -57,7 +57,6 @@ class Line:
         """Begin the run of the camera that was scanned.
 
         Raises UsageError: If the text is no serial number, or a run is in progress.
-        Raises StorageError: If the folder cannot be written.
         """
         serial = serial_number(scanned)
         with self._lock:

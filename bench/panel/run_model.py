@@ -291,7 +291,6 @@ class RunModel:
     def log_before(self, before: int, most: int) -> list[Json]:
         """Return the log before a line.
 
-        before: Number of a line.
         Returns: As `log_after`.
         """
         end = len(self.log)

@@ -57,7 +57,6 @@ class CameraFile:
 def read_camera_file(path: Path) -> CameraFile:
     """Read the camera of a run folder or of a file.
 
-    Raises StorageError: When the file cannot be read.
     Raises NotACamera: When it holds no camera, more than one, or one that cannot be represented; says why.
     """
     file = path / _RESULTS if path.is_dir() else path

@@ -142,7 +142,6 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
     """Read a passport file.
 
     Raises UsageError: When there is no such file, or it is not a passport; the message says why.
-    Raises StorageError: When it cannot be read.
     """
     if path.is_dir():
         raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")

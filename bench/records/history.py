@@ -429,7 +429,6 @@ class RunLog:
         with the same result: such a line is synced together with the next one.
 
         data: Its payload (`bench.records.events`).
-        Raises StorageError: When the journal cannot be written.
         """
         self._write(event, data)
 

@@ -80,7 +80,6 @@ class Poller:
     """Calls a function at regular intervals, in a thread of its own.
 
     failed: Called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
-    name: Name of the thread.
     period_s: Pause between two calls, s.
     """
 

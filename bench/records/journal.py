@@ -161,7 +161,6 @@ class Journal:
         monotonic: Returns the time of a monotonic clock, s.
         Returns: The journal, without lines.
         Raises RunFolderError: When the file exists already.
-        Raises StorageError: When it cannot be made.
         """
         with storage_errors(path):
             try:
@@ -181,7 +180,6 @@ class Journal:
         monotonic: Returns the time of a monotonic clock, s.
         Raises JournalBroken: When a complete line is not valid; the message names it. The file is then not
           changed.
-        Raises StorageError: When the file cannot be read or written.
         """
         entries, torn = read_journal(path)
         if torn:
@@ -311,7 +309,6 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
     offset: The position, bytes: usually the size of the file at an earlier moment. If it lies within a line,
       that line is left out.
     Yields: As in an `Entry`.
-    Raises StorageError: When the file cannot be read.
     """
     with open_to_read(path) as stream:
         stream.seek(offset)
@@ -332,7 +329,6 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
       synced line. Empty if there is nothing of that kind.
     Raises JournalBroken: When a complete line is not JSON, not in order, changed, or not chained to the line
       before, or the journal is larger than any.
-    Raises StorageError: When the file cannot be read.
     """
     entries: list[Entry] = []
     begin = 0

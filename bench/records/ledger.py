@@ -81,7 +81,6 @@ class LedgerFile:
 
         Returns: First to last; empty while there is no ledger.
         Raises JournalBroken: When the ledger is not valid.
-        Raises StorageError: When it cannot be read.
         """
         return read_journal(self.path)[0] if self.path.exists() else []
 
@@ -106,7 +105,6 @@ class LedgerFile:
 
         Raises EvidenceError: When lines of the ledger are missing or were replaced, or the file is gone.
         Raises JournalBroken: When a line is not valid.
-        Raises StorageError: When it cannot be read or written.
         """
         self.warnings = []
         with self._held():
@@ -231,7 +229,6 @@ class Ledger(LedgerFile):
           is the hash of the ledger's last line; ``of_camera``, the number of runs of this camera by state,
           with this run; and ``faults``, sentences, if the ledger has a break that nobody has explained.
         Raises EvidenceError: When the ledger has a break, and ``strict`` is set; nothing was entered.
-        Raises StorageError: When it cannot be read or written.
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers, strict=strict) as journal:
@@ -258,7 +255,6 @@ class Ledger(LedgerFile):
         number: Number of the run, from ``begin``.
         how: ``finished``, ``aborted`` or ``failed``.
         folder: Its folder; if it is sealed, the hash of the seal is entered.
-        Raises StorageError: When the ledger cannot be read or written.
         """
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
@@ -273,7 +269,6 @@ class Ledger(LedgerFile):
 
         strangers: As for ``begin``.
         Raises EvidenceError: When there is such a break.
-        Raises StorageError: When the ledger cannot be read.
         """
         faults, _ = self.breaks(anchor, strangers)
         refuse(faults, self.path)
@@ -283,7 +278,6 @@ class Ledger(LedgerFile):
 
         place: What ``begin`` returned for the run.
         Returns: Whether the line with that hash enters a run; False if the ledger is damaged.
-        Raises StorageError: When it cannot be read.
         """
         with suppress(JournalBroken):
             return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in self.entries())
@@ -294,7 +288,6 @@ class Ledger(LedgerFile):
 
         Returns: Empty while there is no ledger.
         Raises JournalBroken: When the ledger is not valid.
-        Raises StorageError: When it cannot be read.
         """
         return runs_of(self.entries())
 
@@ -327,7 +320,6 @@ class Ledger(LedgerFile):
         strangers: As for ``begin``.
         Returns: One sentence for each break that nobody has explained; ``warnings`` has the places that
           cannot be read.
-        Raises StorageError: When the ledger cannot be read.
         """
         own, witnesses = self._own_mark(), self._ask_anchors(anchor)
         try:
@@ -349,7 +341,6 @@ class Ledger(LedgerFile):
         reason: What happened, in the words of a person.
         anchor, strangers: As for ``begin``.
         Raises UsageError: When there is nothing to explain.
-        Raises StorageError: When the ledger cannot be read or written.
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers) as journal:

@@ -127,10 +127,7 @@ def read_own_mark(home: Path) -> OwnMark | None:
 
 
 def write_own_mark(home: Path, own: OwnMark) -> None:
-    """Write ``ledger_high``.
-
-    Raises StorageError: When it cannot be written.
-    """
+    """Write ``ledger_high``."""
     record = {**own.mark.to_dict(), "anchors": list(own.anchors)}
     write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
 

@@ -151,7 +151,6 @@ class RunFolder:
 
         name: Path of the final file within the folder, with ``/``.
         goes_on: As for `sha256_of`: a recording may have many gigabytes.
-        Returns: Name, size and hash of the file.
         Raises RunFolderError: When a file of that name exists: a recording is never overwritten.
         Raises StorageError: When the file does not exist, or cannot be synced or renamed.
         """
@@ -200,7 +199,6 @@ class RunFolder:
         pose_index, attempt: Numbers of the pose and of the attempt, from 1.
         ending: Ending of the file's name.
         Returns: Its new path within the run folder; None if nothing had been written.
-        Raises StorageError: When it cannot be moved.
         """
         path = self._place(capture_name(pose_index, attempt, ending))
         part = path.with_name(path.name + PART)
@@ -242,10 +240,7 @@ class RunFolder:
         return self.path.joinpath(*parts)
 
     def quarantine(self, path: Path) -> Path:
-        """Move a file that the journal does not confirm to ``quarantine/``. Nothing there is overwritten.
-
-        Raises OSError: When it cannot be moved.
-        """
+        """Move a file that the journal does not confirm to ``quarantine/``. Nothing there is overwritten."""
         aside = self.path / QUARANTINE
         make_folder(aside)
         number = 1
@@ -393,7 +388,6 @@ def written_files(folder: Path) -> WrittenFiles:
     """Hash the results of a run, and what its wire logs hold so far.
 
     Returns: ``files``: SHA-256 by name; ``wire``: size and SHA-256 by name.
-    Raises StorageError: When a file cannot be read.
     """
     with storage_errors(folder):
         exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))

@@ -109,7 +109,6 @@ def is_rehearsal(folder: Path) -> bool:
 
     Returns: False also where the journal has no line yet.
     Raises JournalBroken: If the hash chain of the journal is broken.
-    Raises StorageError: If the journal cannot be read.
     """
     entries, _ = read_journal(folder / JOURNAL)
     return bool(entries and entries[0].data.get("rehearsal", False))
@@ -155,7 +154,6 @@ class RunIndex:
           after ``since`` and before ``until``, with this text in the name of the sequence, and with this
           state; None for any.
         Returns: The runs; and one sentence for each folder that cannot be read.
-        Raises StorageError: When the index cannot be written.
         """
         found, faults = [], []
         with self._open() as index:
@@ -181,7 +179,6 @@ class RunIndex:
 
         Yields: The details of each run, in the same order (`bench.records.run_facts.run_details`); empty for
           a run whose row is gone.
-        Raises StorageError: When the index cannot be read.
         """
         with self._open() as index:
             for run in runs:
@@ -192,7 +189,6 @@ class RunIndex:
         """List the runs of the index that name their line in a ledger. No run folder is read.
 
         Returns: By folder; empty while there is no index.
-        Raises StorageError: When the index cannot be read.
         """
         if not self.path.exists():
             return []

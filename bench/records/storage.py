@@ -87,10 +87,7 @@ def sync_file(path: Path) -> None:
 
 
 def open_to_lock(folder: Path) -> int:
-    """Open a folder in order to lock it (see `drivers.file_lock`). On Windows, open a hidden file beside it instead.
-
-    Raises OSError: When it cannot be opened.
-    """
+    """Open a folder in order to lock it (see `drivers.file_lock`). On Windows, open a hidden file beside it instead."""
     if _FOLDERS_OPEN:
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     return os.open(folder.with_name(f".{folder.name}.lock"), os.O_RDWR | os.O_CREAT)
@@ -150,7 +147,6 @@ def remove(path: Path) -> None:
     """Remove a file, a link, or a folder with its contents.
 
     path: What to remove; the target of a link remains.
-    Raises OSError: When it cannot be removed.
     """
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
@@ -183,7 +179,6 @@ def sha256_of(path: Path, goes_on: Callable[[], object] = lambda: None) -> str:
     goes_on: Called after each piece, so that a supervisor sees the work go on
       (`bench.base.clock.BenchClock.monotonic`).
     Returns: 64 hexadecimal digits.
-    Raises OSError: When it cannot be read.
     """
     digest = hashlib.sha256()
     with path.open("rb") as stream:
@@ -270,7 +265,6 @@ def lock_folder(path: Path) -> int:
 
     Returns: File descriptor; the folder is locked until it is closed.
     Raises RunFolderError: When another process has locked it.
-    Raises StorageError: When it cannot be locked.
     """
     with storage_errors(path):
         lock = open_to_lock(path)
@@ -292,7 +286,6 @@ def is_locked(path: Path) -> bool:
     """Return whether a process has locked a folder at this moment. Writes nothing.
 
     Returns: True if a process works in the folder.
-    Raises StorageError: When the folder cannot be read.
     """
     with storage_errors(path):
         probe = open_to_lock(path)

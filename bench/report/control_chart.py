@@ -76,10 +76,7 @@ class ChartAxes:
         width: float = 1.0,
         dashed: bool = False,
     ) -> None:
-        """Draw a line.
-
-        dashed: Whether it is dashed.
-        """
+        """Draw a line."""
         points = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)])
         dash = ' stroke-dasharray="5 3"' if dashed else ""
         outline = "L".join(f"{x:g} {y:g}" for x, y in points)
@@ -104,10 +101,7 @@ class ChartAxes:
     def dots(
         self, xs: Sequence[float], values: Sequence[float], texts: Sequence[str], beyond: Iterable[int]
     ) -> None:
-        """Draw dots; those beyond the limits are red and larger.
-
-        beyond: Places of the dots beyond the limits.
-        """
+        """Draw dots; those beyond the limits are red and larger."""
         red = set(beyond)
         points = [(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)]
         plain = [place for place in range(len(points)) if place not in red]
@@ -122,10 +116,7 @@ class ChartAxes:
         self.parts += [_dot(points[p], texts[p], RED, 4.0) for p in sorted(red)]
 
     def rule(self, value: float, name: str, *, dashed: bool = True) -> None:
-        """Draw a horizontal line over the whole width, with its name at the right.
-
-        dashed: Whether it is dashed.
-        """
+        """Draw a horizontal line over the whole width, with its name at the right."""
         self.line(
             [self.x_low, self.x_high], [value, value], MUTED if not dashed else INK, width=0.9, dashed=dashed
         )

@@ -51,7 +51,6 @@ def check_recalculated(folder: Path) -> Findings:
 
     folder: The folder; its seal and its list of files have no fault.
     Returns: Every number that differs; or why the numbers could not be compared.
-    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     try:

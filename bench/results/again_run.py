@@ -182,7 +182,6 @@ def check_run_again(folder: Path) -> Findings:
 
     folder: The run folder; seal, list of files and journal have no fault.
     Returns: What contradicts, what was not compared, and which software made the results.
-    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     evidence = _read(folder, found)

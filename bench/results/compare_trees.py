@@ -280,7 +280,6 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
     Report and exports follow from results and views; if these are wrong, only that is told.
 
     found: Findings; they are added.
-    Raises OSError: When a file cannot be read.
     """
     before = len(found.faults)
     try:
@@ -322,7 +321,6 @@ def compare_file(
 
     due: What it must hold; None if no such file follows from the results.
     other: How the program that wrote it differs from this one; empty if it does not.
-    of: What it follows from.
     """
     had = path.read_bytes() if path.is_file() else None
     if had == due:

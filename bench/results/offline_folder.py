@@ -69,7 +69,6 @@ def require_new(folder: Path) -> None:
     """Refuse a folder that holds anything.
 
     Raises UsageError: If it is not empty.
-    Raises StorageError: If it cannot be read.
     """
     with storage_errors(folder):
         found = next(folder.iterdir(), None) if folder.is_dir() else None
@@ -88,7 +87,6 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
     key: The bench's key; None leaves the folder a draft.
     Raises UsageError: If the folder is not empty.
     Raises EvidenceError: If the folder cannot be sealed.
-    Raises StorageError: If a file cannot be read or written.
     """
     require_new(folder)
     write_files(folder, offline_files(result, folder.resolve().name, key))
@@ -101,7 +99,6 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     folder: The folder; it is made if it does not exist.
     files: As `offline_files` returns them.
-    Raises StorageError: If a file cannot be written.
     """
     make_folder(folder / EXPORTS)
     for name, data in files.items():
@@ -260,7 +257,6 @@ def source_data(source: ViewSource, view: str) -> dict[str, Any]:
     """Return what sources.json states about the file of a view.
 
     Returns: Name of the view, path, size and hash.
-    Raises StorageError: If the file cannot be read.
     """
     with storage_errors(source.path):
         size = source.path.stat().st_size

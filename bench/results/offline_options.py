@@ -60,7 +60,6 @@ def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: O
       uncertainties.
     Raises BenchError: When a line is not five numbers (the message has file and line), two lines have the
       same id, or a point is outside the image.
-    Raises StorageError: When the file cannot be read.
     """
     rows = _rows(path)
     _refuse_outside(rows[:, :2], image_size, path)

@@ -26,7 +26,6 @@ def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) 
 
     key: The bench's key, which seals it; None leaves it unsealed.
     Raises UsageError: When the file exists.
-    Raises StorageError: When it cannot be written.
     """
     if path.exists():
         raise UsageError(
@@ -41,7 +40,6 @@ def seal_file(path: Path, output: Path, key: BenchKey) -> str:
 
     key: The bench's key.
     Raises UsageError: When it is not a passport, is sealed already, or the new file exists.
-    Raises StorageError: When a file cannot be read or written.
     """
     passport, data = read_passport_file(path)
     if (seal := read_passport_seal(data)) is not None:

@@ -45,7 +45,6 @@ def check_recorded_with(folder: Path) -> Findings:
     """Compare each recording with what the journal states of it.
 
     folder: The run folder; its seal and its journal have no fault.
-    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     entries, _ = read_journal(folder / JOURNAL)

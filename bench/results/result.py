@@ -99,7 +99,6 @@ class ResultWriter:
 
         truth: Truth of the simulated world; None on a real bench.
         Raises BenchError: If there is no calibration.
-        Raises StorageError: If a file cannot be written.
         """
         if self._solution is None:
             raise BenchError(
@@ -136,7 +135,6 @@ def shown_files(
 ) -> dict[str, bytes]:
     """Return what shows results to others: the exports, and last the report.
 
-    calibration: That of the results.
     target: The printed target or the board; None if the views show several.
     head: Hash of the journal's line that the report prints; empty for results without a journal.
     Returns: Contents by name within the folder.

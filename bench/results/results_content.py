@@ -246,10 +246,7 @@ def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) 
 
 
 def other_engine(results: Mapping[str, Any]) -> str:
-    """Return that results were made by another engine than those of this version; empty if they were not.
-
-    results: Content of results.json.
-    """
+    """Return that results were made by another engine than those of this version; empty if they were not."""
     made = results["calibration"].get("engine", {"name": "an earlier one", "version": 0})
     if ENGINES.get(made["name"]) == made["version"]:
         return ""

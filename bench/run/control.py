@@ -187,10 +187,7 @@ def _inbox_of(folder: Path) -> Inbox[Command]:
 
 
 def remove_inbox(folder: Path) -> None:
-    """Remove the inbox of a run that accepts no more commands. A sealed run folder must not contain one.
-
-    Raises StorageError: If it cannot be removed.
-    """
+    """Remove the inbox of a run that accepts no more commands. A sealed run folder must not contain one."""
     path = folder / CONTROL
     with storage_errors(path):
         for _ in range(10):  # a command may arrive while the folder is being emptied

@@ -144,10 +144,7 @@ class HeartbeatWriter:
         self._state, self._since_s = state, time.monotonic()
 
     def beat(self) -> None:
-        """Write a heartbeat, unless the work has stalled.
-
-        Raises StorageError: If it cannot be written.
-        """
+        """Write a heartbeat, unless the work has stalled."""
         if self.stalled_s() > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
         text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
@@ -341,7 +338,6 @@ def write_crash_log(folder: Path, what: str) -> None:
     """Write why a process died, for a process that could not write it itself.
 
     folder: Run folder; nothing is written if it does not exist.
-    Raises StorageError: If it cannot be written.
     """
     if folder.is_dir():
         write_atomic(folder / CRASH_LOG, f"{what}\n".encode())
@@ -351,7 +347,6 @@ def read_crash(folder: Path) -> str | None:
     """Return how the last process crashed.
 
     Returns: First line of the crash log; None if the process did not crash, or was killed from outside.
-    Raises StorageError: If the file cannot be read.
     """
     path = folder / CRASH_LOG
     with storage_errors(path):
@@ -363,7 +358,6 @@ def archive_crash(folder: RunFolder) -> None:
     """Move the crash log to ``quarantine/`` for later inspection, or remove it if it is empty.
 
     folder: Run folder, locked by this process.
-    Raises StorageError: If it cannot be moved.
     """
     path = folder.path / CRASH_LOG
     with storage_errors(path):

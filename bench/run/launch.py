@@ -86,10 +86,7 @@ def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callab
 
 
 def remove_ended_page(folder: RunFolder) -> None:
-    """Remove the page that an earlier end of the run has left.
-
-    Raises StorageError: If it cannot be removed.
-    """
+    """Remove the page that an earlier end of the run has left."""
     with storage_errors(folder.path):
         if (folder.path / PAGE_SIGNATURE).exists():
             (folder.path / REPORT).unlink(missing_ok=True)
@@ -115,7 +112,6 @@ def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
     """Refuse a run if its station is strict and the ledger has a break that nobody has explained.
 
     Raises EvidenceError: When it is refused; nothing was written.
-    Raises StorageError: When the ledger cannot be read.
     """
     if job.station.ledger.strict:
         ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
@@ -127,7 +123,6 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
     known: Place of a run that began before; it is entered again if the ledger does not have it, because it
       began on another bench, without a ledger, or in a ledger that was lost.
     Raises EvidenceError: When the ledger has an unexplained break, and the station is strict.
-    Raises StorageError: When the ledger cannot be read or written.
     """
     station = job.station
     anchor, strict = station.ledger.anchor, station.ledger.strict
@@ -168,10 +163,7 @@ def ledger_lines(place: LedgerPlace) -> list[str]:
 
 @contextmanager
 def ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
-    """Write to the ledger how the run of the block ended; "failed" if the block raises.
-
-    Raises StorageError: When the ledger cannot be written.
-    """
+    """Write to the ledger how the run of the block ended; "failed" if the block raises."""
     how = "failed"
 
     def ending(end: RunEnd) -> RunEnd:

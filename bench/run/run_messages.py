@@ -68,10 +68,7 @@ class HoldNotifier:
         self._notified_s: dict[str, float] = {}
 
     def entering(self, facts: Entering, line: str) -> None:
-        """Notify that the run holds. A door that opens again and again does not cause a hundred messages.
-
-        line: Hash of that line.
-        """
+        """Notify that the run holds. A door that opens again and again does not cause a hundred messages."""
         rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
         if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
             return

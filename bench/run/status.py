@@ -218,7 +218,6 @@ def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime
     utc_now: Returns the present time, UTC.
     Raises RunFolderError: If there is no run.
     Raises JournalBroken: If the hash chain of its journal is broken.
-    Raises StorageError: If it cannot be read.
     """
     return read_with_entries(folder, utc_now())[0]
 

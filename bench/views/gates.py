@@ -178,10 +178,7 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
 
 
 def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
-    """Return which gates failed, with the value found, the limit and, where it is known, what to do.
-
-    Returns: One text per failed gate.
-    """
+    """Return which gates failed, with the value found, the limit and, where it is known, what to do."""
     return [
         f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, needed {g.limit}"
         f"{f' ({ADVICE[g.name]})' if g.name in ADVICE else ''}"

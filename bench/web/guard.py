@@ -158,7 +158,6 @@ def client_name(host: str, port: int, own_port: int) -> str:
     """Return what tells clients apart: the address, and on this computer the user as well.
 
     host, port: Where the request comes from.
-    own_port: Port of the server.
     Returns: The address; on Linux, of this computer's own processes, followed by the number of the user.
     """
     return f"{host} {_local_user(port, own_port)}" if is_loopback(host) else host

@@ -55,7 +55,6 @@ def require_whole(path: Path) -> None:
     """Refuse a file with holes: parts that its file system has never stored, because they were never written.
 
     Raises RecordingCorrupt: With the byte at which the first hole begins.
-    Raises OSError: If it cannot be read.
     """
     if not hasattr(os, "SEEK_HOLE"):  # Windows
         return

@@ -93,7 +93,6 @@ class DescribedLine(Link):
         """Look whether the late reply to a request has come. Does not wait.
 
         request: What ``send_without_reply`` returned.
-        Returns: Whether the reply has come.
         """
         with self.lock:
             self.receive(0.0)

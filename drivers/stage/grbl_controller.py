@@ -170,18 +170,12 @@ def parse_alarm(line: bytes) -> int | None:
 
 
 def is_welcome(line: bytes) -> bool:
-    """Return whether a line is the welcome message, which the firmware sends when it has started.
-
-    Returns: Whether it is.
-    """
+    """Return whether a line is the welcome message, which the firmware sends when it has started."""
     return line.startswith(b"Grbl ")
 
 
 def is_informational(line: bytes) -> bool:
-    """Return whether a line needs no action: an empty line, a message, or the echo of a start-up line.
-
-    Returns: Whether it is one of these.
-    """
+    """Return whether a line needs no action: an empty line, a message, or the echo of a start-up line."""
     return line == b"\r\n" or line.startswith((b"[MSG:", b">"))
 
 

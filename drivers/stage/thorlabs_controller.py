@@ -210,10 +210,7 @@ def size(head: bytes, where: str) -> int:
 
 
 def is_unasked(message: bytes) -> bool:
-    """Return whether a message answers no request of this driver.
-
-    Returns: Whether it came unasked.
-    """
+    """Return whether a message answers no request of this driver."""
     return struct.unpack_from("<H", message)[0] in UNASKED
 
 
@@ -357,10 +354,7 @@ class ThorlabsController(Link):
         )
 
     def is_enabled(self) -> bool:
-        """Ask whether the channel is switched on.
-
-        Returns: Whether it is.
-        """
+        """Ask whether the channel is switched on."""
 
         def ask() -> int:
             def read_reply(reader: ReplyReader) -> int:

@@ -95,7 +95,6 @@ class ZaberChain(Link):
     def parse_integer(self, data: str) -> int:
         """Parse the data of a reply as one integer.
 
-        data: Data of a reply.
         Raises ReplyGarbled: The data are no integer; the line is then out of step.
         """
         if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):

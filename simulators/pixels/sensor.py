@@ -90,10 +90,7 @@ def _draw_gains(
 
 
 def dead_pixels(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:
-    """Return which pixels of a camera are dead.
-
-    Returns: True for a dead pixel.
-    """
+    """Return which pixels of a camera are dead."""
     dead = np.zeros(width * height, np.bool_)
     dead[: round(noise.dead_share * dead.size)] = True
     if dead[0]:

@@ -110,7 +110,6 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
     On a steep slope the target determines the moment better than the stored time does. The light that the pixel
     receives at the end of its dead time sets the next reference.
 
-    on: Whether the request is ON.
     t: Stored time of the request, us after the epoch.
     """
     begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)

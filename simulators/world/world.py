@@ -152,7 +152,6 @@ def light_of_board(state: LightState, board: BoardTruth, *, flickers: bool, on_s
     """Return the light of a board as the camera sees it.
 
     state: State of the bench's light.
-    flickers: Whether the board flickers.
     Returns: A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in
       steady light does not flicker, though the sync edges of the bench's light go on.
     """

@@ -69,7 +69,6 @@ class ExportSummary:
 def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
     """Write a Metavision HDF5 file, with bounded memory.
 
-    recording: The RAW file to export.
     path: The file to make; it must not exist.
     Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
@@ -96,7 +95,6 @@ def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
 def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
     """Write a plain HDF5 file, with bounded memory.
 
-    recording: The RAW file to export.
     path: The file to make; it must not exist.
     Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
@@ -131,7 +129,6 @@ def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
 def export_numpy(recording: RawFile, path: Path) -> ExportSummary:
     """Write an ``.npz`` file. All events are in memory meanwhile.
 
-    recording: The RAW file to export.
     path: The file to make; it must not exist.
     Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """

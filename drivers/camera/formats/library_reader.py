@@ -228,7 +228,6 @@ def is_bag(path: Path, start: bytes) -> bool:
     """Return whether a path is a bag: a file of ROS 1, or a folder or file of ROS 2.
 
     start: The file's first bytes; empty for a folder.
-    Returns: True for a bag.
     """
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
