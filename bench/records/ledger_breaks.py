@@ -167,7 +167,7 @@ def highest_run(entries: Iterable[Entry]) -> int:
 
 
 def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
-    """Return the highest count of each series of numbers: of lines with a ``series``, and of breaks that know of more."""
+    """Return the highest count of each series: of lines with a ``series``, and of breaks that know of more."""
     highest: dict[str, int] = {}
     for entry in entries:
         series, count = entry.data.get("series"), entry.data.get("count")

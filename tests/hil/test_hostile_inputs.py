@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hostile_inputs import all_cases, few_cases
+from hostile_cases import all_cases, few_cases
 from solved_run import write_solved_run
 
 SUPPORT = Path(__file__).parents[1] / "support"

@@ -306,36 +306,21 @@ def _planar(values):
     }
 
 
+def _device(maker, model, serial, firmware):
+    return {"maker": maker, "model": model, "serial": serial, "firmware": firmware}
+
+
 def _devices():
     """Who the devices said they were."""
+    camera = _device("Prophesee", "EVK4", "00050423", "3.9.0")
     return {
-        "camera": {
-            "maker": "Prophesee",
-            "model": "EVK4",
-            "sensor": "IMX636",
-            "serial": "00050423",
-            "firmware": "3.9.0",
-            "width": 1280,
-            "height": 720,
-        },
+        "camera": {**camera, "sensor": "IMX636", "width": 1280, "height": 720},
         "stage": [
-            {
-                "name": "pan",
-                "maker": "Zaber",
-                "model": "X-RST120AK",
-                "serial": "100101",
-                "firmware": "7.38",
-            },
-            {
-                "name": "tilt",
-                "maker": "Zaber",
-                "model": "X-GSM40E",
-                "serial": "100102",
-                "firmware": "7.38",
-            },
+            {"name": "pan", **_device("Zaber", "X-RST120AK", "100101", "7.38")},
+            {"name": "tilt", **_device("Zaber", "X-GSM40E", "100102", "7.38")},
         ],
         "camera_settings": {"biases": {"bias_diff_on": 0}, "trigger_in": True},
-        "light": {"maker": "Starbench", "model": "SG1", "serial": "SG0042", "firmware": "1.0"},
+        "light": _device("Starbench", "SG1", "SG0042", "1.0"),
         "connections": {
             "camera_link": "USB 3",
             "camera_firmware": "3.9.0",
@@ -504,14 +489,8 @@ def _gates():
 
 def _states():
     walked = ["preflight", "homing", "lighting"]
-    for again in (False, True, False):
-        walked += [
-            "slewing",
-            "settling",
-            "recording",
-            "checking",
-            *(["recording", "checking"] if again else []),
-        ]
+    for recordings in (1, 2, 1):
+        walked += ["slewing", "settling", *["recording", "checking"] * recordings]
     walked += ["parking", "solving", "reporting"]
     return [
         {"state": s, "utc": f"2026-03-01T12:00:{1.1 * i:09.6f}Z", "mono_s": 1.1 * i}

@@ -391,13 +391,19 @@ def test_only_a_certificate_that_verifies_is_amended(lab):
         lab.amend("first", "second")
 
 
-def test_a_superseded_certificate_says_so(real, lab):
+def superseded(real, lab):
+    """Amend a certificate on this bench; return the folder of the old one, and the new one."""
     shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
     lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
-    folder = real.issued.folder
-    second = amend(folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x").certificate.number
+    second = amend(real.issued.folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x")
+    return real.issued.folder, second
+
+
+def test_a_superseded_certificate_says_so(real, lab):
+    folder, second = superseded(real, lab)
     found = check_certificate(folder, lab.ledger)
-    assert (found.faults, found.remarks) == ([], [f"SUPERSEDED: {second} replaces this certificate"])
+    said = f"SUPERSEDED: {second.certificate.number} replaces this certificate"
+    assert (found.faults, found.remarks) == ([], [said])
 
 
 def cut(ledger, lines):
@@ -406,16 +412,8 @@ def cut(ledger, lines):
     ledger.path.write_bytes(b"".join(whole[:-lines]))
 
 
-def superseded(real, lab):
-    """A certificate that was amended, on this bench."""
-    shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
-    lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
-    amend(real.issued.folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x")
-    return real.issued.folder
-
-
 def test_a_replaced_certificate_is_not_valid_after_a_rollback(real, lab):
-    folder = superseded(real, lab)
+    folder, _ = superseded(real, lab)
     cut(lab.ledger, 2)
     faults = check_certificate(folder, lab.ledger).faults
     assert [fault.kind for fault in faults] == ["ledger"]
@@ -424,7 +422,7 @@ def test_a_replaced_certificate_is_not_valid_after_a_rollback(real, lab):
 
 
 def test_a_certificate_that_its_bench_does_not_know_is_a_fault_though_the_mark_is_gone_too(real, lab):
-    folder = superseded(real, lab)
+    folder, _ = superseded(real, lab)
     lab.ledger.path.write_bytes(b"")
     (lab.home / "ledger_high").unlink()
     said = [fault.what for fault in check_certificate(folder, lab.ledger).faults]
@@ -432,7 +430,7 @@ def test_a_certificate_that_its_bench_does_not_know_is_a_fault_though_the_mark_i
 
 
 def test_after_a_break_was_explained_it_is_not_known_whether_a_certificate_was_replaced(real, lab):
-    folder = superseded(real, lab)
+    folder, _ = superseded(real, lab)
     cut(lab.ledger, 2)
     lab.ledger.explain("The disk was restored from a copy.", "Ada")
     found = check_certificate(folder, lab.ledger)
@@ -441,10 +439,8 @@ def test_after_a_break_was_explained_it_is_not_known_whether_a_certificate_was_r
 
 
 def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
-    shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
-    lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
     with mock.patch.object(issue_module, "certificate_files", certificate_files):
-        second = amend(real.issued.folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x")
+        _, second = superseded(real, lab)
     assert check_certificate(second.folder, lab.ledger).faults == []
     path = second.folder / "certificate.json"
     path.chmod(0o644)
