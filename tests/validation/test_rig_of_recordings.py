@@ -1,0 +1,70 @@
+"""Two simulated event cameras behind one collimator, from their RAW recordings: rotation, and the offset of the clocks."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.commands.cli import main
+from calib.model.rotation import log_map
+from simulators.config import bench_config
+from simulators.optics.picture import true_rotation
+from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.virtual_capture import VirtualCamera
+
+CAMERA = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
+MOUNTS = {"left": {}, "right": {"turn_deg": [0.4, -0.6, 3.0]}}
+SECTIONS = {name: {"camera": CAMERA, "mount": mount, "noise": "clean"} for name, mount in MOUNTS.items()}
+SEED = 3
+POSES = [{"pan": -5, "tilt": 2}, {"pan": 5, "tilt": 2}, {"pan": 0, "tilt": -3}]
+LIGHT_HZ, PERIODS = 240.0, 8
+OFFSET_US, GAIN = -812.0, 80e-6
+
+
+def record(camera, pose, number, path, clock):
+    """Write what the camera sends in a pose, by its own clock: events, and an edge at each change of the light."""
+    found = camera.capture(pose, seed=number, light_hz=LIGHT_HZ, periods=PERIODS)
+    period = 1e6 / LIGHT_HZ
+    # Both cameras see one light: the first edge of each recording stands at the same time.
+    times = 5000.0 + period / 2.0 * np.arange(2 * PERIODS)
+    edges = np.round(clock(times)).astype(np.int64)
+    t = np.round(clock(found.events.t - found.first_edge_us + 5000.0)).astype(np.int64)
+    first = int(min(t.min(), edges.min())) // 16 * 16 - 160
+    order = np.argsort(t, kind="stable")
+    writer = Evt3Writer(first, width=CAMERA["width"], height=CAMERA["height"])
+    words = writer.write(
+        t[order], *(np.asarray(values)[order] for values in found.events[1:]), until_us=int(t.max()) + 2000,
+        trigger_t=edges, trigger_value=(np.arange(len(edges)) % 2 == 0).astype(np.uint8),
+    )  # fmt: skip
+    path.write_bytes(b"% format EVT3;height=360;width=640\n% end\n" + words.tobytes())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recordings")
+    middle = 5000.0 + 1e6 / LIGHT_HZ * PERIODS / 2.0
+    clocks = {"left": lambda t: t + 1e6, "right": lambda t: t + 1e6 + OFFSET_US + GAIN * (t - middle)}
+    for name, clock in clocks.items():
+        camera = VirtualCamera(SECTIONS[name], SEED)
+        (folder / name).mkdir()
+        for number, pose in enumerate(POSES, 1):
+            record(camera, pose, number, folder / name / f"pose-{number}.raw", clock)
+    return folder
+
+
+def test_rotation_and_clocks_are_those_of_the_simulated_rig(capsys, folder):
+    with pytest.raises(SystemExit) as end:
+        main(["rig", str(folder / "left"), str(folder / "right"), "--sync", "--json"])
+    said = capsys.readouterr()
+    assert end.value.code == 0, said.err
+    told = json.loads(said.out)
+    one, other = (
+        true_rotation(POSES[0], bench_config(SECTIONS[name]).truth_for(SEED)) for name in ("left", "right")
+    )
+    off = 206265 * log_map(np.array(told["rotation"]) @ (other @ one.T).T)
+    assert (np.abs(off) < 4.0 * np.array(told["sigma_arcsec"])).all(), (off, told["sigma_arcsec"])
+    assert told["rigid"]
+    for clock in told["clocks"]["recordings"]:
+        assert clock["offset_us"] == pytest.approx(OFFSET_US, abs=3.0 * clock["sigma_us"])
+        assert clock["edges"] == PERIODS
+    assert told["clocks"]["rate_ppm"] == pytest.approx(80.0, abs=3.0 * told["clocks"]["sigma_rate_ppm"])
