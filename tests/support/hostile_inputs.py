@@ -95,7 +95,9 @@ def run_case(case: Case, where: Path, watched: Path) -> dict[str, object]:
     """Do one case; return what came of it."""
     folder = where / "case"
     folder.mkdir()
-    (folder / "points.csv").write_text("".join(f"{n * 7} {n * 5} {n} {n} {n}\n" for n in range(50)))
+    (folder / "second").mkdir()
+    for name in ("points.csv", "second/points.csv"):
+        (folder / name).write_text("".join(f"{n * 7} {n * 5} {n} {n} {n}\n" for n in range(50)))
     (folder / "camera.json").write_text(json.dumps(GEOMETRY))
     words = case.make(folder)
     before = prints(watched)
