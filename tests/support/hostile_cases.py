@@ -84,7 +84,17 @@ READERS = {
     "certificate-config": (("certificate", "issue", "RUN", "--config", "{}", "--output", "out"), "bad.yaml"),
     "check": (("check", "points.csv", "--calibration", "{}"), "bad.yaml"),
     "rig": (
-        ("rig", "points.csv", "second/points.csv", *BOARD_OF_POINTS, "--calibration", "{}", "{}", "-o", "out"),
+        (
+            "rig",
+            "points.csv",
+            "second/points.csv",
+            *BOARD_OF_POINTS,
+            "--calibration",
+            "{}",
+            "{}",
+            "-o",
+            "out",
+        ),
         "bad.json",
     ),
     "undistort": (("undistort", "{}", "--output", "out"), "bad.yaml"),
