@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bench.plan.plan import load_documents, make_plan
+from bench.results.checks import gimbal_check, split_half_check
 from bench.results.forecasts import expected_bench
-from bench.results.solution import gimbal_check, split_half_check
 from calib.engine import CalibrationOptions, calibrate
 from calib.studies.predicted_views import predicted_view
 

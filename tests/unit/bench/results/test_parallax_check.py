@@ -10,7 +10,7 @@ import yaml
 import bench.results.solution as checked
 from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import parallax_rows
-from bench.results.solution import PARALLAX_TEST, mount_faces, parallax_check
+from bench.results.checks import PARALLAX_TEST, mount_faces, parallax_check
 from bench.stations.station import GimbalConfig
 from calib.errors import DegenerateViews
 from calib.model.boresight import Boresight
