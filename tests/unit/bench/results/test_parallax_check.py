@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-import bench.results.solution as checked
+import bench.results.checks as checked
 from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import parallax_rows
 from bench.results.checks import PARALLAX_TEST, mount_faces, parallax_check
