@@ -69,8 +69,10 @@ def posed(
     start: AdjustmentParameters,
     lens: Sequence[str],
     discs: Sequence[Disc] = (),
+    *,
+    wanders: bool = False,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state. discs: Of the views, if the pupil wanders."""
+    """Return the problem and its first state. discs: Of the views, if known. wanders: Whether the pupil does."""
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -86,7 +88,7 @@ def posed(
         term_shapes(options.budget, basis),
         readings.names if readings else (),
         wavefront(options.budget),
-        RIM if discs else (),
+        RIM if wanders else (),
     )
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}
@@ -108,22 +110,28 @@ def posed(
         readings,
         *turns_of(start.rotations, poses),
         tuple(discs),
+        wanders,
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
     return Problem(bench, knowledge, blocks, hyper), state
 
 
-def wandering_discs(views: Sequence[View], poses: NDArray[np.int64], r_mm: float) -> tuple[Disc, ...]:
-    """Return the visible discs if they show that the pupil wanders farther than a gimbal lets it; else none.
+def known_discs(views: Sequence[View]) -> tuple[Disc, ...]:
+    """Return the visible discs, if all of them are known."""
+    discs = visible_discs(views)
+    return tuple(discs) if all(disc.rim_visible or disc.uses_other_views for disc in discs) else ()
+
+
+def pupil_wanders(discs: Sequence[Disc], poses: NDArray[np.int64], r_mm: float) -> bool:
+    """Tell whether the pupil wanders farther than a gimbal lets it.
 
     On a gimbal the pupil follows the turn, which is known far better than a disc.
     """
-    discs = visible_discs(views)
-    if not all(disc.rim_visible or disc.uses_other_views for disc in discs):
-        return ()
+    if not discs:
+        return False
     wander_mm = float(np.sqrt((places_of(discs, poses) ** 2).sum(axis=1).mean()))
-    return tuple(discs) if wander_mm > _WANDERS * r_mm else ()
+    return wander_mm > _WANDERS * r_mm
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
@@ -168,7 +176,8 @@ def _searched(
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
     discs: tuple[Disc, ...] = ()
+    wanders = False
     if not problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
-        poses = np.array(poses_of(start.rotations), np.int64)
-        discs = wandering_discs(views, poses, start.collimator.r)
-    return search(*posed(views, options, start, lens, discs), rounds)
+        discs = known_discs(views)
+        wanders = pupil_wanders(discs, problem.bench.poses, start.collimator.r)
+    return search(*posed(views, options, start, lens, discs, wanders=wanders), rounds)

@@ -27,6 +27,12 @@ Array = NDArray[np.float64]
 
 #: Stars outside of the visible disc are displaced as those at so many of its radii.
 _BEYOND = 1.05
+#: Near the rim the noise of the stars is sqrt(1 + (c rho^12)^2) times larger, rho in radii of the disc. In the
+#: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
+_RIM_NOISE_POWER = 12
+_RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
+#: No residual counts as longer than this when c is looked for, sigmas.
+_LONGEST = 30.0
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
 _LIMIT_SIGMAS = 3.5
 #: Smallest scale of the weights, sigmas: points without any noise all count.
@@ -61,6 +67,7 @@ class ViewStars:
     whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
     polynomials: Array  # (N, K)
     rim: Array  # (N, 2, R) displacements about the visible disc, in units of r
+    rho: Array  # (N,) distance from the middle of the visible disc, in its radii; 0 without a disc
 
     def whitened(self, values: Array) -> Array:
         """Return (N, 2, ...) values of the image times the whitening."""
@@ -70,12 +77,21 @@ class ViewStars:
     def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
         """Return the fixed part of a view. disc: Where the layout has displacements about it."""
         whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2))
-        rim = np.zeros((len(view), 2, len(layout.rim)))
+        rim, rho = np.zeros((len(view), 2, len(layout.rim))), np.zeros(len(view))
         if disc is not None:
             away = view.target_mm - disc.centre_mm
             rho = np.minimum(np.hypot(*away.T) / disc.radius_mm, _BEYOND)
             rim = (away / layout.basis.reference[2])[:, :, None] * (rho[:, None] ** RIM_POWERS)[:, None]
-        return cls(view.target_mm, view.points_px, whitening, layout.basis.polynomials(view.target_mm), rim)
+            rim = rim[:, :, : len(layout.rim)]
+        polynomials = layout.basis.polynomials(view.target_mm)
+        return cls(view.target_mm, view.points_px, whitening, polynomials, rim, rho)
+
+    def precision(self, rim_noise: float) -> Array:
+        """Return (N,) how precise the stars are, 1 in the middle of the disc.
+
+        rim_noise: The c of the noise near the rim.
+        """
+        return np.asarray(1.0 / (1.0 + (rim_noise * self.rho**_RIM_NOISE_POWER) ** 2))
 
 
 @dataclass(frozen=True)
@@ -85,7 +101,6 @@ class Equations:
     squares: Array  # (n, B, B) star information of each pose's basis, rotations projected out
     right: Array  # (n, B) its right-hand side
     cost: float  # Weighted square sum of the stars' residuals, rotations at their best
-    observed: float  # Number of star coordinates, each with its robust weight
     turns: Array  # (m, 3, 3) star information of each rotation
     coupling: Array  # (m, 3, B) G of each view
     turned: Array  # (m, 3) rotation vectors to the stars' best rotation
@@ -93,8 +108,21 @@ class Equations:
     off: Array  # (m, 3) readings to the stars' best rotation, rad; no rows without readings
     gimbal: Array  # (m, 3, g) change of the predicted rotations
     lengths: tuple[Array, ...]  # For each view (N,) whitened lengths of the residuals
-    weights: tuple[Array, ...]  # For each view (N,) robust weights times its share
+    weights: tuple[Array, ...]  # For each view (N,) robust weights times its share and the precisions
+    precisions: tuple[Array, ...]  # For each view (N,) of `ViewStars.precision`
+    rim_noise: float  # Their c
     shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
+
+    @cached_property
+    def observed(self) -> float:
+        """Number of star coordinates, each with its robust weight."""
+        return sum(2.0 * float((w / p).sum()) for w, p in zip(self.weights, self.precisions, strict=True))
+
+    @cached_property
+    def logarithm(self) -> float:
+        """Logarithms of the precisions of all star coordinates."""
+        pairs = zip(self.weights, self.precisions, strict=True)
+        return sum(2.0 * float((w / p) @ np.log(p)) for w, p in pairs)
 
 
 @dataclass(frozen=True)
@@ -110,13 +138,13 @@ class Bench:
     # target. They are data, so that no step changes them.
     turns: Array
     axes: Array
-    # Visible disc of each view, if the pupil wanders through the beam; empty if it follows the turns.
-    discs: tuple[Disc, ...] = ()
+    discs: tuple[Disc, ...] = ()  # Visible disc of each view; empty if they are not known
+    wanders: bool = False  # Whether the pupil wanders through the beam; else it follows the turns
 
     @cached_property
     def maps(self) -> Array:
         """(n, B, S) what the shared unknowns do to the bases of the poses."""
-        return self.layout.maps(self.turns, self.axes, self.pupils if self.discs else self.turns)
+        return self.layout.maps(self.turns, self.axes, self.pupils if self.wanders else self.turns)
 
     @property
     def pupils(self) -> Array:
@@ -219,8 +247,11 @@ class Bench:
         limit: Sigma of the stars over the stated one, for the robust weights. before: Equations whose weights are kept.
         """
         camera = self.camera(state.shared)
+        rim_noise = before.rim_noise if before else self._rim_noise(state)
+        precisions = tuple(one.precision(rim_noise) for one in self.stars)
+        weights = before.weights if before else self._weights(state, limit, precisions)
         found = [
-            self._view(v, points, state.rotations[v], camera, before.weights[v] if before else limit)
+            self._view(v, points, state.rotations[v], camera, weights[v])
             for v, points in enumerate(self.points(state))
         ]
         shares = before.shares if before else self._shares(found)
@@ -239,7 +270,6 @@ class Bench:
             squares,
             right,
             sum(one.cost for one in found),
-            sum(2.0 * float(one.weights.sum()) for one in found),
             np.array([one.turn for one in found]),
             np.array([one.coupling for one in found]),
             turned,
@@ -248,8 +278,29 @@ class Bench:
             jacobian,
             tuple(one.lengths for one in found),
             tuple(one.weights for one in found),
+            precisions,
+            rim_noise,
             shares,
         )
+
+    def _weights(self, state: State, limit: float, precisions: Sequence[Array]) -> list[Array]:
+        """Return for each view (N,) the weights of the stars: robust ones times their precision near the rim."""
+        return [
+            own * robust_weights(np.sqrt(own) * lengths, limit)
+            for own, lengths in zip(precisions, self.whitened(state), strict=True)
+        ]
+
+    def _rim_noise(self, state: State) -> float:
+        """Return the most probable size of the noise near the rims of the visible discs; 0 without discs."""
+        if not self.discs:
+            return 0.0
+        lengths = self.whitened(state)
+        scaled = np.minimum(np.concatenate(lengths) / robust_sigma(lengths), _LONGEST) ** 2
+        costs = []
+        for size in _RIM_NOISES:
+            own = np.concatenate([one.precision(size) for one in self.stars])
+            costs.append(float(own @ scaled) - 2.0 * float(np.log(own).sum()))
+        return float(_RIM_NOISES[np.argmin(costs)])
 
     def _shares(self, found: Sequence[_ViewEquations]) -> Array:
         """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.
@@ -276,18 +327,14 @@ class Bench:
         return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _view(
-        self, v: int, points: Array, rotation: Array, camera: CameraModel, robust: Array | float
+        self, v: int, points: Array, rotation: Array, camera: CameraModel, weights: Array
     ) -> _ViewEquations:
-        """Linearise the stars of one view.
-
-        robust: (N,) weights, or the limit from which they follow.
-        """
+        """Linearise the stars of one view. weights: (N,)."""
         one, r_mm = self.stars[v], self.layout.basis.reference[2]
         in_camera = points @ rotation.T
         predicted, by_point, by_camera = camera.project_with_jacobians(in_camera)
         residual = one.whitened(one.points_px - predicted)
         lengths = np.hypot(residual[:, 0], residual[:, 1])
-        weights = robust_weights(lengths, robust) if isinstance(robust, float) else robust
         root = np.sqrt(weights)[:, None]
         by_point = root[:, :, None] * one.whitened(by_point)
         by_star = by_point @ rotation

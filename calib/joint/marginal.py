@@ -198,6 +198,7 @@ class Marginal:
         own_pull, between = w * self.own_pull - expected * fields, w * self.between
         constant = stated_cost + w * self.equations.cost + float(b @ inside @ b)
         constant += stated.logarithm + logarithm + self.rows_observed * float(np.log(star))
+        constant -= self.equations.logarithm
         constant += float((expected * fields**2).sum()) - n * float(np.log(expected).sum())
         normal = _Normal(information, pull, own, own_pull, between, inside, constant)
         return self._with_readings(normal, squares) if self.uses_readings else normal

@@ -187,7 +187,10 @@ def _residuals(
         rotations=parameters.rotations,
     )
     lengths = whole.whitened(state)
-    weights = [own * robust_weights(one, star) for one, own in zip(lengths, used, strict=True)]
+    weights = []
+    for one, length, own in zip(stars, lengths, used, strict=True):
+        precision = one.precision(optimum.marginal.equations.rim_noise)
+        weights.append(own * precision * robust_weights(np.sqrt(precision) * length, star))
     return whole.residuals(state), weights
 
 

@@ -50,7 +50,11 @@ def test_these_covariances_keep_the_focal_length_right(vignetted):
     weighed = calibrate([downweight_vignetted(view, TARGET) for view in views])
     assert abs(weighed.camera.fx - fx) < 2 * weighed.sigma["fx"]
     assert abs(weighed.camera.fx - fx) < 1.2
+    # Without them, the adjustment finds by itself that stars near the rim scatter more.
+    dims = [sigmas_px(view) > 4 * np.median(sigmas_px(view)) for view in views]
     for view in views:
         view.covariances_px2[:] = np.eye(2) * np.median(sigmas_px(view)) ** 2
     alike = calibrate(views)
-    assert abs(alike.camera.fx - fx) > 4 * abs(weighed.camera.fx - fx)
+    assert np.median(np.concatenate([w[dim] for w, dim in zip(alike.weights, dims, strict=True)])) < 0.3
+    assert abs(alike.camera.fx - fx) < 2 * alike.sigma["fx"]
+    assert abs(alike.camera.fx - fx) < 1.2

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from calib import CalibrationOptions, Passport, calibrate
 from calib.diagnosis.gross_stars import part_of
 from calib.errors import InputMismatch
-from calib.joint.adjust import adjust, wandering_discs
+from calib.joint.adjust import adjust, known_discs, pupil_wanders
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
@@ -121,10 +121,29 @@ def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders)
     for view, x in zip(views[:3], (-mm, mm, 0.0), strict=True):
         away = view.target_mm - middle - [x, 0.0]
         seen.append(part_of(view, np.hypot(*away.T) < 25.0))
-    discs = wandering_discs(seen if wanders else views[:3], np.arange(3), 255.0)
-    assert bool(discs) == wanders
-    if discs:
+    discs = known_discs(seen)
+    assert pupil_wanders(discs, np.arange(3), 255.0) == wanders
+    if wanders:
         assert 2.0 * mm == pytest.approx(discs[1].centre_mm[0] - discs[0].centre_mm[0], rel=0.3)
+    assert not pupil_wanders(known_discs(views[:3]), np.arange(3), 255.0)  # no rim in view
+
+
+def test_stars_near_the_rim_count_as_much_as_they_scatter(bench):
+    rng = np.random.default_rng(8)
+    clean, bent, rims = [], [], []
+    for view in bench.views(rng, 0.02, POSES[:3]):
+        rho = np.hypot(*(view.target_mm - view.target_mm.mean(axis=0)).T) / 25.0
+        seen = part_of(view, rho < 1.0)
+        noise = 0.06 * rho[rho < 1.0, None] ** 12 * rng.standard_normal((len(seen), 2))
+        clean.append(seen)
+        bent.append(replace(seen, points_px=seen.points_px + noise))
+        rims.append(rho[rho < 1.0])
+    as_found = [calibrate(views, CalibrationOptions("joint")).weights for views in (clean, bent)]
+    rho = np.concatenate(rims)
+    flat, falling = (np.concatenate(list(weights)) for weights in as_found)
+    assert np.median(flat[rho > 0.95]) > 0.9
+    assert np.median(falling[rho > 0.95]) < 0.4
+    assert np.median(falling[rho < 0.6]) > 0.9
 
 
 def test_ideal_stars_give_the_truth(bench):
