@@ -14,7 +14,6 @@ import pytest
 from bench.plugin_tests.rig import fails_in_time, station_of
 from bench.plugin_tests.stages import ContractClock
 from bench.stations.devices import open_camera
-from bench.stations.station import Station
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraLost, CameraSettingRefused, DriverError, RecordingFailed
@@ -60,8 +59,8 @@ class InterruptingClock(ContractClock):
             super().sleep(min(ends_s - self.monotonic(), 0.05))
 
 
-class CameraContract:
-    """Derive from this class, name it ``Test...``, and give ``section`` and ``connected``.
+class AnyCameraContract:
+    """What the contracts of event cameras and of frame cameras share.
 
     Attributes
     ----------
@@ -69,19 +68,13 @@ class CameraContract:
         The section of the station file, with ``PORT`` for the address.
     other_serial
         A serial number that the simulated camera does not have.
-    biases
-        Offsets of biases that the camera can set.
-    impossible_biases
-        Offsets that it cannot set; empty if it takes all.
     """
 
     section: ClassVar[Mapping[str, Any]]
     other_serial: ClassVar[str]
-    biases: ClassVar[Mapping[str, int]] = {}
-    impossible_biases: ClassVar[Mapping[str, int]] = {}
 
     def connected(self) -> AbstractContextManager[SimulatedCamera]:
-        """Connect a simulated camera, fresh from power-up, whose trigger input gets edges.
+        """Connect a simulated camera, fresh from power-up.
 
         Returns
         -------
@@ -107,24 +100,43 @@ class CameraContract:
         return InterruptingClock()
 
     @pytest.fixture
-    def camera(self, simulated: SimulatedCamera, clock: InterruptingClock) -> Iterator[EventCamera]:
+    def camera(self, simulated: SimulatedCamera, clock: InterruptingClock) -> Iterator[Any]:
         """The open camera."""
-        with closing(_opened(self._station(simulated), clock)) as camera:
+        with closing(self._opened(simulated, clock)) as camera:
             yield camera
 
-    def _station(self, simulated: SimulatedCamera, **changes: object) -> Station:
-        return station_of("camera", self.section, simulated.address, changes)
+    def _opened(self, simulated: SimulatedCamera, clock: ContractClock, **changes: object) -> Any:
+        station = station_of("camera", self.section, simulated.address, changes)
+        any_clock: Any = clock
+        return open_camera(station, str, any_clock)
 
-    def test_it_says_who_it_is(self, camera: EventCamera) -> None:
+    def test_it_says_who_it_is(self, camera: Any) -> None:
         """It says who it is, each time alike."""
         who = camera.identify()
         assert who == camera.identify()
-        assert who.serial == str(self.section["serial"])
+        assert who.serial == str(self.section.get("serial", who.serial))
         assert min(who.width, who.height) > 0
 
     def test_another_serial_number_is_refused(self, simulated: SimulatedCamera, clock: ContractClock) -> None:
         """Another serial number is refused."""
-        fails_in_time(lambda: _opened(self._station(simulated, serial=self.other_serial), clock))
+        fails_in_time(lambda: self._opened(simulated, clock, serial=self.other_serial))
+
+
+class CameraContract(AnyCameraContract):
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``connected``.
+
+    The trigger input of the simulated camera gets edges.
+
+    Attributes
+    ----------
+    biases
+        Offsets of biases that the camera can set.
+    impossible_biases
+        Offsets that it cannot set; empty if it takes all.
+    """
+
+    biases: ClassVar[Mapping[str, int]] = {}
+    impossible_biases: ClassVar[Mapping[str, int]] = {}
 
     def test_settings_are_read_back_and_all_filters_are_off(self, camera: EventCamera) -> None:
         """Settings are read back, and all filters are off."""
@@ -223,18 +235,12 @@ class CameraContract:
     ) -> None:
         """A closed camera is an error of the driver, and is opened again."""
         for name in ("one.raw", "two.raw"):
-            camera = _opened(self._station(simulated), clock)
+            camera = self._opened(simulated, clock)
             camera.apply(CameraSettings())
             assert camera.record(tmp_path / name, 0.05).complete
             camera.close()
             camera.close()
             fails_in_time(camera.identify)
-
-
-def _opened(station: Station, clock: ContractClock) -> EventCamera:
-    any_clock: Any = clock
-    camera: Any = open_camera(station, str, any_clock)
-    return camera
 
 
 def _readable(folder: Path) -> None:

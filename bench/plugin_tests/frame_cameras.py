@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, closing, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from bench.plugin_tests.cameras import Interrupted, InterruptingClock, SimulatedCamera
-from bench.plugin_tests.rig import fails_in_time, station_of
-from bench.stations.devices import open_camera
-from bench.stations.station import Station
+from bench.plugin_tests.cameras import AnyCameraContract, Interrupted, InterruptingClock, SimulatedCamera
+from bench.plugin_tests.rig import fails_in_time
 from drivers.camera.frames import FrameCamera, FrameSettings, read_frames
-from drivers.clock import Clock
 from drivers.errors import CameraLost, CameraSettingRefused, DriverError, RecordingFailed
 
 _MANY = 5000
@@ -28,73 +25,21 @@ _LONGEST_END_S = 15.0
 """Longest time until a stopped capture ends, s."""
 
 
-class FrameCameraContract:
+class FrameCameraContract(AnyCameraContract):
     """Derive from this class, name it ``Test...``, and give ``section`` and ``connected``.
+
+    The frames of the simulated camera have the noise of a sensor.
 
     Attributes
     ----------
-    section
-        The section of the station file, with ``PORT`` for the address.
-    other_serial
-        A serial number that the simulated camera does not have.
     settings
         Exposure and gain that the camera can set; empty if it can set none.
     impossible_settings
         Exposure and gain that it cannot set; empty if it takes all.
     """
 
-    section: ClassVar[Mapping[str, Any]]
-    other_serial: ClassVar[str]
     settings: ClassVar[Mapping[str, float]] = {}
     impossible_settings: ClassVar[Mapping[str, float]] = {}
-
-    def connected(self) -> AbstractContextManager[SimulatedCamera]:
-        """Connect a simulated camera, fresh from power-up, whose frames have the noise of a sensor.
-
-        Returns
-        -------
-        context manager
-            Gives the camera, and takes it away.
-
-        Raises
-        ------
-        NotImplementedError
-            If a subclass does not write it.
-        """
-        raise NotImplementedError
-
-    @pytest.fixture
-    def simulated(self) -> Iterator[SimulatedCamera]:
-        """The simulated camera."""
-        with self.connected() as camera:
-            yield camera
-
-    @pytest.fixture
-    def clock(self) -> InterruptingClock:
-        """A clock that can interrupt waits."""
-        return InterruptingClock()
-
-    @pytest.fixture
-    def camera(self, simulated: SimulatedCamera, clock: InterruptingClock) -> Iterator[FrameCamera]:
-        """The open camera."""
-        with closing(_opened(self._station(simulated), clock)) as camera:
-            yield camera
-
-    def _station(self, simulated: SimulatedCamera, **changes: object) -> Station:
-        return station_of("camera", self.section, simulated.address, changes)
-
-    def test_it_says_who_it_is(self, camera: FrameCamera) -> None:
-        """It says who it is, each time alike."""
-        who = camera.identify()
-        assert who == camera.identify()
-        assert who.serial == str(self.section.get("serial", who.serial))
-        assert min(who.width, who.height) > 0
-
-    def test_another_serial_number_is_refused(
-        self, simulated: SimulatedCamera, clock: InterruptingClock
-    ) -> None:
-        """Another serial number is refused."""
-        fails_in_time(lambda: _opened(self._station(simulated, serial=self.other_serial), clock))
 
     def test_settings_are_read_back(self, camera: FrameCamera) -> None:
         """Settings are read back, also a second time."""
@@ -190,15 +135,9 @@ class FrameCameraContract:
     ) -> None:
         """A closed camera is an error of the driver, and is opened again."""
         for name in ("one.tif", "two.tif"):
-            camera = _opened(self._station(simulated), clock)
+            camera = self._opened(simulated, clock)
             assert camera.capture(tmp_path / name, 1).complete
             camera.close()
             camera.close()
             fails_in_time(camera.identify)
             fails_in_time(lambda: camera.capture(tmp_path / "closed.tif", 1))  # noqa: B023 - called at once
-
-
-def _opened(station: Station, clock: Clock) -> FrameCamera:
-    any_clock: Any = clock
-    camera: Any = open_camera(station, str, any_clock)
-    return camera

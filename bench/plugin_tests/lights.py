@@ -2,77 +2,37 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing, suppress
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pytest
 
-from bench.plugin_tests.rig import SPOILT, Rig, SimulatedLight, fails_in_time, rig
-from bench.plugin_tests.stages import ContractClock
-from bench.stations.devices import open_light
-from bench.stations.station import Station
+from bench.plugin_tests.rig import SPOILT, Rig, SimulatedLight, fails_in_time
+from bench.plugin_tests.stages import SerialContract
 from drivers.errors import DriverError, PortBusy, PortLost, ReplyError, SettingRefused, WrongDevice
 from drivers.light import Light, LightSettings
 
 
-class LightContract:
-    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``.
+class LightContract(SerialContract):
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``, a `SimulatedLight`.
 
     Attributes
     ----------
-    section
-        The section of the station file, with ``PORT`` for the port.
-    other_serial
-        A serial number that the simulated device does not have; empty if the device has none.
     flicker
         Settings that the light can make.
     impossible
         Settings that it cannot make.
     """
 
-    section: ClassVar[Mapping[str, Any]]
-    other_serial: ClassVar[str] = ""
+    kind = "light"
     flicker: ClassVar[LightSettings] = LightSettings("square", 50.0, 50.0, 0.0, 3.0)
     impossible: ClassVar[LightSettings] = LightSettings("square", 1e12, 50.0, 0.0, 3.0)
-
-    def device(self, clock: Callable[[], float]) -> SimulatedLight:
-        """Return a simulated device, fresh from power-up. Write it by the maker's manual, not by the driver.
-
-        Parameters
-        ----------
-        clock
-            Returns the time in seconds.
-
-        Returns
-        -------
-        SimulatedLight
-            The device.
-
-        Raises
-        ------
-        NotImplementedError
-            If a subclass does not write it.
-        """
-        raise NotImplementedError
-
-    @pytest.fixture
-    def simulated(self) -> SimulatedLight:
-        """The simulated device."""
-        return self.device(time.monotonic)
-
-    @pytest.fixture
-    def rig(self, simulated: SimulatedLight, tmp_path: Path) -> Iterator[Rig]:
-        """The device on its port."""
-        with rig("light", self.section, simulated, tmp_path) as made:
-            yield made
 
     @pytest.fixture
     def light(self, rig: Rig) -> Iterator[Light]:
         """The open light."""
-        with closing(_opened(rig.station({}))) as light:
+        with closing(self._opened(rig.station({}))) as light:
             yield light
 
     def test_settings_are_read_back_and_the_light_stays_dark(
@@ -107,12 +67,12 @@ class LightContract:
 
     def test_opening_and_closing_switch_nothing(self, rig: Rig, simulated: SimulatedLight) -> None:
         """Opening and closing switch nothing."""
-        with closing(_opened(rig.station({}))) as light:
+        with closing(self._opened(rig.station({}))) as light:
             assert not simulated.is_lit()
             light.apply(self.flicker)
             light.on()
         assert simulated.is_lit()
-        with closing(_opened(rig.station({}))) as again:
+        with closing(self._opened(rig.station({}))) as again:
             assert simulated.is_lit()
             assert again.is_on()
             again.off()
@@ -122,11 +82,11 @@ class LightContract:
         """Another serial number is refused."""
         if not self.other_serial:
             pytest.skip("this device has no serial number")
-        fails_in_time(lambda: _opened(rig.station({"serial": self.other_serial})), WrongDevice)
+        fails_in_time(lambda: self._opened(rig.station({"serial": self.other_serial})), WrongDevice)
 
     def test_a_second_opening_is_refused(self, rig: Rig, light: Light) -> None:
         """A second opening is refused."""
-        fails_in_time(lambda: _opened(rig.station({})), PortBusy)
+        fails_in_time(lambda: self._opened(rig.station({})), PortBusy)
         assert light.is_on() is False
 
     @pytest.mark.parametrize("kind", SPOILT)
@@ -156,17 +116,7 @@ class LightContract:
         fails_in_time(light.is_on, ReplyError)
         fails_in_time(light.off)
 
-    def test_a_stranger_on_the_port_is_refused(self, rig: Rig) -> None:
-        """A stranger on the port is refused."""
-        rig.spoil("stranger", count=None)
-        fails_in_time(lambda: _opened(rig.station({})))
-
     def test_a_pulled_cable_is_a_lost_port(self, rig: Rig, light: Light) -> None:
         """A pulled cable is a lost port."""
         rig.plugged.unplug()
         fails_in_time(light.is_on, PortLost)
-
-
-def _opened(station: Station) -> Light:
-    clock: Any = ContractClock()
-    return open_light(station, str, clock, None)

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import pytest
 
 from bench.plugin_tests.rig import SPOILT, Rig, SimulatedStage, fails_in_time, rig
-from bench.stations.devices import open_stage
+from bench.stations.devices import open_light, open_stage
 from bench.stations.station import Station
 from drivers.clock import SystemClock
 from drivers.errors import (
@@ -43,24 +43,24 @@ class ContractClock(SystemClock):
         return datetime.now(UTC)
 
 
-class StageContract:
-    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``.
+class SerialContract:
+    """What the contracts of stages and of lights share.
 
     Attributes
     ----------
+    kind
+        Kind of the section: ``stage`` or ``light``.
     section
-        The section of the station file, with ``PORT`` for the port. All axes need limits that contain 0.
+        The section of the station file, with ``PORT`` for the port.
     other_serial
         A serial number that the simulated device does not have; empty if the device has none.
-    tolerance_deg
-        Largest difference between a reading and the simulated axis, in degrees.
     """
 
+    kind: ClassVar[Literal["stage", "light"]]
     section: ClassVar[Mapping[str, Any]]
     other_serial: ClassVar[str] = ""
-    tolerance_deg: ClassVar[float] = 0.01
 
-    def device(self, clock: Callable[[], float]) -> SimulatedStage:
+    def device(self, clock: Callable[[], float]) -> Any:
         """Return a simulated device, fresh from power-up. Write it by the maker's manual, not by the driver.
 
         Parameters
@@ -70,7 +70,7 @@ class StageContract:
 
         Returns
         -------
-        SimulatedStage
+        SimulatedStage or SimulatedLight
             The device.
 
         Raises
@@ -81,20 +81,44 @@ class StageContract:
         raise NotImplementedError
 
     @pytest.fixture
-    def simulated(self) -> SimulatedStage:
+    def simulated(self) -> Any:
         """The simulated device."""
         return self.device(time.monotonic)
 
     @pytest.fixture
-    def rig(self, simulated: SimulatedStage, tmp_path: Path) -> Iterator[Rig]:
+    def rig(self, simulated: Any, tmp_path: Path) -> Iterator[Rig]:
         """The device on its port."""
-        with rig("stage", self.section, simulated, tmp_path) as made:
+        with rig(self.kind, self.section, simulated, tmp_path) as made:
             yield made
+
+    def _opened(self, station: Station) -> Any:
+        clock: Any = ContractClock()
+        return (open_stage if self.kind == "stage" else open_light)(station, str, clock, None)
+
+    def test_a_stranger_on_the_port_is_refused(self, rig: Rig) -> None:
+        """A stranger on the port is refused."""
+        rig.spoil("stranger", count=None)
+        fails_in_time(lambda: self._opened(rig.station({})))
+
+
+class StageContract(SerialContract):
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``, a `SimulatedStage`.
+
+    All axes of the section need limits that contain 0.
+
+    Attributes
+    ----------
+    tolerance_deg
+        Largest difference between a reading and the simulated axis, in degrees.
+    """
+
+    kind = "stage"
+    tolerance_deg: ClassVar[float] = 0.01
 
     @pytest.fixture
     def stage(self, rig: Rig) -> Iterator[Stage]:
         """The open stage."""
-        with closing(_opened(rig.station({}))) as stage:
+        with closing(self._opened(rig.station({}))) as stage:
             yield stage
 
     @pytest.fixture
@@ -107,7 +131,7 @@ class StageContract:
         """Opening and closing move nothing."""
         before = dict(simulated.angles_deg())
         for _ in range(2):
-            _opened(rig.station({})).close()
+            self._opened(rig.station({})).close()
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
 
     def test_the_axes_are_those_of_the_section(self, rig: Rig, stage: Stage) -> None:
@@ -177,12 +201,12 @@ class StageContract:
         if not self.other_serial:
             pytest.skip("this device has no serial number")
         before = dict(simulated.angles_deg())
-        fails_in_time(lambda: _opened(rig.station({"serial": self.other_serial})), WrongDevice)
+        fails_in_time(lambda: self._opened(rig.station({"serial": self.other_serial})), WrongDevice)
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
 
     def test_a_second_opening_is_refused(self, rig: Rig, stage: Stage) -> None:
         """A second opening is refused."""
-        fails_in_time(lambda: _opened(rig.station({})), PortBusy)
+        fails_in_time(lambda: self._opened(rig.station({})), PortBusy)
         assert stage.position_deg()
 
     @pytest.mark.parametrize("kind", SPOILT)
@@ -206,11 +230,6 @@ class StageContract:
         fails_in_time(homed.position_deg, ReplyError)
         fails_in_time(homed.stop)
 
-    def test_a_stranger_on_the_port_is_refused(self, rig: Rig) -> None:
-        """A stranger on the port is refused."""
-        rig.spoil("stranger", count=None)
-        fails_in_time(lambda: _opened(rig.station({})))
-
     def test_a_pulled_cable_is_a_lost_port_and_nothing_moves_when_it_is_back(
         self, rig: Rig, homed: Stage, simulated: SimulatedStage
     ) -> None:
@@ -220,14 +239,9 @@ class StageContract:
         homed.close()
         rig.plugged.replug()
         before = dict(simulated.angles_deg())
-        with closing(_opened(rig.station({}))) as again:
+        with closing(self._opened(rig.station({}))) as again:
             again.identify()
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-4)
-
-
-def _opened(station: Station) -> Stage:
-    clock: Any = ContractClock()
-    return open_stage(station, str, clock, None)
 
 
 def _at(stage: Stage, name: str, share: float) -> float:
