@@ -39,6 +39,7 @@ class _Found:
         return [
             *(f"schema, {fault}" for fault in self.schema or []),
             *([f"signature: {self.signature_fault}"] if self.signature_fault else []),
+            *([] if self.number else ["content: the certificate has no number (dcc:uniqueIdentifier)"]),
         ]
 
 

@@ -445,6 +445,6 @@ def few_cases(run: Path) -> list[Case]:
     }
     wanted |= {"convert-hdf5:external-link:out.raw", "convert-hdf5:chunk-bomb:out.raw", "convert-npz:pickle"}
     wanted |= {"camera:check:opencv-torn", "camera:rig:infinite-size", "camera:undistort:many-pixels"}
-    wanted |= {"camera:step:fisheye", "station:limits-crossed"}
+    wanted |= {"camera:step:fisheye", "station:limits-crossed", "certificate-check:only-dcc"}
     wanted |= {"picture:bomb.png", "picture:loop.tif", "name:escape-sequences", "plan-sequence:tag"}
     return [*chosen, *(case for case in cases if case.name in wanted)]
