@@ -23,6 +23,8 @@ _LEAST_EDGES = 5
 _NEIGHBOURS = 200
 """Edges around an anchor by which a match is judged."""
 _ANCHORS = 7
+_NEXT, _NEXT_MISSED, _MOST_SHIFTS = 9, 2, 2000
+"""Edges by which a match is looked for; how many of them may be missing; how many shifts are judged."""
 _MISSED = 0.1
 """Largest share of the edges that one camera may have missed; one edge in any case."""
 _JITTER_US = 3.0
@@ -65,7 +67,7 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
     first_us, second_us: Times of the edges by each camera's own clock, us.
     Raises InputMismatch: If there are too few edges, or the two cameras did not record the same signal together.
     """
-    first, second = (np.sort(np.asarray(times, np.float64)) for times in (first_us, second_us))
+    first, second = (np.unique(np.asarray(times, np.float64)) for times in (first_us, second_us))
     fewest = min(len(first), len(second))
     if fewest < _LEAST_EDGES:
         raise InputMismatch(
@@ -73,16 +75,15 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
             remedy="Wire one sync signal to the trigger inputs of both cameras, and enable them.",
         )
     shifts = _good_shifts(first, second)
-    if not len(shifts):
+    found = _fitted(name, first, second, *shifts[np.abs(shifts[:, 1]).argmin()]) if len(shifts) else None
+    if found is None or abs(found.rate) > _LARGEST_RATE or found.edges < _expected(found, first, second):
         raise InputMismatch(
             f"At {name}, the sync edges of the two cameras do not belong together: the first has {len(first)} rising"
             f" edges, {_usual_us(first):.0f} us apart, the second {len(second)}, {_usual_us(second):.0f} us apart.",
             remedy="Wire one sync signal to both cameras, and record them at the same time.",
         )
-    anchor, shift = shifts[np.abs(shifts[:, 1]).argmin()]
     apart = np.diff(shifts[:, 1])
     apart = apart[apart > _usual_us(first) / 2.0]
-    found = _fitted(name, first, second, anchor, shift)
     if not len(apart):
         return found
     period = float(apart[apart < 1.5 * apart.min()].mean())
@@ -102,6 +103,13 @@ def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
     return mean, float(np.sqrt(max(birge, 1.0) / weights.sum()))
 
 
+def _expected(found: ClockOffset, first: Array, second: Array) -> float:
+    """Return how many edges both must have at least, in the time that both recorded."""
+    moved = first + found.offset_us + found.rate * (first - found.at_us)
+    both = float(((moved >= second[0] - _JITTER_US) & (moved <= second[-1] + _JITTER_US)).sum())
+    return both - max(1.0, _MISSED * both)
+
+
 def _usual_us(times: Array) -> float:
     return float(np.median(np.diff(times)))
 
@@ -114,10 +122,22 @@ def _good_shifts(first: Array, second: Array) -> Array:
     for anchor in first[np.linspace(0, len(first) - 1, _ANCHORS + 2).astype(int)[1:-1]]:
         near = first[np.argsort(np.abs(first - anchor), kind="stable")[:_NEIGHBOURS]]
         tolerance = _JITTER_US + _LARGEST_RATE * np.abs(near - anchor)
-        fits = [shift for shift in second - anchor if _match(near, second, shift, tolerance)]
+        fits = [
+            shift
+            for shift in _promising(near, second, second - anchor)
+            if _match(near, second, shift, tolerance)
+        ]
         if fits:
-            return np.column_stack([np.full(len(fits), anchor), fits])
+            return np.column_stack([np.full(len(fits), anchor), np.sort(fits)])
     return np.empty((0, 2))
+
+
+def _promising(near: Array, second: Array, shifts: Array) -> Array:
+    """Return the shifts by which the edges next to the anchor fit, those nearest zero first, and not too many."""
+    few = near[:_NEXT]
+    hits = sum((np.abs(_nearest(second, one + shifts)) <= _JITTER_US).astype(int) for one in few)
+    kept = shifts[hits >= len(few) - _NEXT_MISSED]
+    return kept[np.argsort(np.abs(kept), kind="stable")[:_MOST_SHIFTS]]
 
 
 def _match(near: Array, second: Array, shift: float, tolerance: Array) -> bool:

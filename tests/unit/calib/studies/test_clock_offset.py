@@ -1,5 +1,7 @@
 """Offset and rate of two clocks by edges of one signal: against the truth of drawn signals, with edges missing."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,13 @@ def test_rates_of_all_recordings_are_one_rate():
     rate, sigma = common_rate(clocks)
     assert abs(rate - RATE) < 3.0 * sigma
     assert sigma < min(one.sigma_rate for one in clocks)
+
+
+def test_many_edges_without_a_common_signal_are_refused_in_seconds():
+    begun = time.process_time()
+    with pytest.raises(InputMismatch):
+        clock_offset("a", np.arange(200_000) * 100, np.arange(200_000) * 100.04)
+    assert time.process_time() - begun < 10.0
 
 
 @pytest.mark.parametrize(
