@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 @click.command(
     epilog=epilog(
         "starbench rig runs/left runs/right",
+        "starbench rig runs/left runs/right --sync",
         "starbench rig left right --board checkerboard:11x7:20mm -o rig",
         "starbench rig runs/left runs/right --boards left right --board checkerboard:11x7:20mm",
     )

@@ -11,7 +11,7 @@ from bench.base.errors import UsageError
 from bench.plan.camera_files import CameraFile, read_camera_file
 from bench.results.offline import calibrate_paths, read_views, require_common_views
 from bench.results.offline_options import OfflineOptions
-from bench.results.view_sources import RECORDINGS, view_sources
+from bench.results.view_sources import RECORDINGS, ViewSource, view_sources
 from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
 from calib.studies.rig import Rig, stated_cameras, through_collimator, with_boards
 from calib.view import View
@@ -112,10 +112,16 @@ def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[Clock
     """
     clocks = []
     for pair in folders:
-        first, second = ({source.name: source.path for source in view_sources(p, choices)} for p in pair)
+        first, second = ({source.name: source.path for source in _chosen(path, choices)} for path in pair)
         common = [name for name in first if name in second]
         clocks += [clock_offset(name, *(_rising_us(own[name]) for own in (first, second))) for name in common]
     return tuple(clocks)
+
+
+def _chosen(path: Path, choices: OfflineOptions) -> list[ViewSource]:
+    sources = list(view_sources(path, choices))
+    numbers = choices.view_numbers or range(1, len(sources) + 1)
+    return [sources[number - 1] for number in numbers if number <= len(sources)]
 
 
 def _rising_us(path: Path) -> list[int]:

@@ -83,6 +83,8 @@ def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, t
     shown = said(capsys, *words[:-2])
     assert "second - first = 1700" in shown
     assert "us: the offsets may differ by whole periods. The values nearest zero are given." in shown
+    fewer = json.loads(said(capsys, *words[:-2], "--views", "1,2,4", "--json"))
+    assert [one["name"] for one in fewer["clocks"]["recordings"]] == ["board-0", "board-1", "board-3"]
     assert "Clock of" not in said(capsys, *words[:-3])
 
 
