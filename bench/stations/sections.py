@@ -367,23 +367,7 @@ class FrameCameraSection(FrameCameraConfig):
 
     @abstractmethod
     def open_device(self, port: PortName, *, clock: Clock) -> FrameCamera:
-        """Open the camera.
-
-        Parameters
-        ----------
-        port, clock
-            See `StageSection.open_device`.
-
-        Returns
-        -------
-        FrameCamera
-            The open camera.
-
-        Raises
-        ------
-        drivers.errors.DriverError
-            If it cannot be opened, or is not the one that the section names.
-        """
+        """See `EventCameraSection.open_device`."""
 
 
 # Plug-ins: drivers that packages of others bring, by entry points, with their sections of a station file.
