@@ -18,7 +18,7 @@ from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
-from calib.joint.layout import CENTRE, DRIFT, RADIAL, Layout
+from calib.joint.layout import CENTRE, DRIFT, RADIAL, RADIAL_RATIO, Layout
 from calib.model import budget_row as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings
@@ -55,6 +55,8 @@ _MIDDLE_SHARE = 0.1
 _FREE_RADIUS, _FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 2.0
 _FREE_TERMS = {"thermal": 1e-3, "print_scale": 5e-3}
 _SKEW_DEG = 0.1
+#: The pupil of another camera lies so far from that of the passport's, as a share of the radius: 4 mm (1-sigma).
+_ELSEWHERE = 0.016
 #: Standard uncertainty that stands for exact, as a share.
 _EXACT = 1e-7
 
@@ -168,7 +170,7 @@ def gather(
     if layout.gimbal and options.gimbal:
         statements += _gimbal(layout, options.gimbal)
     if options.radial_sigma is not None and not known & set(RADIAL):
-        ratio = {"radial": 1.0, "radial_4": 20.0}
+        ratio = {"radial": 1.0, "radial_4": RADIAL_RATIO}
         statements += [
             _scalar(
                 layout,
@@ -269,14 +271,30 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
     matrix = np.zeros((len(at), len(layout.names)))
     matrix[range(len(at)), at] = 1.0
     floor = np.diag((_EXACT * np.maximum(np.abs(known.values), 1e-3)) ** 2)
-    free = known.covariance + np.diag(
+    free = np.diag(
         [
             (_FREE_RADIUS * known.values_by_name["r"]) ** 2 if name in CENTRE else 0.01**2
             for name in known.names
         ]
     )
     source = options.passport_source or "passport of the collimator"
-    return Statement(PASSPORT, rows.PASSPORT, source, matrix, known.values, known.covariance + floor, free)
+    covariance = known.covariance + floor + _elsewhere(layout, known)
+    return Statement(PASSPORT, rows.PASSPORT, source, matrix, known.values, covariance, free + covariance)
+
+
+def _elsewhere(layout: Layout, passport: Passport) -> Array:
+    """Return the (k, k) covariance of what changes because this camera's pupil looks through the glass elsewhere.
+
+    The errors of the glass are then those about a shifted axis, in proportion to its radial terms.
+    """
+    shifted = np.column_stack([layout.basis.shifted(e) for e in ((1.0, 0.0), (0.0, 1.0))])
+    shapes = np.zeros((len(passport.names), shifted.shape[1]))
+    for k, name in enumerate(passport.names):
+        if name.startswith("common_"):
+            shapes[k] = shifted[int(name.removeprefix("common_"))]
+    radial, radial_4 = (passport.values_by_name.get(name, 0.0) for name in RADIAL)
+    size = _ELSEWHERE * np.hypot(radial, radial_4 / RADIAL_RATIO)
+    return np.asarray(size**2 * shapes @ shapes.T)
 
 
 def _parallax(layout: Layout, stated: tuple[float, float], unbounded: float) -> list[Statement]:

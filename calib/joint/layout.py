@@ -35,7 +35,7 @@ _RIM_RATIO = 0.3
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
 #: radial_4 is typically so many times radial.
-_RADIAL_RATIO = 20.0
+RADIAL_RATIO = 20.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
 _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
@@ -172,7 +172,7 @@ class Layout:
 
     def _radial(self, hyper: amp.Hyperprior) -> RandomBlock:
         return RandomBlock(
-            rows.COMMON_FIELD, self.places(RADIAL), ((hyper.at(amp.RADIAL), np.diag([1.0, _RADIAL_RATIO])),)
+            rows.COMMON_FIELD, self.places(RADIAL), ((hyper.at(amp.RADIAL), np.diag([1.0, RADIAL_RATIO])),)
         )
 
     def _common(self, hyper: amp.Hyperprior) -> RandomBlock:

@@ -15,6 +15,7 @@ from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
 from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from tests.benchmarks.worlds.catalogue import result as drawn_result
 
 POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
 ANGLES = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES)
@@ -190,3 +191,10 @@ def test_passport_of_a_result_calibrates_from_one_view(views, bench):
     result = calibrate(views[:1], CalibrationOptions("joint", passport=read))
     assert abs(result.camera.fx - bench.fx) < result.coverage_factor * result.sigma["fx"]
     assert result.coverage_factor * result.sigma["fx"] < 10.0
+
+
+@pytest.mark.parametrize("seed", [2, 6, 7])
+def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere(seed):
+    found = drawn_result("polynomial", 3, seed, "passport")
+    over = [abs(found["error"][name]) / found["U"][name] for name in ("fx", "cx", "cy", "corner")]
+    assert max(over) < 1.3
