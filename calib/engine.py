@@ -26,11 +26,13 @@ from calib.model.collimator import CENTRE, Collimator
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.summary import summarize
+from calib.threads import on_one_thread
 from calib.view import View
 
 __all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "calibrate"]
 
 
+@on_one_thread
 def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) -> Calibration:
     """Calibrate a camera from views of the star target through a collimator.
 

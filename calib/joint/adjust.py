@@ -16,11 +16,12 @@ from calib.adjustment.poses import poses_of
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, State, ViewStars, places_of, turns_of
+from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
 from calib.joint.layout import POSE_PLACES, RIM, Layout
 from calib.joint.marginal import Problem
+from calib.joint.pupil import estimated
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
 from calib.model.beam import Disc, visible_discs
@@ -33,8 +34,7 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 ROUNDS = 40
-#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by a tenth of it, and discs
-#: that the image cuts off scatter by half of it.
+#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by a tenth of it.
 _WANDERS = 0.03
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
@@ -69,10 +69,12 @@ def posed(
     start: AdjustmentParameters,
     lens: Sequence[str],
     discs: Sequence[Disc] = (),
-    *,
-    wanders: bool = False,
+    pupils: Array | None = None,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state. discs: Of the views, if known. wanders: Whether the pupil does."""
+    """Return the problem and its first state.
+
+    discs: Of the views, if their rim counts. pupils: (n, 2) as turns, if they wander.
+    """
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -88,7 +90,7 @@ def posed(
         term_shapes(options.budget, basis),
         readings.names if readings else (),
         wavefront(options.budget),
-        RIM if wanders else (),
+        RIM if discs else (),
     )
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}
@@ -101,6 +103,7 @@ def posed(
     hyper = amp.hyperprior(options.parallax_sigma)
     blocks = layout.random_blocks(hyper, knowledge.in_passport, parallax_known=knowledge.parallax_known)
     poses = np.array(poses_of(start.rotations), np.int64)
+    turns, axes = turns_of(start.rotations, poses)
     around: Sequence[Disc | None] = discs or [None] * len(views)
     bench = Bench(
         layout,
@@ -108,30 +111,32 @@ def posed(
         tuple(ViewStars.of(view, layout, disc) for view, disc in zip(views, around, strict=True)),
         poses,
         readings,
-        *turns_of(start.rotations, poses),
+        turns,
+        axes,
+        turns if pupils is None else pupils,
         tuple(discs),
-        wanders,
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
     return Problem(bench, knowledge, blocks, hyper), state
 
 
-def known_discs(views: Sequence[View]) -> tuple[Disc, ...]:
-    """Return the visible discs, if all of them are known."""
-    discs = visible_discs(views)
-    return tuple(discs) if all(disc.rim_visible or disc.uses_other_views for disc in discs) else ()
-
-
-def pupil_wanders(discs: Sequence[Disc], poses: NDArray[np.int64], r_mm: float) -> bool:
-    """Tell whether the pupil wanders farther than a gimbal lets it.
+def rims_and_pupils(
+    views: Sequence[View], poses: NDArray[np.int64], turns: Array, r_mm: float
+) -> tuple[tuple[Disc, ...], Array | None]:
+    """Return the visible discs, and where the pupils are if they wander farther than on a gimbal.
 
     On a gimbal the pupil follows the turn, which is known far better than a disc.
+
+    turns: (n, 2) tangents of the poses' turns.
+    Returns: Discs, none if the rim is nowhere in view; and (n, 2) places as turns, or None.
     """
-    if not discs:
-        return False
-    wander_mm = float(np.sqrt((places_of(discs, poses) ** 2).sum(axis=1).mean()))
-    return wander_mm > _WANDERS * r_mm
+    discs = tuple(visible_discs(views))
+    if not all(disc.rim_visible or disc.uses_other_views for disc in discs):
+        return (), None
+    pupils = estimated(discs, poses, turns)
+    wanders = pupils.wander_mm > _WANDERS * r_mm
+    return discs, pupils.as_turns(r_mm) if wanders else None
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
@@ -175,9 +180,9 @@ def _searched(
     start = AdjustmentParameters(
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
-    discs: tuple[Disc, ...] = ()
-    wanders = False
-    if not problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
-        discs = known_discs(views)
-        wanders = pupil_wanders(discs, problem.bench.poses, start.collimator.r)
-    return search(*posed(views, options, start, lens, discs, wanders=wanders), rounds)
+    if problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
+        return search(*posed(views, options, start, lens), rounds)
+    poses = np.array(poses_of(start.rotations), np.int64)
+    turns, _ = turns_of(start.rotations, poses)
+    seen = rims_and_pupils(views, poses, turns, start.collimator.r)
+    return search(*posed(views, options, start, lens, *seen), rounds)

@@ -37,8 +37,6 @@ _LONGEST = 30.0
 _LIMIT_SIGMAS = 3.5
 #: Smallest scale of the weights, sigmas: points without any noise all count.
 _LEAST_LENGTH = 1e-9
-#: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
-_PUPIL_TURNS = 3.0
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
 #: Stars whose places agree to so many decimals of a millimetre are the same.
@@ -138,18 +136,14 @@ class Bench:
     # target. They are data, so that no step changes them.
     turns: Array
     axes: Array
-    discs: tuple[Disc, ...] = ()  # Visible disc of each view; empty if they are not known
-    wanders: bool = False  # Whether the pupil wanders through the beam; else it follows the turns
+    # (n, 2) place of the pupil in the beam, in tangents of a turn that would bring it there.
+    pupils: Array
+    discs: tuple[Disc, ...] = ()  # Visible disc of each view, where the layout has displacements about it
 
     @cached_property
     def maps(self) -> Array:
         """(n, B, S) what the shared unknowns do to the bases of the poses."""
-        return self.layout.maps(self.turns, self.axes, self.pupils if self.wanders else self.turns)
-
-    @property
-    def pupils(self) -> Array:
-        """(n, 2) places of a wandering pupil, as turns."""
-        return _PUPIL_TURNS * places_of(self.discs, self.poses) / self.layout.basis.reference[2]
+        return self.layout.maps(self.turns, self.axes, self.pupils)
 
     @cached_property
     def n_poses(self) -> int:
@@ -420,16 +414,6 @@ def robust_weights(lengths: Array, limit: float) -> Array:
 def robust_sigma(lengths: Sequence[Array]) -> float:
     """Return the sigma of the stars over the stated one, from the median length of their residuals."""
     return float(np.median(np.concatenate(list(lengths)))) / _RAYLEIGH_MEDIAN
-
-
-def places_of(discs: Sequence[Disc], poses: NDArray[np.int64]) -> Array:
-    """Return (n, 2) the middles of the visible discs of the poses, mm, from their mean.
-
-    poses: (m,) pose of each view.
-    """
-    middles = np.array([disc.centre_mm for disc in discs])
-    places = np.array([middles[poses == pose].mean(axis=0) for pose in range(poses.max() + 1)])
-    return np.asarray(places - places.mean(axis=0))
 
 
 def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -241,12 +241,14 @@ def _witnesses(found: Posterior) -> tuple[Witness, ...]:
 
 
 def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
-    """Return the amplitudes; fields as directions."""
-    hyper = found.optimum.marginal.problem.hyper
+    """Return the amplitudes of terms that the adjustment has; fields as directions."""
+    hyper, layout = found.optimum.marginal.problem.hyper, found.optimum.marginal.problem.bench.layout
     answer = []
     for name, eta, spread, middle in zip(
         hyper.names, found.optimum.eta, found.spread, hyper.mean, strict=True
     ):
+        if name == amp.RIM and not layout.rim:
+            continue
         unit, times = ("1", 1.0) if name in _PLAIN else ("urad", 1e6)
         answer.append(
             Amplitude(name, times * float(np.exp(eta)), float(spread), unit, times * float(np.exp(middle)))

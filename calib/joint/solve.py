@@ -32,6 +32,8 @@ _CENTRE_ROUNDS = 12
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
+#: From this round on the amplitudes go half way to the better ones: else state and amplitudes may swing on for ever.
+_DAMPED = 12
 _HALVINGS = 6
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
@@ -41,9 +43,14 @@ _FARTHEST = 1.0
 _LONGEST = 0.3
 #: Amplitudes are taken if their step moves focal length and centre by less than this share.
 _TRUSTED = 0.01
+#: Other amplitudes are taken if twice the logarithm of the odds is so much better. Without this, a search between two
+#: that are as good as each other goes from one to the other and back.
+_CLEARLY = 1.0
 #: Beyond this share the rotations are found again after a step, and below the second a step is corrected by others.
 _CURVED, _CORRECTED = 1e-3, 0.05
 _CORRECTIONS = 3
+#: A step is corrected whole, and after so many halvings: where it bends, a quarter of it can be, and not the whole.
+_CORRECTED_AT = (0, 2)
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,11 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     for k in range(rounds):
         equations = bench.linearised(state, limit, kept)
         marginal = Marginal(problem, equations, state)
+        before = eta
         eta, found = trusted_amplitudes(marginal, eta) if k >= _FIRST_ROUNDS else (eta, solved(marginal, eta))
+        if k >= _DAMPED:
+            eta = 0.5 * (eta + before)
+            found = solved(marginal, eta)
         centre = k < _CENTRE_ROUNDS
         if k > _FIRST_ROUNDS and small(marginal, found, centre=centre):
             eta, found = better_amplitudes(marginal, eta)
@@ -163,10 +174,14 @@ def relative_step(marginal: Marginal, step: Array) -> float:
 
 
 def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
-    """Return the best end of two searches, from a start and from the expected ones, where the equations hold."""
-    ends = [(eta, solved(marginal, eta)), searched(marginal, marginal.problem.hyper.mean, _LONG)]
-    at, _ = min(ends, key=lambda end: end[1].value)
-    at, found = searched(marginal, at, _LONG, enough=FINE)
+    """Return the best amplitudes from a start, or from the expected ones if these end clearly better.
+
+    Where the equations do not hold at their end, the start is returned.
+    """
+    at, found = searched(marginal, eta, _LONG, enough=FINE)
+    other, behind = searched(marginal, marginal.problem.hyper.mean, _LONG)
+    if behind.value < found.value - _CLEARLY:
+        at, found = searched(marginal, other, _LONG, enough=FINE)
     if relative_step(marginal, found.step) < _TRUSTED:
         return at, found
     return eta, marginal.solve(eta)
@@ -186,7 +201,7 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, l
         lengths = bench.whitened(state)
         if cost(marginal, eta, state, lengths) <= before * (1.0 + 1e-9):
             break
-        if k == 0 and share < _CORRECTED:
+        if k in _CORRECTED_AT and share < _CORRECTED:
             corrected, lengths = _corrected(marginal, eta, state)
             if cost(marginal, eta, corrected, lengths) <= before:
                 return corrected, lengths

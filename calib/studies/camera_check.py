@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
+from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_derivatives, sensor_grid
 
 Array = NDArray[np.float64]
@@ -94,6 +95,7 @@ class CameraCheck:
         }
 
 
+@on_one_thread
 def check_camera(
     stated: CameraModel,
     stated_covariance: Array | None,

@@ -24,6 +24,7 @@ from calib.studies.gimbal_pairs import PairRatios, pair_ratios
 from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations, first_explanation
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
 from calib.studies.hand_eye_fit import GimbalFit, global_fit, scales_near
+from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
 Array = NDArray[np.float64]
@@ -80,6 +81,7 @@ class HandEyeCheck:
         return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), INCONSISTENT))
 
 
+@on_one_thread
 def check_hand_eye(
     rotations: Array,
     covariance: Array,

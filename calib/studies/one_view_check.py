@@ -21,6 +21,7 @@ from calib.model.camera import PINHOLE, CameraModel
 from calib.model.homography import fit_homography
 from calib.model.planar import poses_from_homographies
 from calib.model.rotation import exp_map, skew
+from calib.threads import on_one_thread
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -69,6 +70,7 @@ class OneViewCheck:
         }
 
 
+@on_one_thread
 def check_one_view(camera: CameraModel, covariance: Array | None, view: View) -> OneViewCheck:
     """Check a stated camera by one view.
 

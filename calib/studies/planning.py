@@ -26,6 +26,7 @@ from calib.studies.expected_posterior import Angles, expected_posterior, with_di
 from calib.studies.pose_distance import distance_deg, share_of_news
 from calib.studies.pose_gains import PoseGains
 from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
+from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
@@ -77,6 +78,7 @@ class Forecast:
         }
 
 
+@on_one_thread
 def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     """Return the expected uncertainty of a calibration from a set of poses.
 
@@ -156,6 +158,7 @@ class SuggestedPose:
     rim_share: float  # Share of the rim of the beam that the pose shows, 0 to 1
 
 
+@on_one_thread
 def next_poses(
     bench: ExpectedBench,
     taken_deg: Sequence[Angles],

@@ -22,6 +22,7 @@ from calib.model.collimator import CENTRE
 from calib.model.rotation import exp_map, log_map, nearest_rotation
 from calib.model.rotation_errors import RotationErrors
 from calib.studies.rig_boards import BoardPair, adjusted
+from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ARCSEC
 from calib.view import View
 
@@ -284,6 +285,7 @@ def stated_cameras(
     return Rig(first, second, np.eye(3), None, linalg.block_diag(*blocks))
 
 
+@on_one_thread
 def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, free: bool = False) -> Rig:
     """Adjust the rig to boards at finite distance that both cameras saw at once.
 

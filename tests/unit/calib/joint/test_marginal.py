@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from calib import CalibrationOptions, Passport, calibrate
 from calib.diagnosis.gross_stars import part_of
 from calib.errors import InputMismatch
-from calib.joint.adjust import adjust, known_discs, pupil_wanders
+from calib.joint.adjust import adjust, rims_and_pupils
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
@@ -119,14 +119,15 @@ def test_innovation_is_what_an_adjustment_without_the_statement_says(optimum, na
 def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders):
     middle = views[0].target_mm.mean(axis=0)
     seen = []
-    for view, x in zip(views[:3], (-mm, mm, 0.0), strict=True):
+    for view, x in zip(views[:3], (-mm, -mm, mm), strict=True):
         away = view.target_mm - middle - [x, 0.0]
         seen.append(part_of(view, np.hypot(*away.T) < 25.0))
-    discs = known_discs(seen)
-    assert pupil_wanders(discs, np.arange(3), 255.0) == wanders
+    turns = np.tan(np.radians([[-6.0, 2.0], [6.0, 2.0], [0.0, -4.0]]))
+    discs, pupils = rims_and_pupils(seen if wanders else views[:3], np.arange(3), turns, 255.0)
+    assert (pupils is not None) == wanders
     if wanders:
-        assert 2.0 * mm == pytest.approx(discs[1].centre_mm[0] - discs[0].centre_mm[0], rel=0.3)
-    assert not pupil_wanders(known_discs(views[:3]), np.arange(3), 255.0)  # no rim in view
+        assert 2.0 * mm == pytest.approx(discs[2].centre_mm[0] - discs[0].centre_mm[0], rel=0.3)
+        assert pupils[2, 0] - pupils[0, 0] == pytest.approx(3.0 * 2.0 * mm / 255.0, rel=0.3)
 
 
 def test_stars_near_the_rim_count_as_much_as_they_scatter(bench):

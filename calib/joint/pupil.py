@@ -1,0 +1,79 @@
+"""Where the camera's pupil looks through the beam: along with the turn, and aside of it on a mount moved by hand.
+
+The middle of a view's visible disc is what is known of it. Discs that the image cuts off are known badly, so each
+middle is estimated from all discs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.beam import Disc
+
+Array = NDArray[np.float64]
+
+#: The middle of all discs about the mean of what is seen, and its walk with the tangent of a turn, mm (1-sigma).
+_MIDDLE_MM, _WALK_MM = 100.0, 60.0
+#: How far the pupil wanders from pose to pose aside of the turn, mm: the median, and 1-sigma of the logarithm.
+_WANDER_MM, _WANDER_WIDTH = 1.0, 1.5
+#: Discs are known so many times worse than their fit says: the edge of the beam is no circle.
+_EDGE = 1.5
+#: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
+_AS_TURNS = 3.0
+_GRID_MM = np.geomspace(0.03, 30.0, 25)
+
+
+@dataclass(frozen=True)
+class Pupils:
+    """Estimated middles of the visible discs."""
+
+    middles: Array  # (n, 2) of the poses, mm
+    wander_mm: float  # RMS of their part that does not follow the turn
+
+    def as_turns(self, r_mm: float) -> Array:
+        """Return (n, 2) tangents of turns that are alike the places of the pupils."""
+        return np.asarray(_AS_TURNS * (self.middles - self.middles.mean(axis=0)) / r_mm)
+
+
+def estimated(discs: Sequence[Disc], poses: NDArray[np.int64], turns: Array) -> Pupils:
+    """Return the middles of the discs: a shared middle, a walk along the turn, a wander from pose to pose.
+
+    A linear model with two variance components; that of the wander is integrated over a grid.
+
+    discs: With their covariances. poses: (m,) pose of each disc. turns: (n, 2) tangents of the poses' turns.
+    """
+    n = len(turns)
+    seen = np.array([disc.centre_mm for disc in discs])
+    line = np.kron(np.column_stack([np.ones(n), turns]), np.eye(2))  # (2n, 6)
+    own = np.kron(np.eye(n)[poses], np.eye(2))  # (2m, 2n)
+    prior = np.diag(np.repeat([_MIDDLE_MM**2, _WALK_MM**2, _WALK_MM**2], 2))
+    known = own @ line @ prior @ line.T @ own.T + _noise(discs)
+    off = (seen - seen.mean(axis=0)).reshape(-1)
+    values, walks, wanders = [], [], []
+    for size in _GRID_MM:
+        covariance = known + size**2 * own @ own.T
+        left = own.T @ np.linalg.solve(covariance, off)
+        width = np.log(size / _WANDER_MM) / _WANDER_WIDTH
+        values.append(off @ np.linalg.solve(covariance, off) + np.linalg.slogdet(covariance)[1] + width**2)
+        walks.append(line @ prior @ line.T @ left)
+        wanders.append(size**2 * left)
+    weights = np.exp(-0.5 * (np.array(values) - min(values)))
+    weights /= weights.sum()
+    walk, wander = (weights @ np.array(part) for part in (walks, wanders))
+    wander = wander.reshape(n, 2)
+    aside = wander - wander.mean(axis=0)
+    middles = seen.mean(axis=0) + walk.reshape(n, 2) + wander
+    return Pupils(middles, float(np.sqrt((aside**2).sum(axis=1).mean())))
+
+
+def _noise(discs: Sequence[Disc]) -> Array:
+    """Return the covariance of the discs' middles one after the other, (2m, 2m), mm²."""
+    noise = np.zeros((2 * len(discs), 2 * len(discs)))
+    for at, disc in zip(range(0, len(noise), 2), discs, strict=True):
+        assert disc.covariance_mm2 is not None
+        noise[at : at + 2, at : at + 2] = _EDGE**2 * disc.covariance_mm2
+    return noise
