@@ -34,8 +34,8 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 ROUNDS = 40
-#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by a tenth of it.
-_WANDERS = 0.03
+#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
+_WANDERS = 0.012
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
 

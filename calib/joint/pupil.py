@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 #: The middle of all discs about the mean of what is seen, and its walk with the tangent of a turn, mm (1-sigma).
 _MIDDLE_MM, _WALK_MM = 100.0, 60.0
 #: How far the pupil wanders from pose to pose aside of the turn, mm: the median, and 1-sigma of the logarithm.
-_WANDER_MM, _WANDER_WIDTH = 1.0, 1.5
+_WANDER_MM, _WANDER_WIDTH = 3.0, 1.0
 #: Discs are known so many times worse than their fit says: the edge of the beam is no circle.
 _EDGE = 1.5
 #: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
@@ -48,9 +48,11 @@ def estimated(discs: Sequence[Disc], poses: NDArray[np.int64], turns: Array) -> 
     """
     n = len(turns)
     seen = np.array([disc.centre_mm for disc in discs])
-    line = np.kron(np.column_stack([np.ones(n), turns]), np.eye(2))  # (2n, 6)
+    line = np.zeros((2 * n, 4))  # the middle, and the walk of each coordinate with its turn
+    line[0::2, [0, 2]] = np.column_stack([np.ones(n), turns[:, 0]])
+    line[1::2, [1, 3]] = np.column_stack([np.ones(n), turns[:, 1]])
     own = np.kron(np.eye(n)[poses], np.eye(2))  # (2m, 2n)
-    prior = np.diag(np.repeat([_MIDDLE_MM**2, _WALK_MM**2, _WALK_MM**2], 2))
+    prior = np.diag(np.repeat([_MIDDLE_MM**2, _WALK_MM**2], 2))
     known = own @ line @ prior @ line.T @ own.T + _noise(discs)
     off = (seen - seen.mean(axis=0)).reshape(-1)
     values, walks, wanders = [], [], []

@@ -10,7 +10,7 @@ from calib.model.beam import Disc
 
 TURNS = np.tan(np.radians([[-6, 2], [6, 2], [0, -4], [-3, 4], [3, -3], [5, 4], [-5, -3], [2, 0], [-1, 1]]))
 POSES = np.arange(len(TURNS))
-WALK = np.array([[-44.0, 3.0], [2.0, -44.0]])  # mm, with the tangent of the turn
+WALK = np.array([[-44.0, 0.0], [0.0, -18.0]])  # mm, with the tangent of the turn
 
 
 def drawn(seed, noise_mm, wander_mm):
