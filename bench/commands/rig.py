@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from bench.report.text import with_uncertainty
 if TYPE_CHECKING:
     from bench.results.rig import RigFound
     from calib.studies.clock_offset import ClockOffset
-    from calib.studies.rig import Rig
+    from calib.studies.rig import Rig, RigDifference
 
 
 @click.command(
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
         "starbench rig runs/left runs/right",
         "starbench rig runs/left runs/right --sync",
         "starbench rig left right --board checkerboard:11x7:20mm -o rig",
+        "starbench rig left right --board checkerboard:11x7:20mm --stated rig/extrinsics.json",
         "starbench rig runs/left runs/right --boards left right --board checkerboard:11x7:20mm",
     )
 )
@@ -47,6 +49,12 @@ if TYPE_CHECKING:
     "[default: adjusted with the rig]",
 )
 @click.option(
+    "--stated",
+    type=ExistingPath(),
+    metavar="FILE",
+    help="An earlier rig.json, or the extrinsics.json of Metavision SDK 5: is it still right? Status 1 if not.",
+)
+@click.option(
     "--sync",
     is_flag=True,
     help="Also the offset of the cameras' clocks, from a sync signal at both trigger inputs; for RAW recordings.",
@@ -62,6 +70,7 @@ def rig(
     second: Path,
     boards: tuple[Path, ...] | None,
     calibration: tuple[Path, ...] | None,
+    stated: Path | None,
     sync: bool,
     output: Path | None,
     **options: Any,
@@ -75,7 +84,9 @@ def rig(
     from bench.results.offline_options import OfflineOptions
     from bench.results.rig import find_clocks, find_rig
     from bench.results.rig_exports import rig_exports
+    from bench.results.rig_files import read_rig_file
 
+    earlier = read_rig_file(stated) if stated else None
     choices = OfflineOptions.from_command_line(**options)
     if output is not None and output.exists() and any(output.iterdir()):
         raise UsageError("The folder is not empty.", where=str(output), remedy="Choose another --output.")
@@ -92,8 +103,23 @@ def rig(
         make_folder(output)
         for name, data in rig_exports(found.rig, content).items():
             write_atomic(output / name, data)
-    show(lambda: content, _lines(found))
-    return 0
+    if stated is None or earlier is None:
+        show(lambda: content, _lines(found))
+        return 0
+    off = found.rig.compared(earlier.rotation, earlier.translation_mm, earlier.covariance)
+    compared = {**asdict(off), "right": off.right, "has_covariance": earlier.covariance is not None}
+    words = _comparison(off, str(stated), known=earlier.covariance is not None)
+    show(lambda: {**content, "stated": compared}, chain(words, _lines(found)))
+    return 0 if off.right else 1
+
+
+def _comparison(off: RigDifference, path: str, *, known: bool) -> Iterator[str]:
+    """Return what a stated rig is worth. known: Whether it states an uncertainty."""
+    moved = "" if off.mm is None else f" and {off.mm:.3f} mm"
+    verdict = "RIGHT within U" if off.right else "NOT RIGHT"
+    yield f"{path}: {verdict}. It differs by {off.arcsec:.1f} arcsec{moved}, {off.normalised:.2f} of U."
+    if not known:
+        yield "The file states no uncertainty: U is that of this measurement alone."
 
 
 def _lines(found: RigFound) -> Iterator[str]:

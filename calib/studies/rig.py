@@ -36,6 +36,22 @@ _EXACT = 1e-7
 #: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.
 _CONTRADICTS = 5.0
 _RIGID = 0.001
+#: Share of the comparisons with a right rig that are outside of the uncertainty.
+_WITHIN = 0.05
+
+
+@dataclass(frozen=True)
+class RigDifference:
+    """A rig compared with a stated one."""
+
+    arcsec: float
+    mm: float | None  # None if one of them has no translation
+    normalised: float  # Over the uncertainty of all components together, 95 %
+
+    @property
+    def right(self) -> bool:
+        """Whether the stated rig is right within the uncertainty."""
+        return self.normalised <= 1.0
 
 
 @dataclass(frozen=True)
@@ -83,6 +99,27 @@ class Rig:
     def rigid(self) -> bool:
         """Whether the chi-square is below its 99.9 % quantile."""
         return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), _RIGID))
+
+    def compared(
+        self, rotation: Array, translation_mm: Array | None, covariance: Array | None
+    ) -> RigDifference:
+        """Compare with a stated rig, in what both hold.
+
+        rotation: (3, 3) second <- first. translation_mm: (3,) or None. covariance: As `pose_covariance`; None if
+        not stated.
+        """
+        turn = log_map((self.rotation @ rotation.T)[None])[0]
+        known = self.pose_covariance
+        size = 3 if self.translation_mm is None or translation_mm is None else 6
+        total = known[:size, :size] + (0.0 if covariance is None else covariance[:size, :size])
+        shift = None if size == 3 else np.asarray(self.translation_mm) - np.asarray(translation_mm)
+        off = turn if shift is None else np.concatenate([turn, shift])
+        square = float(off @ np.linalg.solve(total, off))
+        return RigDifference(
+            ARCSEC * float(np.linalg.norm(turn)),
+            None if shift is None else float(np.linalg.norm(shift)),
+            float(np.sqrt(square / special.chdtri(size, _WITHIN))),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain numbers, lists and names, ready for JSON."""

@@ -150,6 +150,75 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
     assert "The folder is not empty" in refused(capsys, *words, "-o", tmp_path / "rig")
 
 
+def sdk_file(path, rotation, translation_mm, times=1):
+    one = {
+        "camera": "right",
+        "rvec": log_map(rotation[None])[0].tolist(),
+        "tvec": (translation_mm / 1000.0).tolist(),
+    }
+    path.write_text(json.dumps({"T_slave_master": [one] * times}))
+    return path
+
+
+def compared(capsys, status, *words):
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert end.value.code == status
+    return capsys.readouterr().out
+
+
+def test_a_stated_rig_is_right_until_a_camera_moves(capsys, drawn, tmp_path):
+    rig, folder = drawn
+    words = ("rig", folder / "left", folder / "right", *BOARD, "--stated")
+    still = sdk_file(tmp_path / "extrinsics.json", rig.rotation, rig.translation)
+    shown = compared(capsys, 0, *words, still)
+    assert "RIGHT within U" in shown
+    assert "The file states no uncertainty" in shown
+    told = json.loads(compared(capsys, 0, *words, still, "--json"))["stated"]
+    assert told["right"]
+    assert told["arcsec"] < 600.0
+
+    turned = exp_map(np.radians([[0.0, 1.0, 0.0]]))[0] @ rig.rotation
+    shown = compared(capsys, 1, *words, sdk_file(tmp_path / "turned.json", turned, rig.translation))
+    assert "NOT RIGHT" in shown
+    moved = sdk_file(tmp_path / "moved.json", rig.rotation, rig.translation + np.array([0.0, 5.0, 0.0]))
+    assert "NOT RIGHT" in compared(capsys, 1, *words, moved)
+
+
+def test_a_rig_of_an_earlier_day_is_right_with_both_uncertainties(capsys, drawn, tmp_path):
+    _, folder = drawn
+    words = ("rig", folder / "left", folder / "right", *BOARD)
+    said(capsys, *words, "-o", tmp_path / "rig")
+    told = json.loads(said(capsys, *words, "--stated", tmp_path / "rig" / "rig.json", "--json"))["stated"]
+    assert told["has_covariance"]
+    assert told["normalised"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("{}", "it has no 'vector_deg'"),
+        ("[1]", "does not hold a rig"),
+        ('{"T_slave_master": []}', "it states 0 cameras beside the master"),
+        ('{"T_slave_master": [{"rvec": [0, 0, 0]}]}', "it has no 'tvec'"),
+        ('{"T_slave_master": [{"rvec": [0, 0], "tvec": [0, 0, 0]}]}', "does not hold a rig"),
+        ('{"T_slave_master": [{"rvec": [0, 0, 1e999], "tvec": [0, 0, 0]}]}', "does not hold a rig"),
+        ('{"T_slave_master": [{"rvec": [0, 0, 0], "tvec": [0, 0, 1e30]}]}', "is not a distance on a rig"),
+        (
+            '{"vector_deg": [0, 0, 0], "translation": null, "pose_covariance": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}',
+            "its covariance is impossible",
+        ),
+    ],
+)
+def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told):
+    _, folder = drawn
+    (tmp_path / "bad.json").write_text(content)
+    stated = ("--stated", tmp_path / "bad.json")
+    message = refused(capsys, "rig", folder / "left", folder / "right", *BOARD, *stated)
+    assert told in message
+    assert "Known are rig.json" in message
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
