@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.duplicate_views import find_duplicates
@@ -53,8 +55,11 @@ def check_adjustment(
     sigma: 1-sigma of the parameters by name; of these, cx and cy are used, px.
     Returns: A sentence for each doubt; none if nothing was noticed.
     """
-    shifted = find_shifted_ids(views, bundle, parameters)
-    other = None if shifted else find_other_origins(views, bundle, parameters)
+    with np.errstate(invalid="ignore", over="ignore"):
+        projected = bool(np.isfinite(bundle.residuals_px(parameters)).all())
+    # A star behind the camera cannot be compared with others.
+    shifted = find_shifted_ids(views, bundle, parameters) if projected else None
+    other = find_other_origins(views, bundle, parameters) if projected and not shifted else None
     size = None
     if "cx" in sigma and "cy" in sigma:
         size = check_image_size(views, parameters.camera, (sigma["cx"], sigma["cy"]))

@@ -49,6 +49,14 @@ def test_every_doubt_after_the_adjustment_is_a_note(views):
     assert "probably 1280 x 720" in second
 
 
+def test_stars_that_cannot_be_projected_are_not_compared(views):
+    fitted = fit_model(views, CalibrationOptions(), "spherical")
+    turned = np.array(fitted.parameters.rotations)
+    turned[1] = np.diag([1.0, -1.0, -1.0]) @ turned[1]  # the target is behind the camera
+    behind = replace(fitted.parameters, rotations=turned)
+    assert check_adjustment(views, fitted.bundle, behind, {}) == ()
+
+
 def test_another_origin_is_a_note():
     poses = (
         (-5, 2),
