@@ -44,24 +44,23 @@ def estimated(discs: Sequence[Disc], poses: NDArray[np.int64], turns: Array) -> 
 
     A linear model with two variance components; that of the wander is integrated over a grid.
 
-    discs: With their covariances. poses: (m,) pose of each disc. turns: (n, 2) tangents of the poses' turns.
+    discs: With their covariances. poses: (m,) pose of each disc; the discs of a pose count as one, because they are cut
+    off alike. turns: (n, 2) tangents of the poses' turns.
     """
     n = len(turns)
-    seen = np.array([disc.centre_mm for disc in discs])
+    seen, noise = _poses_discs(discs, poses, n)
     line = np.zeros((2 * n, 4))  # the middle, and the walk of each coordinate with its turn
     line[0::2, [0, 2]] = np.column_stack([np.ones(n), turns[:, 0]])
     line[1::2, [1, 3]] = np.column_stack([np.ones(n), turns[:, 1]])
-    own = np.kron(np.eye(n)[poses], np.eye(2))  # (2m, 2n)
-    prior = np.diag(np.repeat([_MIDDLE_MM**2, _WALK_MM**2], 2))
-    known = own @ line @ prior @ line.T @ own.T + _noise(discs)
+    walked = line @ np.diag(np.repeat([_MIDDLE_MM**2, _WALK_MM**2], 2)) @ line.T
     off = (seen - seen.mean(axis=0)).reshape(-1)
     values, walks, wanders = [], [], []
     for size in _GRID_MM:
-        covariance = known + size**2 * own @ own.T
-        left = own.T @ np.linalg.solve(covariance, off)
+        covariance = walked + noise + size**2 * np.eye(2 * n)
+        left = np.linalg.solve(covariance, off)
         width = np.log(size / _WANDER_MM) / _WANDER_WIDTH
-        values.append(off @ np.linalg.solve(covariance, off) + np.linalg.slogdet(covariance)[1] + width**2)
-        walks.append(line @ prior @ line.T @ left)
+        values.append(off @ left + np.linalg.slogdet(covariance)[1] + width**2)
+        walks.append(walked @ left)
         wanders.append(size**2 * left)
     weights = np.exp(-0.5 * (np.array(values) - min(values)))
     weights /= weights.sum()
@@ -72,10 +71,12 @@ def estimated(discs: Sequence[Disc], poses: NDArray[np.int64], turns: Array) -> 
     return Pupils(middles, float(np.sqrt((aside**2).sum(axis=1).mean())))
 
 
-def _noise(discs: Sequence[Disc]) -> Array:
-    """Return the covariance of the discs' middles one after the other, (2m, 2m), mm²."""
-    noise = np.zeros((2 * len(discs), 2 * len(discs)))
-    for at, disc in zip(range(0, len(noise), 2), discs, strict=True):
-        assert disc.covariance_mm2 is not None
-        noise[at : at + 2, at : at + 2] = _EDGE**2 * disc.covariance_mm2
-    return noise
+def _poses_discs(discs: Sequence[Disc], poses: NDArray[np.int64], n: int) -> tuple[Array, Array]:
+    """Return (n, 2) the middle of each pose's discs, mm, and their (2n, 2n) covariance, mm²."""
+    middles = np.array([disc.centre_mm for disc in discs])
+    covariances = np.array([disc.covariance_mm2 for disc in discs], np.float64)
+    noise = np.zeros((2 * n, 2 * n))
+    for pose in range(n):
+        own = slice(2 * pose, 2 * pose + 2)
+        noise[own, own] = _EDGE**2 * covariances[poses == pose].mean(axis=0)
+    return np.array([middles[poses == pose].mean(axis=0) for pose in range(n)]), noise
