@@ -60,7 +60,7 @@ def measure(station: str, seed: int, settings: dict[str, str]) -> dict[str, obje
             **{
                 r["name"]: r["truth"]
                 for r in told["comparison"]
-                if r["name"] in ("fx", "fy", "cx", "cy", "k1", "k2")
+                if r["name"] in told["calibration"]["camera"]
             },
         }
     )
