@@ -65,7 +65,7 @@ class AnyCameraContract:
     Attributes
     ----------
     section
-        The section of the station file, with ``PORT`` for the address.
+        The section of the station file; ``PORT`` stands in place of the address.
     other_serial
         A serial number that the simulated camera does not have.
     """

@@ -51,7 +51,7 @@ class SerialContract:
     kind
         Kind of the section: ``stage`` or ``light``.
     section
-        The section of the station file, with ``PORT`` for the port.
+        The section of the station file; ``PORT`` stands in place of the port.
     other_serial
         A serial number that the simulated device does not have; empty if the device has none.
     """

@@ -70,7 +70,7 @@ def gimbal_check(
         )
     except CalibrationError:  # too few poses, or axes that did not move
         return None
-    faults = [_fault(fault, claimed=fault in check.claimed_faults) for fault in check.faults]
+    faults = [_fault(one, claimed=one in check.claimed_faults) for one in check.faults]
     slips = [fault for fault in faults if fault["kind"] == "slip" and fault["claimed"]]
     return {
         "rms_arcsec": check.rms_arcsec,

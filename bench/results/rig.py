@@ -71,7 +71,7 @@ def _by_views(paths: Pair, choices: OfflineOptions, cameras: Pair = ()) -> RigFo
     for path, own in zip(paths, stated, strict=bool(stated)):
         if own.path.resolve().is_relative_to(path.resolve()):
             raise UsageError(
-                "This calibration was made from these views, which would count twice.",
+                "This calibration was made from the same views. They would count twice.",
                 where=str(own.path),
                 remedy="Give a calibration from other views, or leave out --calibration.",
             )

@@ -1,4 +1,4 @@
-"""Reads how two cameras stand to each other from a file: `rig.json`, or the `extrinsics.json` of Metavision SDK 5.
+"""Reads a rig of two cameras from a file: `rig.json`, or the `extrinsics.json` of Metavision SDK 5.
 
 Nothing is calculated but the conventions; what a file does not state, such as a covariance, stays unknown.
 """

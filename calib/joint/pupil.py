@@ -22,7 +22,7 @@ _MIDDLE_MM, _WALK_MM = 100.0, 60.0
 _WANDER_MM, _WANDER_WIDTH = 3.0, 1.0
 #: Discs are known so many times worse than their fit says: the edge of the beam is no circle.
 _EDGE = 1.5
-#: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
+#: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 3.0
 _GRID_MM = np.geomspace(0.03, 30.0, 25)
 
@@ -35,7 +35,7 @@ class Pupils:
     wander_mm: float  # RMS of their part that does not follow the turn
 
     def as_turns(self, r_mm: float) -> Array:
-        """Return (n, 2) tangents of turns that are alike the places of the pupils."""
+        """Return (n, 2) the places of the pupils, in tangents of the turns that would bring them there."""
         return np.asarray(_AS_TURNS * (self.middles - self.middles.mean(axis=0)) / r_mm)
 
 

@@ -62,7 +62,7 @@ class ClockOffset:
 
 
 def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence[int] | Array) -> ClockOffset:
-    """Estimate offset and rate of the second clock from the rising edges of one recording, by least squares.
+    """Estimate offset and rate of the second clock by least squares, from the rising edges of one recording.
 
     first_us, second_us: Times of the edges by each camera's own clock, us.
     Raises InputMismatch: If there are too few edges, or the two cameras did not record the same signal together.

@@ -164,7 +164,7 @@ def _start(
 
 
 def _pose(camera: CameraModel, view: View) -> tuple[Array, Array]:
-    """Return the pose of a board, camera <- board, in closed form (Collins and Bartoli, 2014)."""
+    """Return rotation and translation from the board to the camera, in closed form (Collins and Bartoli, 2014)."""
     rays = camera.rays(view.points_px)
     seen = np.isfinite(rays).all(axis=1)
     flat = np.column_stack([view.target_mm, np.zeros(len(view))])[seen]

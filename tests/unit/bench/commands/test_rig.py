@@ -225,7 +225,7 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told)
         (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board"),
         (
             ("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"),
-            "made from these views, which would count twice",
+            "made from the same views. They would count twice.",
         ),
         (("{}/left", "{}/other", *BOARD), "share no pose"),
         (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views."),
