@@ -129,7 +129,7 @@ def _require_levels(name: str, levels: Sequence[str]) -> None:
         only = f"; these runs have 1: {found[0]}" if found else ""
         raise UsageError(
             f"A gauge study needs at least 2 {plural(name)}{only}.",
-            remedy=f"Measure with another {name}, or name runs of several: see docs/runs-table.md.",
+            remedy=f"Measure with another {name}, or name runs of several: see docs/gauge-study.md.",
         )
 
 
