@@ -13,7 +13,7 @@ import click
 from bench.base.errors import BenchError, UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, epilog, settings_of
 from bench.commands.output import JSON, show
-from bench.report.verdict import angle_text
+from bench.report.text import angle_text
 from calib.model.budget_row import WORST_CORNER
 
 if TYPE_CHECKING:

@@ -157,6 +157,14 @@ Entering = TypedDict(
 """Payload of ``entering``: the states, the step, and its `Circumstances`."""
 
 
+class StateEntered(TypedDict):
+    """A state that a run entered, with the time by the system's clock and by the monotonic clock."""
+
+    state: str
+    utc: str
+    mono_s: float
+
+
 class LeftOff(TypedDict):
     """Payload of ``left_off``; ``error`` where the work did not end well."""
 
@@ -247,6 +255,23 @@ class AttemptChecked(TypedDict):
     stars: int
     gates: Sequence[GateData]
     measured: MeasuredFacts
+
+
+class AttemptData(TypedDict):
+    """A recording in the results, accepted or refused."""
+
+    attempt: int
+    capture: str
+    sha256: str
+    accepted: bool
+    reasons: Sequence[str]
+    duration_s: NotRequired[float]
+    events: NotRequired[int]
+    triggers: NotRequired[int]
+    event_rate_mev_s: NotRequired[float]
+    temperature_c: NotRequired[float | None]
+    pictures: NotRequired[int]
+    saturated_percent: NotRequired[float]
 
 
 class AttemptLost(TypedDict):

@@ -40,13 +40,13 @@ from bench.records.events import (
     RunResumed,
     RunStarted,
     Solved,
+    StateEntered,
     StepDone,
     SupervisorLost,
     UntilDecided,
     Written,
 )
 from bench.records.journal import CLOCK_JUMPED, Entry, Journal
-from bench.records.results import StateEntered
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
 """States in which a pose is at work."""

@@ -11,7 +11,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NotRequired, TypedDict
 
-from bench.records.events import FailureData, GateData, ImageFacts, LedgerPlace, UntilDecided
+from bench.records.events import (
+    AttemptData,
+    FailureData,
+    GateData,
+    ImageFacts,
+    LedgerPlace,
+    StateEntered,
+    UntilDecided,
+)
 
 Numbers = Mapping[str, float]
 """A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""
@@ -20,14 +28,6 @@ Numbers = Mapping[str, float]
 Verdict = Literal["pass", "conditionalPass", "conditionalFail", "fail"]
 """Of a statement of conformity: kept by the guard band or more, kept by less, not kept but by the guard band at most,
 not kept by more."""
-
-
-class StateEntered(TypedDict):
-    """A state that a run entered, with the time by the system's clock and by the monotonic clock."""
-
-    state: str
-    utc: str
-    mono_s: float
 
 
 class CovarianceData(TypedDict):
@@ -305,23 +305,6 @@ class HalvesData(TypedDict):
     expected_px: float
     ratio: NotRequired[float]
     cameras: NotRequired[Sequence[Numbers]]  # Of both halves
-
-
-class AttemptData(TypedDict):
-    """A recording, accepted or refused."""
-
-    attempt: int
-    capture: str
-    sha256: str
-    accepted: bool
-    reasons: Sequence[str]
-    duration_s: NotRequired[float]
-    events: NotRequired[int]
-    triggers: NotRequired[int]
-    event_rate_mev_s: NotRequired[float]
-    temperature_c: NotRequired[float | None]
-    pictures: NotRequired[int]
-    saturated_percent: NotRequired[float]
 
 
 class PoseData(TypedDict):

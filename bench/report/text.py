@@ -143,6 +143,7 @@ def words_of(results: Results) -> TargetWords:
 NOTHING = "\N{EN DASH}"
 """Printed in place of a missing value."""
 MINUS = "\N{MINUS SIGN}"
+_MILLI_FROM_URAD = 1000.0
 _ARCSEC_PER_TENTH_DEGREE = 360.0
 
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "skew": "px", "x": "mm", "y": "mm", "r": "mm"}
@@ -298,6 +299,23 @@ def angle(arcsec: float) -> str:
     if arcsec >= _ARCSEC_PER_TENTH_DEGREE:
         return f"{number(arcsec / 3600, 3)}\N{DEGREE SIGN}"
     return f"{number(arcsec, 3)}\N{DOUBLE PRIME}"
+
+
+def angle_text(urad: float) -> str:
+    """Print a small angle with two significant digits, in µrad, or in mrad from 1000 µrad on.
+
+    urad: The angle, µrad.
+
+    Examples
+    --------
+    >>> angle_text(23.44), angle_text(1488.0)
+    ('23 µrad', '1.5 mrad')
+    """
+    # Rounded first: 999.6 µrad is 1.0 mrad.
+    rounded = float(f"{urad:.2g}")
+    if rounded >= _MILLI_FROM_URAD:
+        return f"{number(rounded / 1000.0, 2)} mrad"
+    return f"{number(urad, 2)} \N{MICRO SIGN}rad"
 
 
 def moment(text: str | None) -> str:

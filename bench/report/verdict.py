@@ -14,6 +14,7 @@ from bench.records.run_facts import coverage_factor, factors_text
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.report.text import (
     NOTHING,
+    angle_text,
     conformity_headline,
     conformity_sentences,
     exact,
@@ -154,9 +155,6 @@ def _times_u(found: ChangeData) -> str:
     return f"{number(found['px_there'], 2)} px = {number(found['largest_ratio'], 2)} U"
 
 
-_MILLI_FROM_URAD = 1000.0
-
-
 @dataclass(frozen=True)
 class Verdict:
     """The verdict on a calibration, as printed."""
@@ -247,23 +245,6 @@ def _support(results: Results) -> str:
     k = _k(coverage_factor(results["calibration"]))
     there = f"{angle_text(found['expanded_urad'])} = {number(found['expanded_px'], 2)} px"
     return f"{share}; there, the error of a direction is at most {there} (k = {k}). Elsewhere, the model extrapolates."
-
-
-def angle_text(urad: float) -> str:
-    """Print a small angle with two significant digits, in µrad, or in mrad from 1000 µrad on.
-
-    urad: The angle, µrad.
-
-    Examples
-    --------
-    >>> angle_text(23.44), angle_text(1488.0)
-    ('23 µrad', '1.5 mrad')
-    """
-    # Rounded first: 999.6 µrad is 1.0 mrad.
-    rounded = float(f"{urad:.2g}")
-    if rounded >= _MILLI_FROM_URAD:
-        return f"{number(rounded / 1000.0, 2)} mrad"
-    return f"{number(urad, 2)} \N{MICRO SIGN}rad"
 
 
 def _k(k: float) -> str:

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Share of the posterior that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
 COVERAGE = 0.9545
+#: Halvings of an interval until its half width is known to 1e-9 of the widest.
+_HALVINGS = 30
 _PAIRS, _FAULT_PAIRS = 12, 4
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
@@ -112,18 +114,16 @@ class Posterior:
         return self._half_width(row, self.mean)
 
     def _half_width(self, row: Array, mean: Array) -> float:
-        from scipy.optimize import brentq
         from scipy.special import ndtr
 
         away = (self.means - mean) @ row
         sigmas = np.sqrt(self._covariances @ row @ row)
-
-        def missing(half: float) -> float:
+        low, high = 0.0, float((np.abs(away) + 6.0 * sigmas).max())
+        for _ in range(_HALVINGS):
+            half = 0.5 * (low + high)
             inside = ndtr((half - away) / sigmas) - ndtr((-half - away) / sigmas)
-            return float(self.weights @ inside) - COVERAGE
-
-        widest = float((np.abs(away) + 6.0 * sigmas).max())
-        return float(brentq(missing, 0.0, widest, xtol=1e-6 * widest))
+            low, high = (low, half) if float(self.weights @ inside) > COVERAGE else (half, high)
+        return 0.5 * (low + high)
 
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode, in closed form."""

@@ -5,7 +5,8 @@ import copy
 import pytest
 
 from bench.report.html import render_report
-from bench.report.verdict import angle_text, change, verdict
+from bench.report.text import angle_text
+from bench.report.verdict import change, verdict
 
 
 def told(data, **more):
