@@ -23,11 +23,8 @@ from bench.records.events import (
 
 Numbers = Mapping[str, float]
 """A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""
-
-
 Verdict = Literal["pass", "conditionalPass", "conditionalFail", "fail"]
-"""Of a statement of conformity: kept by the guard band or more, kept by less, not kept but by the guard band at most,
-not kept by more."""
+"""Of a statement of conformity: kept by the guard band or more, by less; missed by the guard band at most, by more."""
 
 
 class CovarianceData(TypedDict):
