@@ -16,6 +16,7 @@ from bench.certificate.certificate_data import (
     ValueBefore,
 )
 from bench.certificate.compose import Identity, compose
+from bench.certificate.dcc import render_dcc
 from bench.certificate.lab_config import lab_of
 from bench.certificate.sealed_run import run_of
 from bench.evidence.findings import Verification
@@ -143,6 +144,20 @@ def small_certificate() -> Certificate:
         statements=tuple(one for one in full.statements if one.id not in ("simulated", "customer_data")),
         item=dataclasses.replace(full.item, customer_id=""),
     )
+
+
+@functools.cache
+def full_dcc() -> bytes:
+    """A DCC with everything in it, of simulated devices."""
+    return render_dcc(full_certificate())
+
+
+@functools.cache
+def small_dcc() -> bytes:
+    """A DCC with nothing optional, of a real camera."""
+    small = small_certificate()
+    camera = dataclasses.replace(small.item.camera, model="EVK4", firmware="4.2.0")
+    return render_dcc(dataclasses.replace(small, item=dataclasses.replace(small.item, camera=camera)))
 
 
 def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=None):

@@ -1,295 +1,283 @@
-"""Checks of a digital calibration certificate that its schema does not make: is it complete, does it contradict itself.
+"""Does a digital calibration certificate of ours contradict itself: what PTB's schema and the rules of dcclib do not ask.
 
-`check_dcc` needs neither schema nor network. Numbers are checked in `dcc_numbers` and `dcc_covariances`.
+Each check yields a line for each fault. It reads the file by itself; only words and units are those of the product.
 """
 
-from __future__ import annotations
-
+import math
 import re
 from collections import Counter
-from collections.abc import Iterator
 from datetime import date
 from decimal import Decimal
-from itertools import islice
-from typing import TYPE_CHECKING
 
-from dcc_covariances import budget_faults, covariance_faults
-from dcc_numbers import (
-    StatedResult,
-    coverage_faults,
-    digit_faults,
-    missing_uncertainties,
-    number_faults,
-    stated_results,
-    unit_faults,
+import numpy as np
+from lxml import etree
+from scipy.special import chdtri, stdtrit
+
+from bench.certificate.dcc_words import (
+    BUDGET,
+    COMBINED,
+    CONTRIBUTION,
+    DEGREES_OF_FREEDOM,
+    EARLIER,
+    JOINT,
+    LIMIT,
+    PREFIXES,
+    SIMULATED,
+    STATISTIC,
+    product,
+    unit_fault,
 )
+from bench.certificate.dcc_xml import NAMESPACES
 
-from bench.certificate.dcc_parties import NO_NUMBER
-from bench.certificate.dcc_reader import number
-from bench.certificate.dcc_words import SIMULATED, SIMULATED_TYPE
-from bench.certificate.dcc_xml import NAMESPACES, library, qualified, read_dcc, short
-
-if TYPE_CHECKING:
-    from lxml.etree import _Element
-
-_EMPTY = frozenset({"", "-", "n/a", "none", "unknown", "tbd", "todo", "?", NO_NUMBER})
-_SHA256 = re.compile(r"[0-9a-f]{64}")
-_RELEASE = re.compile(r"[A-Za-z] ?(?:\d{1,3}\.){0,3}\d{1,3}")
-_CORE = "dcc:administrativeData/dcc:coreData"
-_MOST_FAULTS = 200
+CORE = "dcc:administrativeData/dcc:coreData"
+LIST = "si:realListXMLList"
+OF_RESULTS = ".//dcc:result//dcc:quantity[si:real][not(ancestor::dcc:metaData)]"
+WITHOUT_UNCERTAINTY = {STATISTIC, BUDGET, EARLIER, DEGREES_OF_FREEDOM, LIMIT}
 
 
-def check_dcc(data: bytes, where: str = "the DCC") -> list[str]:
-    """Check the content of a digital calibration certificate.
-
-    where: The file, for messages about a file that cannot be read.
-    Returns: One line a fault; empty if none was found. At most 200.
-    Raises EvidenceError: When it cannot be read safely, is not a DCC, or has a version that is not known.
-    Raises UsageError: When lxml is not installed.
-    """
-    root = read_dcc(data, where)
-    found = list(islice((fault for check in CHECKS for fault in check(root)), _MOST_FAULTS + 1))
-    return found if len(found) <= _MOST_FAULTS else [*found[:-1], "and more"]
+def check_dcc(data: bytes) -> list[str]:
+    """Return one line a fault; empty if there is none."""
+    root = etree.fromstring(data)
+    return [fault for check in CHECKS for fault in check(root)]
 
 
-def _hidden_faults(root: _Element) -> Iterator[str]:
-    """Yield comments and processing instructions: they can hide a part of a value from a reader."""
-    etree = library("lxml.etree")
-    for one in root.iter(etree.Comment, etree.ProcessingInstruction, etree.Entity):
-        yield f"line {one.sourceline}: there is an XML comment or instruction, which can hide a part of a value"
+def find(root, path):
+    return root.xpath(path, namespaces=NAMESPACES)
 
 
-def _identity_faults(root: _Element) -> Iterator[str]:
-    """Yield what is missing of number, items, laboratory, customer and persons."""
-    if _is_empty(root.findtext(f"{_CORE}/dcc:uniqueIdentifier", "", NAMESPACES)):
-        yield "the certificate has no number (uniqueIdentifier)"
-    serials = 0
-    for item in root.iterfind(".//dcc:item", NAMESPACES):
-        values = item.iterfind("dcc:identifications/dcc:identification", NAMESPACES)
-        stated = [one for one in values if not _is_empty(one.findtext("dcc:value", "", NAMESPACES))]
-        serials += any(_is_serial(one) for one in stated)
-        if _is_empty(_text(item, "dcc:name")):
-            yield f"line {item.sourceline}: an item has no name"
-    if not serials:
-        yield "no item has a serial number"
-    for path, name in (
-        ("dcc:calibrationLaboratory/dcc:contact", "calibration laboratory"),
-        ("dcc:customer", "customer"),
+def text(root, path: str) -> str:
+    return root.findtext(path, "", NAMESPACES).strip()
+
+
+def kinds(element) -> set[str]:
+    return set(element.get("refType", "").split())
+
+
+def parties(root):
+    """Somebody is named in each part, and somebody signs."""
+    for path in (
+        f"{CORE}/dcc:uniqueIdentifier",
+        ".//dcc:item/dcc:name/dcc:content",
+        ".//dcc:item/dcc:identifications/dcc:identification/dcc:value",
+        "dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content",
+        "dcc:administrativeData/dcc:customer/dcc:name/dcc:content",
+        ".//dcc:respPerson[dcc:mainSigner='true']/dcc:person/dcc:name/dcc:content",
     ):
-        if _is_empty(_text(root, f"dcc:administrativeData/{path}/dcc:name")):
-            yield f"the {name} has no name"
-    persons = root.findall(".//dcc:respPerson", NAMESPACES)
-    signers = [
-        one for one in persons if one.findtext("dcc:mainSigner", "", NAMESPACES).strip() in ("true", "1")
-    ]
-    if not any(not _is_empty(_text(one, "dcc:person/dcc:name")) for one in signers):
-        yield "no person authorises the certificate (respPerson with mainSigner and a name)"
+        if text(root, path) in ("", "-"):
+            yield f"nothing at {path}"
 
 
-def _is_serial(identification: _Element) -> bool:
-    named = _text(identification, "dcc:name").lower()
-    return "basic_serialNumber" in identification.get("refType", "").split() or "serial" in named
-
-
-def _date_faults(root: _Element) -> Iterator[str]:
-    """Yield dates that cannot be read or are out of order."""
+def dates(root):
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
-    before: tuple[str, date] | None = None
-    for name in names:
-        text = root.findtext(f"{_CORE}/dcc:{name}", None, NAMESPACES)
-        if text is None:
-            continue
-        try:
-            found = date.fromisoformat(text.strip()[:10])
-        except ValueError:
-            yield f"{name} {short(text) or 'without text'} is not a date"
-            continue
-        if before is not None and found < before[1]:
-            yield f"{name} {found} is before {before[0]} {before[1]}"
-        before = (name, found)
+    found = [date.fromisoformat(told[:10]) for name in names if (told := text(root, f"{CORE}/dcc:{name}"))]
+    if found != sorted(found) or len(found) < 3:
+        yield f"dates are missing or out of order: {found}"
 
 
-def _amendment_faults(root: _Element) -> Iterator[str]:
-    """Yield an amendment that does not name the certificate that it replaces, and hashes that are none."""
-    replaced = root.find(f"{_CORE}/dcc:reportAmendedSubstituted", NAMESPACES)
-    previous = root.find(f"{_CORE}/dcc:previousReport", NAMESPACES)
-    own = root.findtext(f"{_CORE}/dcc:uniqueIdentifier", "", NAMESPACES).strip()
-    if replaced is not None:
-        number_ = replaced.findtext("dcc:replacedUniqueIdentifier", "", NAMESPACES).strip()
-        if number_ == own:
-            yield "the certificate replaces itself"
-        if previous is None:
-            yield "the certificate replaces another, but has no hash of that (previousReport)"
-        elif previous.findtext("dcc:referralID", "", NAMESPACES).strip() != number_:
-            yield "reportAmendedSubstituted and previousReport name two certificates"
-    for element in root.iter(
-        *(qualified(f"dcc:{name}") for name in ("previousReport", "certificate", "linkedReport"))
-    ):
-        procedure = element.findtext("dcc:procedure", "", NAMESPACES).upper().replace("-", "").strip()
-        value = element.findtext("dcc:value", "", NAMESPACES).strip().lower()
-        if procedure == "SHA256" and not _SHA256.fullmatch(value):
-            yield f"line {element.sourceline}: {short(value) or 'an empty text'} is not a hash by SHA-256"
+def amendments(root):
+    replaced = text(root, f"{CORE}/dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier")
+    if replaced != text(root, f"{CORE}/dcc:previousReport/dcc:referralID"):
+        yield "reportAmendedSubstituted and previousReport name two certificates"
+    if replaced == text(root, f"{CORE}/dcc:uniqueIdentifier"):
+        yield "the certificate replaces itself"
+    for one in find(root, "//*[dcc:procedure='SHA-256']/dcc:value"):
+        if not re.fullmatch("[0-9a-f]{64}", one.text):
+            yield f"{one.text} is not a hash by SHA-256"
 
 
-def _reference_faults(root: _Element) -> Iterator[str]:
-    """Yield references to nothing, ids that nothing refers to, and ids that stand twice."""
-    ids = Counter(one.get("id", "") for one in root.iter("{*}*") if one.get("id"))
-    referred: set[str] = set()
-    for element in root.iter("{*}*"):
-        for one in element.get("refId", "").split():
-            referred.add(one)
-            if one not in ids:
-                yield f"line {element.sourceline}: refId {short(one)} refers to no id"
-    yield from (f"id {short(one)} stands {count} times" for one, count in ids.items() if count > 1)
-    yield from (f"nothing refers to the id {short(one)}" for one in ids if one not in referred)
+def references(root):
+    ids = Counter(find(root, "//@id"))
+    referred = {word for told in find(root, "//@refId") for word in told.split()}
+    yield from (f"refId {one} refers to no id" for one in referred - set(ids))
+    yield from (f"nothing refers to the id {one}" for one in set(ids) - referred)
+    yield from (f"id {one} stands {count} times" for one, count in ids.items() if count > 1)
 
 
-def _language_faults(root: _Element) -> Iterator[str]:
-    """Yield texts that are empty or in a language that the certificate does not declare."""
-    used = {
-        (one.text or "").strip() for one in root.iterfind(f"{_CORE}/dcc:usedLangCodeISO639_1", NAMESPACES)
+def texts(root):
+    declared = {one.text for one in find(root, f"{CORE}/dcc:usedLangCodeISO639_1")}
+    for one in find(root, "//dcc:content"):
+        if one.get("lang", "en") not in declared or not (one.text or "").strip():
+            yield f"line {one.sourceline}: an empty text, or one of another language"
+    for one in find(root, "//dcc:release"):
+        if not re.fullmatch(r"[A-Za-z] ?(\d{1,3}\.){0,3}\d{1,3}", one.text):
+            yield f"the release {one.text} has not PTB's form v1.2.3"
+
+
+def simulated(root):
+    """A certificate of simulated devices says so in each place, any other in none."""
+    signs = {
+        "number": SIMULATED in text(root, f"{CORE}/dcc:uniqueIdentifier"),
+        "title": SIMULATED in text(root, ".//dcc:measurementResult/dcc:name/dcc:content"),
+        "item": SIMULATED in text(root, ".//dcc:item/dcc:name/dcc:content"),
+        "statement": any(SIMULATED in one.text for one in find(root, "//dcc:statement//dcc:content")),
+        "comment": bool(find(root, "dcc:comment/*[@simulated='true']")),
     }
-    for content in root.iter(qualified("dcc:content")):
-        language = content.get("lang")
-        if language is not None and language not in used:
-            yield f"line {content.sourceline}: the language {short(language)} is not one of the certificate"
-        if not (content.text or "").strip():
-            yield f"line {content.sourceline}: a text is empty"
+    if len(set(signs.values())) != 1:
+        yield f"simulated here, and not there: {signs}"
 
 
-def _software_faults(root: _Element) -> Iterator[str]:
-    """Yield versions of software in another form than PTB's rules want: a letter and up to four numbers."""
-    for release in root.iter(qualified("dcc:release")):
-        if not _RELEASE.fullmatch((release.text or "").strip()):
-            yield f"line {release.sourceline}: the release {short(release.text or '')} has not the form v1.2.3"
+def units_and_numbers(root):
+    for one in find(root, "//si:*[not(*)]"):
+        name, words = etree.QName(one).localname, (one.text or "").split()
+        if "nit" in name:
+            yield from (f"{name}: {word} is not a unit of D-SI" for word in words or [""] if unit_fault(word))
+        elif not re.search("abel|istribution", name):
+            yield from (f"{name}: {word} is not a number" for word in words or [""] if not finite(word))
 
 
-def _simulated_faults(root: _Element) -> Iterator[str]:
-    """Yield a certificate of simulated devices that does not say so everywhere."""
-    number_ = root.findtext(f"{_CORE}/dcc:uniqueIdentifier", "", NAMESPACES)
-    titles = [_text(one, "dcc:name") for one in root.iterfind(".//dcc:measurementResult", NAMESPACES)]
-    names = [_text(one, "dcc:name") for one in root.iterfind(".//dcc:item", NAMESPACES)]
-    items = " ".join(
-        "".join(map(str, one.itertext("{*}*"))) for one in root.iterfind(".//dcc:items", NAMESPACES)
-    )
-    flagged = any(one.get("simulated") == "true" for one in root.iterfind("dcc:comment/*", NAMESPACES))
-    statements = root.findall(".//dcc:statement", NAMESPACES)
-    stated = any(
-        SIMULATED_TYPE in one.get("refType", "").split() and SIMULATED in _text(one, "dcc:declaration")
-        for one in statements
-    )
-    marked_titles = [SIMULATED in title for title in titles]
-    signs = (flagged, stated, SIMULATED in number_, any(marked_titles), "simulated" in items.lower())
-    if not any(signs):
-        return
-    says = "the certificate is of simulated devices, but"
-    if not stated:
-        yield f"{says} no statement says {SIMULATED}"
-    if not all(marked_titles):
-        yield f"{says} the name of its measurement does not say {SIMULATED}"
-    if not any(SIMULATED in name for name in names):
-        yield f"{says} the name of no item says {SIMULATED}"
-    if SIMULATED not in number_:
-        yield f"{says} its number does not say {SIMULATED}"
+def finite(word: str) -> bool:
+    return re.fullmatch(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", word) is not None
 
 
-def _conformity_faults(root: _Element) -> Iterator[str]:
-    """Yield statements of conformity without rule or result, and verdicts that the limits contradict."""
-    results = {one.id: one for one in stated_results(root) if one.id}
-    exact = _unrounded(root)
-    for statement in root.iter(qualified("dcc:statement"), qualified("dcc:metaData")):
-        verdict = statement.findtext("dcc:conformity", None, NAMESPACES)
-        if verdict is None:
-            continue
-        line = f"line {statement.sourceline}"
-        if _is_empty(statement.findtext("dcc:convention", "", NAMESPACES)):
-            yield f"{line}: a statement of conformity has no decision rule"
-        ids = statement.get("refId", "").split()
-        if statement.tag == qualified("dcc:statement") and not any(one in results for one in ids):
-            yield f"{line}: a statement of conformity names no result"
-        limits = _limits(statement)
-        for id_ in ids:
-            if id_ in results and limits is not None:
-                yield from _verdict_faults(line, verdict.strip(), results[id_], exact.get(id_), limits)
+class Result:
+    """A number with its expanded uncertainty, as stated in ``si:real``."""
 
-
-def _limits(statement: _Element) -> tuple[Decimal | None, Decimal | None, Decimal] | None:
-    """Return lower limit, upper limit and guard band of a statement; None if it has no limit."""
-    found: dict[str, Decimal | None] = {}
-    for quantity in statement.iterfind("dcc:data/dcc:quantity", NAMESPACES):
-        found[_text(quantity, "dcc:name")] = number(quantity.findtext("si:real/si:value", None, NAMESPACES))
-    lower, upper = found.get("lower limit"), found.get("upper limit")
-    return (
-        None if lower is None and upper is None else (lower, upper, found.get("guard band w") or Decimal(0))
-    )
-
-
-def _unrounded(root: _Element) -> dict[str, Decimal]:
-    """Return the unrounded values of the results, from their joint list."""
-    found: dict[str, Decimal] = {}
-    for quantity in root.iterfind(".//dcc:result//dcc:quantity[@refId]", NAMESPACES):
-        texts = quantity.findtext("si:realListXMLList/si:valueXMLList", "", NAMESPACES).split()
-        ids = quantity.get("refId", "").split()
-        if len(ids) == len(texts):
-            found |= {
-                id_: value
-                for id_, text in zip(ids, texts, strict=True)
-                if (value := number(text)) is not None
-            }
-    return found
-
-
-def _verdict_faults(
-    line: str,
-    verdict: str,
-    result: StatedResult,
-    exact: Decimal | None,
-    limits: tuple[Decimal | None, Decimal | None, Decimal],
-) -> Iterator[str]:
-    """Yield a verdict that neither the printed nor the unrounded value gives (guard band: ILAC-G8:09/2019, 4.2)."""
-    lower, upper, guard = limits
-    allowed = set()
-    for value in filter(lambda one: one is not None, (result.value, exact)):
-        assert value is not None
-        margins = [value - lower] if lower is not None else []
-        margins += [upper - value] if upper is not None else []
-        margin = min(margins)
-        if margin >= 0:
-            allowed.add("pass" if margin >= guard else "conditionalPass")
-        else:
-            allowed |= {"fail"} if -margin >= guard else set()
-            allowed |= {"conditionalFail"} if -margin <= guard else set()
-    if verdict not in allowed:
-        yield (
-            f"{line}: the verdict on {result.name} is {short(verdict)}, but {result.value} with these limits and the"
-            f" guard band {guard} is {' or '.join(sorted(allowed))}"
+    def __init__(self, quantity) -> None:
+        real = quantity.find("si:real", NAMESPACES)
+        self.id, self.label = quantity.get("id", ""), text(real, "si:label")
+        self.unit, self.value = text(real, "si:unit"), Decimal(text(real, "si:value"))
+        U, k, p = (
+            text(real, f"si:expandedUnc/si:{name}")
+            for name in ("uncertainty", "coverageFactor", "coverageProbability")
         )
+        self.stated = bool(U and k and p)
+        self.U, self.k, self.p = Decimal(U or 1), float(k or 1), float(p or 0)
+        nu = f"dcc:measurementMetaData/dcc:metaData[@refType='{DEGREES_OF_FREEDOM}']//si:value"
+        self.nu = float(text(quantity, nu) or "inf")
+
+    @property
+    def step(self) -> float:
+        """One unit of the last digit of U; of its second digit where it is a whole number."""
+        exponent = int(self.U.as_tuple().exponent)
+        return 10.0 ** (exponent if exponent < 0 else max(exponent, self.U.adjusted() - 1))
+
+    def is_expanded(self, sigma: float) -> bool:
+        """Whether U is k times a standard uncertainty, rounded to U's digits or upwards."""
+        exact = self.k * sigma
+        return exact - 0.51 * self.step <= float(self.U) <= 1.001 * exact + self.step
 
 
-def _text(parent: _Element, path: str) -> str:
-    return " ".join(one.text or "" for one in parent.iterfind(f"{path}/dcc:content", NAMESPACES)).strip()
+def results(root) -> list[Result]:
+    return [Result(one) for one in find(root, OF_RESULTS) if not kinds(one) & WITHOUT_UNCERTAINTY]
 
 
-def _is_empty(text: str) -> bool:
-    return text.strip().lower() in _EMPTY
+def uncertainties(root):
+    """U, k, p and digits of each result (JCGM 100:2008, 7.2.6 and annex G)."""
+    if not results(root):
+        yield "there is no result"
+    for one in results(root):
+        if not one.stated or one.U <= 0:
+            yield f"{one.label} has no uncertainty"
+            continue
+        quantile = 0.5 * (1.0 + one.p)
+        factors = [float(stdtrit(nu, quantile)) for nu in (one.nu, np.floor(one.nu)) if nu < 1e9]
+        if all(abs(one.k - exact) > 0.03 * exact for exact in factors or [float(stdtrit(1e9, quantile))]):
+            yield f"{one.label}: k = {one.k} does not belong to p = {one.p} and {one.nu} degrees of freedom"
+        digits = str(one.U).replace(".", "").lstrip("0")
+        if len(digits.rstrip("0") if one.U.to_integral() == one.U else digits) > 2:
+            yield f"{one.label}: U = {one.U} has too many digits"
+        if one.step < 1 and one.value.as_tuple().exponent != one.U.as_tuple().exponent:
+            yield f"{one.label} = {one.value} and U = {one.U} do not end at the same digit"
+
+
+def joint_list(root):
+    """The list with all digits has the results' labels, values and units, and a covariance that gives their U."""
+    (quantity,) = [one for one in find(root, "//dcc:quantity") if JOINT in kinds(one)]
+    stated = {one.id: one for one in results(root) if one.id}
+    members = [stated.pop(one) for one in quantity.get("refId").split()]
+    if stated:
+        yield f"the joint covariance lacks {sorted(stated)}"
+    if text(quantity, f"{LIST}/si:labelXMLList").split() != [one.label for one in members]:
+        yield "the joint list has other labels"
+    units = [one.unit for one in members]
+    if text(quantity, f"{LIST}/si:unitXMLList").split() not in (units, sorted(set(units))):
+        yield "the joint list has other units"
+    values = map(float, text(quantity, f"{LIST}/si:valueXMLList").split())
+    for one, value in zip(members, values, strict=True):
+        if abs(value - float(one.value)) > 0.51 * one.step:
+            yield f"{one.label} is {one.value} as a result and {value} in the joint list"
+    columns = [find(column, "si:covariance") for column in find(quantity, ".//si:column")]
+    matrix = np.array([[float(text(row, "si:value")) for row in column] for column in columns])
+    for i, column in enumerate(columns):
+        for j, row in enumerate(column):
+            if powers(text(row, "si:unit")) != powers(product(units[i], units[j])):
+                yield f"the unit of the covariance {i}, {j} is not the product of two units"
+    sigma = np.sqrt(np.diag(matrix))
+    correlation = matrix / np.outer(sigma, sigma)
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(correlation)[0] < -1e-9:
+        yield "the covariance is not symmetric or not positive semi-definite"
+    for one, each in zip(members, sigma, strict=True):
+        if not one.is_expanded(each):
+            yield f"U = {one.U} of {one.label} is not k times the root of the diagonal, {each}"
+    region = find(quantity, ".//si:ellipsoidalRegionXMLList")[0]
+    k, p = (float(text(region, f"si:{name}")) for name in ("coverageFactor", "coverageProbability"))
+    if k < 0.97 * math.sqrt(chdtri(len(members), 1.0 - p)):  # JCGM 102:2011, 6.5
+        yield f"the coverage factor {k} of the ellipsoid is too small"
+
+
+def powers(unit: str) -> dict[str, int]:
+    r"""Return the power of each unit, with its prefix, in a unit of D-SI; without ``\one``."""
+    found: dict[str, int] = {}
+    prefix = last = ""
+    sign = 1
+    for word in unit.split("\\")[1:]:
+        if word.startswith("tothe"):
+            found[last] += sign * (int(word[6:-1]) - 1)
+        elif word == "per":
+            sign = -1
+        elif word in PREFIXES:
+            prefix = word
+        else:
+            last, prefix = prefix + word, ""
+            found[last] = found.get(last, 0) + sign
+    return {name: power for name, power in found.items() if power and name != "one"}
+
+
+def budgets(root):
+    """The rows of a budget add up to its result's uncertainty (JCGM 100:2008, 5.1)."""
+    stated = {one.id: one for one in results(root)}
+    for budget in find(root, "//dcc:result[@refId]"):
+        one = stated[budget.get("refId")]
+        rows, (combined,) = (
+            [
+                float(text(quantity, "si:real/si:value"))
+                for quantity in find(budget, f".//dcc:quantity[@refType='{BUDGET}']")
+                if text(quantity, "dcc:name/dcc:content") == name
+            ]
+            for name in (CONTRIBUTION, COMBINED)
+        )
+        if abs(math.hypot(*rows) - combined) > 0.01 * combined or not one.is_expanded(combined):
+            yield f"the budget of {one.label}: rows {math.hypot(*rows)}, sum {combined}, U = {one.U}"
+
+
+def verdicts(root):
+    """The verdict on each result with limits is that of the guard band (ILAC-G8:09/2019, 4.2)."""
+    stated = {one.id: one for one in results(root)}
+    for statement in find(root, "//dcc:statement[dcc:conformity]"):
+        told = {
+            text(one, "dcc:name/dcc:content"): float(text(one, "si:real/si:value"))
+            for one in find(statement, "dcc:data/dcc:quantity")
+        }
+        one = stated[statement.get("refId").split()[0]]
+        lower, upper = told.get("lower limit", -math.inf), told.get("upper limit", math.inf)
+        margin, guard = min(float(one.value) - lower, upper - float(one.value)), told["guard band w"]
+        expected = "pass" if margin >= 0 else "fail"
+        if abs(margin) < guard:
+            expected = f"conditional{expected.title()}"
+        if text(statement, "dcc:conformity") != expected or not text(statement, "dcc:convention"):
+            yield f"{one.label}: the verdict is not {expected}, or has no decision rule"
 
 
 CHECKS = (
-    _hidden_faults,
-    _identity_faults,
-    _date_faults,
-    _amendment_faults,
-    _reference_faults,
-    _language_faults,
-    _software_faults,
-    _simulated_faults,
-    unit_faults,
-    number_faults,
-    missing_uncertainties,
-    coverage_faults,
-    digit_faults,
-    covariance_faults,
-    budget_faults,
-    _conformity_faults,
+    parties,
+    dates,
+    amendments,
+    references,
+    texts,
+    simulated,
+    units_and_numbers,
+    uncertainties,
+    joint_list,
+    budgets,
+    verdicts,
 )
-"""The checks that `check_dcc` makes, in this order."""

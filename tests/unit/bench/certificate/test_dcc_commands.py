@@ -1,6 +1,6 @@
 import json
 
-import dcc_mutations
+import certificate_sample
 import lab_pki
 import pytest
 from click.testing import CliRunner
@@ -24,7 +24,9 @@ def no_schemas(monkeypatch):
 def signed(tmp_path):
     key, certificate = lab_pki.seal()
     path = tmp_path / "dcc.xml"
-    path.write_bytes(sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at()))
+    path.write_bytes(
+        sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at())
+    )
     (tmp_path / "trusted.pem").write_bytes(lab_pki.pem(lab_pki.authority()[1]))
     (tmp_path / "other.pem").write_bytes(lab_pki.pem(lab_pki.authority("Other")[1]))
     return path
@@ -65,7 +67,7 @@ def test_faults(signed):
 def test_a_signature_of_others_is_a_fault(signed):
     status, said = run(signed, "--trusted", signed.parent / "other.pem")
     assert (status, "leads to no trusted certificate" in said) == (1, True)
-    signed.write_bytes(dcc_mutations.full_dcc())
+    signed.write_bytes(certificate_sample.full_dcc())
     status, said = run(signed, "--trusted", signed.parent / "trusted.pem")
     assert (status, "you named a certificate that you trust" in said) == (1, True)
 

@@ -1,6 +1,6 @@
 import hashlib
 
-import dcc_mutations
+import certificate_sample
 import lab_pki
 import pytest
 import yaml
@@ -96,7 +96,7 @@ def test_what_cannot_be_read_is_said(data, said):
 
 def test_a_certificate_of_a_camera_has_no_focal_length_in_millimetres():
     with pytest.raises(EvidenceError, match="not state exactly one focal length"):
-        read_reference(dcc_mutations.full_dcc(), "x")
+        read_reference(certificate_sample.full_dcc(), "x")
 
 
 def run(*arguments):

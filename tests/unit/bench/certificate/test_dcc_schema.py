@@ -1,6 +1,6 @@
 """The check against schemas, with small schemas of our own: those of PTB are not in the repository."""
 
-import dcc_mutations
+import certificate_sample
 import pytest
 
 from bench.base.errors import EvidenceError, UsageError
@@ -33,8 +33,8 @@ def schemas(tmp_path):
 
 def test_imports_are_answered_by_the_folder(schemas):
     """The imports name addresses in the network; nothing is fetched, and the files stay as they are."""
-    assert schema_faults(dcc_mutations.full_dcc(), schemas, "dcc.xml") == []
-    wrong = dcc_mutations.full_dcc().replace(b"<si:value>3346.4<", b"<si:value>many<", 1)
+    assert schema_faults(certificate_sample.full_dcc(), schemas, "dcc.xml") == []
+    wrong = certificate_sample.full_dcc().replace(b"<si:value>3346.4<", b"<si:value>many<", 1)
     (fault,) = schema_faults(wrong, schemas, "dcc.xml")
     assert fault.startswith("line ")
     assert "si:value" in fault
@@ -43,13 +43,13 @@ def test_imports_are_answered_by_the_folder(schemas):
 
 
 def test_many_faults_are_cut(schemas):
-    wrong = dcc_mutations.full_dcc().replace(b"<si:value>", b"<si:value>x")
+    wrong = certificate_sample.full_dcc().replace(b"<si:value>", b"<si:value>x")
     assert len(schema_faults(wrong, schemas, "dcc.xml")) == 51
 
 
 def refused(folder):
     with pytest.raises(UsageError) as caught:
-        schema_faults(dcc_mutations.small_dcc(), folder, "dcc.xml")
+        schema_faults(certificate_sample.small_dcc(), folder, "dcc.xml")
     assert "STARBENCH_DCC_SCHEMAS" in caught.value.remedy
     assert caught.value.exit_status == 2
     return str(caught.value)

@@ -1,4 +1,4 @@
-import dcc_mutations
+import certificate_sample
 import lab_pki
 import pytest
 from dcc_checks import check_dcc
@@ -21,35 +21,35 @@ WHEN = lab_pki.signed_at()
 @pytest.fixture(scope="module")
 def signed():
     key, certificate = lab_pki.seal()
-    return sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=WHEN)
+    return sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=WHEN)
 
 
 @pytest.mark.parametrize("kind", ["rsa", "P-256", "P-384", "P-521"])
 def test_signed_twice_gives_the_same_bytes(kind):
     key, certificate = lab_pki.seal(kind)
-    signed = sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=WHEN)
-    assert signed == sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=WHEN)
-    assert without_signature(signed) == dcc_mutations.full_dcc()
+    signed = sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=WHEN)
+    assert signed == sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=WHEN)
+    assert without_signature(signed) == certificate_sample.full_dcc()
     found = verify_signature(signed, "dcc.xml", trusted=[lab_pki.authority()[1]])
     assert (found.signer, found.stated_utc, found.trusted) == (f"CN=Lab seal {kind},O=Lab", WHEN, True)
     assert check_dcc(signed) == []
 
 
 def test_without_signature_of_an_unsigned_dcc_is_the_dcc():
-    assert without_signature(dcc_mutations.small_dcc()) == dcc_mutations.small_dcc()
-    assert verify_signature(dcc_mutations.small_dcc(), "dcc.xml") is None
+    assert without_signature(certificate_sample.small_dcc()) == certificate_sample.small_dcc()
+    assert verify_signature(certificate_sample.small_dcc(), "dcc.xml") is None
 
 
 def test_a_chain_is_put_in_order_and_leads_to_the_authority():
     key, chain = lab_pki.long_chain()
-    signed = sign_dcc(dcc_mutations.small_dcc(), key, chain[1::-1], signed_utc=WHEN)
+    signed = sign_dcc(certificate_sample.small_dcc(), key, chain[1::-1], signed_utc=WHEN)
     assert verify_signature(signed, "x", trusted=[chain[2]]).trusted
     assert verify_signature(signed, "x", trusted=[chain[1]]).trusted
     assert verify_signature(signed, "x", trusted=[chain[0]]).trusted
     assert not verify_signature(signed, "x").trusted
     with pytest.raises(EvidenceError, match="leads to no trusted certificate"):
         verify_signature(signed, "x", trusted=[lab_pki.authority("Other")[1]])
-    alone = sign_dcc(dcc_mutations.small_dcc(), key, chain[:1], signed_utc=WHEN)
+    alone = sign_dcc(certificate_sample.small_dcc(), key, chain[:1], signed_utc=WHEN)
     with pytest.raises(EvidenceError, match="leads to no trusted certificate"):
         verify_signature(alone, "x", trusted=[chain[2]])
 
@@ -58,7 +58,7 @@ def test_a_seal_cannot_issue_certificates():
     seal_key, seal = lab_pki.seal("P-384")
     key = lab_pki.new_key("P-256")
     forged = lab_pki.issue("Lab seal", key, "Lab seal P-384", seal_key)
-    signed = sign_dcc(dcc_mutations.small_dcc(), key, [forged, seal], signed_utc=WHEN)
+    signed = sign_dcc(certificate_sample.small_dcc(), key, [forged, seal], signed_utc=WHEN)
     with pytest.raises(EvidenceError, match="leads to no trusted certificate"):
         verify_signature(signed, "x", trusted=[lab_pki.authority()[1]])
 
@@ -197,7 +197,7 @@ def test_text_hidden_behind_a_signature_is_not_lost(signed):
 def test_unfit_certificates_sign_nothing(options, when, said):
     key, certificate = lab_pki.seal(**options)
     with pytest.raises(EvidenceError, match=said):
-        sign_dcc(dcc_mutations.small_dcc(), key, [certificate], signed_utc=when)
+        sign_dcc(certificate_sample.small_dcc(), key, [certificate], signed_utc=when)
 
 
 def test_what_cannot_be_signed(signed):
@@ -205,12 +205,12 @@ def test_what_cannot_be_signed(signed):
     with pytest.raises(EvidenceError, match="signed already"):
         sign_dcc(signed, key, [certificate], signed_utc=WHEN)
     with pytest.raises(EvidenceError, match="not written by Starbench"):
-        sign_dcc(dcc_mutations.small_dcc() + b"\n", key, [certificate], signed_utc=WHEN)
+        sign_dcc(certificate_sample.small_dcc() + b"\n", key, [certificate], signed_utc=WHEN)
     with pytest.raises(EvidenceError, match="No certificate of the chain belongs to the key"):
-        sign_dcc(dcc_mutations.small_dcc(), lab_pki.new_key("P-384"), [certificate], signed_utc=WHEN)
+        sign_dcc(certificate_sample.small_dcc(), lab_pki.new_key("P-384"), [certificate], signed_utc=WHEN)
     stranger = lab_pki.authority("Other")[1]
     with pytest.raises(EvidenceError, match="CN=Other,O=Lab is no part of the chain"):
-        sign_dcc(dcc_mutations.small_dcc(), key, [certificate, stranger], signed_utc=WHEN)
+        sign_dcc(certificate_sample.small_dcc(), key, [certificate, stranger], signed_utc=WHEN)
 
 
 def test_a_signature_is_valid_at_its_own_time_and_not_at_another(signed):
@@ -224,8 +224,8 @@ def test_key_and_certificate_of_two_files_sign(tmp_path):
     key_file = write(tmp_path / "key.pem", lab_pki.key_pem(key, b"open"))
     chain_file = write(tmp_path / "chain.pem", lab_pki.pem(certificate))
     sign = signer_of_files(key_file, chain_file, ask_passphrase=lambda _: b"open")
-    expected = sign_dcc(dcc_mutations.small_dcc(), key, [certificate], signed_utc=WHEN)
-    assert sign(dcc_mutations.small_dcc(), WHEN) == expected
+    expected = sign_dcc(certificate_sample.small_dcc(), key, [certificate], signed_utc=WHEN)
+    assert sign(certificate_sample.small_dcc(), WHEN) == expected
     other_file = write(tmp_path / "other.pem", lab_pki.pem(lab_pki.authority()[1]))
     with pytest.raises(EvidenceError, match="No certificate of the chain belongs to the key"):
         signer_of_files(key_file, other_file, ask_passphrase=lambda _: b"open")
