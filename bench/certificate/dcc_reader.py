@@ -14,7 +14,7 @@ from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from bench.base.errors import EvidenceError
-from bench.certificate.dcc_words import length_mm
+from bench.certificate.dcc_units import length_mm
 from bench.certificate.dcc_xml import NAMESPACES, library, qualified, read_dcc, short
 
 if TYPE_CHECKING:

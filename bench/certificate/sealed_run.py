@@ -30,7 +30,7 @@ from bench.records.storage import read_bounded, sha256_of, storage_errors
 FORM = "certificate_form"
 _LIBRARIES = ("typst", "lxml")
 _FOLDER = "bench/certificate"
-_ENDINGS = frozenset({".py", ".typ"})
+_ENDINGS = frozenset({".py", ".typ", ".j2"})
 _ALSO = (
     "bench/report/calibration_tables.py",
     "bench/report/pose_plot.py",

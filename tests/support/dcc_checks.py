@@ -13,22 +13,15 @@ import numpy as np
 from lxml import etree
 from scipy.special import chdtri, stdtrit
 
-from bench.certificate.dcc_words import (
-    BUDGET,
-    COMBINED,
-    CONTRIBUTION,
-    DEGREES_OF_FREEDOM,
-    EARLIER,
-    JOINT,
-    LIMIT,
-    PREFIXES,
-    SIMULATED,
-    STATISTIC,
-    product,
-    unit_fault,
-)
+from bench.certificate.dcc_units import PREFIXES, is_unit, product
 from bench.certificate.dcc_xml import NAMESPACES
 
+SIMULATED = "SIMULATED"
+STATISTIC, LIMIT = "starbench_statistic", "starbench_limit"
+BUDGET, EARLIER, JOINT = "starbench_budgetEntry", "starbench_earlierValue", "starbench_jointCovariance"
+DEGREES_OF_FREEDOM = "starbench_effectiveDegreesOfFreedom"
+CONTRIBUTION = "contribution to the standard uncertainty"
+COMBINED = "combined standard uncertainty"
 CORE = "dcc:administrativeData/dcc:coreData"
 LIST = "si:realListXMLList"
 OF_RESULTS = ".//dcc:result//dcc:quantity[si:real][not(ancestor::dcc:metaData)]"
@@ -120,7 +113,9 @@ def units_and_numbers(root):
     for one in find(root, "//si:*[not(*)]"):
         name, words = etree.QName(one).localname, (one.text or "").split()
         if "nit" in name:
-            yield from (f"{name}: {word} is not a unit of D-SI" for word in words or [""] if unit_fault(word))
+            yield from (
+                f"{name}: {word} is not a unit of D-SI" for word in words or [""] if not is_unit(word)
+            )
         elif not re.search("abel|istribution", name):
             yield from (f"{name}: {word} is not a number" for word in words or [""] if not finite(word))
 

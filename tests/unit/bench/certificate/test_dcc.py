@@ -8,8 +8,7 @@ from dcc_checks import check_dcc
 from lxml import etree
 
 from bench.certificate.certificate_data import Certificate, Software
-from bench.certificate.dcc import ellipsoid_factor, render_dcc
-from bench.certificate.dcc_words import number_text, plain_number
+from bench.certificate.dcc import ellipsoid_factor, number_text, plain_number, render_dcc
 from bench.certificate.dcc_xml import NAMESPACES, VERSIONS, Versions
 
 

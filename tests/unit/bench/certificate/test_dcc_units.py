@@ -1,12 +1,12 @@
 import pytest
 from dcc_checks import powers
 
-from bench.certificate.dcc_words import OUR_UNITS, d_si_unit, length_mm, product, unit_fault
+from bench.certificate.dcc_units import OUR_UNITS, d_si_unit, is_unit, length_mm, product
 
 
 @pytest.mark.parametrize("unit", sorted(set(OUR_UNITS.values())))
 def test_our_units_are_units_of_d_si(unit):
-    assert unit_fault(unit) is None
+    assert is_unit(unit)
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ def test_our_units_are_units_of_d_si(unit):
     ],
 )  # fmt: skip
 def test_units(unit):
-    assert unit_fault(unit) is None
+    assert is_unit(unit)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_units(unit):
     ],
 )  # fmt: skip
 def test_no_units(unit):
-    assert unit_fault(unit)
+    assert not is_unit(unit)
 
 
 @pytest.mark.parametrize(
