@@ -26,6 +26,7 @@ from tests.hil.direct_stages import DirectLine, VirtualClock
 class DirectLight:
     """A light, its line, its simulated driver, and what the lamp was driven to, in turn."""
 
+    kind: str
     light: Light
     line: DirectLine
     driver: LightDriver
@@ -64,4 +65,4 @@ def direct_light(kind: str, clock: VirtualClock, rng: np.random.Generator) -> Di
     lamp = Lamp(states.append)
     driver = make_light(LightConfig(kind), clock.monotonic, lamp.drive)
     line = DirectLine(FaultLine(driver, clock.monotonic, rng), clock)
-    return DirectLight(OPENED[kind](line, clock), line, driver, lamp, states)
+    return DirectLight(kind, OPENED[kind](line, clock), line, driver, lamp, states)

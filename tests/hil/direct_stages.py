@@ -5,12 +5,14 @@ Bytes pass straight from a driver to a simulated device behind a line of faults:
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
 from bench.stations.station_text import find_description, read_stage_protocol
-from drivers.errors import PortLost
+from drivers.errors import DriverError, MoveFailed, PortLost
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
@@ -138,6 +140,27 @@ class DirectStage:
     def true_deg(self) -> float:
         """Where the axis really points, once it has settled."""
         return self.controller.axis.pointing.angle_deg(self.line.clock.now_s + 1.0)
+
+
+def stop_in_mid_move(
+    clock: VirtualClock, stage: Stage, target: dict[str, float], after_s: float
+) -> DriverError:
+    """Stop a stage from another thread, when the virtual clock has reached a time; return the move's error."""
+    began_s, sleep, stopped = clock.now_s, clock.sleep, []
+
+    def sleep_then_stop(seconds: float) -> None:
+        sleep(seconds)
+        if not stopped and clock.now_s - began_s > after_s:
+            stopped.append(True)
+            stopper = threading.Thread(target=stage.stop)
+            stopper.start()
+            stopper.join()
+
+    clock.sleep = sleep_then_stop
+    with pytest.raises(MoveFailed) as caught:
+        stage.move_to(target)
+    clock.sleep = sleep
+    return caught.value
 
 
 def zaber(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:

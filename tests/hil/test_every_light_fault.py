@@ -27,7 +27,6 @@ def rig(request) -> DirectLight:
     rig = direct_light(request.param, VirtualClock(), np.random.default_rng(3))
     rig.light.apply(BRIGHT)
     rig.light.on()
-    rig.kind = request.param
     return rig
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pytest
 
@@ -25,13 +23,13 @@ from simulators.stages.axis_motion import Mechanics
 from simulators.stages.dynamixel import DynamixelBus, ServoModel, status_packet
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
-    FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
     DirectLine,
     DirectStage,
     VirtualClock,
     k10cr1,
+    stop_in_mid_move,
     thorlabs,
 )
 
@@ -233,25 +231,6 @@ def test_another_model_is_refused(gimbal) -> None:
         gimbal.open()
 
 
-def stop_in_mid_move(clock: VirtualClock, stage, target: dict[str, float], after_s: float) -> DriverError:
-    """Stop a stage from another thread, when the virtual clock has reached a time; return the move's error."""
-    began_s, sleep, stopped = clock.now_s, clock.sleep, []
-
-    def sleep_then_stop(seconds: float) -> None:
-        sleep(seconds)
-        if not stopped and clock.now_s - began_s > after_s:
-            stopped.append(True)
-            stopper = threading.Thread(target=stage.stop)
-            stopper.start()
-            stopper.join()
-
-    clock.sleep = sleep_then_stop
-    with pytest.raises(MoveFailed) as caught:
-        stage.move_to(target)
-    clock.sleep = sleep
-    return caught.value
-
-
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_a_stop_of_servos_is_confirmed_though_messages_are_lost(gimbal, lost) -> None:
     stage = gimbal.open()
@@ -426,38 +405,3 @@ def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
     asked = [sent for sent in line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
     assert len(asked) > 20
     assert all(sent.startswith(apt.short(apt.STILL_THERE)) for sent in asked)
-
-
-# ---------------------------------------------------------------- noise
-@pytest.mark.parametrize("exchanges", [1_500, pytest.param(100_000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("chance", [0.02, 0.2])
-@pytest.mark.parametrize("family", ["thorlabs", "k10cr1", "dynamixel"])
-def test_on_a_bad_line_a_move_ends_at_its_target_or_in_an_error(family, chance, exchanges) -> None:
-    clock = VirtualClock()
-    rig = FAMILIES[family](clock, np.random.default_rng(5))
-    rig.stage.home()
-    line = rig.line.device
-    line.inject(LineFault("any", count=None, chance=chance, delay_s=0.7))
-    line.inject(LineFault("request_lost", count=None, chance=chance / 4))
-    line.inject(LineFault("request_garbled", count=None, chance=chance / 10))
-    line.inject(LineFault("preceded", count=None, chance=chance / 10, replacement=b"\xff\xfd\x00?\x07"))
-    rng = np.random.default_rng(6)
-    good = refused = 0
-    while rig.line.writes < exchanges:
-        target = float(rng.integers(-1400, 1400)) / 100.0
-        try:
-            if not rig.stage.is_homed():
-                rig.stage.home()
-            rig.stage.move_to({"pan": target})
-            told = rig.stage.position_deg()["pan"]
-        except DriverError:
-            refused += 1
-            clock.sleep(3.0)
-            if refused % 20 == 0:  # a changed request can drive an axis into its end
-                rig.controller.restart(clock.now_s)
-                clock.sleep(2.0)
-            continue
-        good += 1
-        assert told == pytest.approx(target, abs=0.01)
-        assert rig.true_deg() == pytest.approx(target, abs=0.01)
-    assert good > exchanges / 500

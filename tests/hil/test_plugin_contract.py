@@ -1,4 +1,4 @@
-"""The contract suite for plug-ins, on two of our own devices: it passes, and fails for a driver that does wrong."""
+"""The contract suite for plug-ins, on every family of our own devices, each on its port."""
 
 from __future__ import annotations
 
@@ -10,46 +10,53 @@ from typing import Any, ClassVar
 import pytest
 
 from bench.plugin_tests import CameraContract, FrameCameraContract, LightContract, StageContract
+from simulators.assembly import make_light, make_stage
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
-from simulators.lights.microcontroller import MicrocontrollerLight
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.dynamixel import DynamixelBus, ServoModel
-from simulators.stages.flir_ptu import PtuAxisModel, PtuController
-from simulators.stages.thorlabs_apt import AptController, AptModel
+from simulators.config import AxisConfig, LightConfig
 from simulators.world.world import LightState, World
 from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG
 from tests.hil.evk4_host import FLICKER, SMALL
 
 STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
-AXIS = {"counts_per_deg": 800, "limits_deg": [-15, 15], "speed_deg_s": 40, "acceleration_deg_s2": 200}
 
 
-class Unit(PtuController):
-    def angles_deg(self) -> Mapping[str, float]:
-        names = {"P": "pan", "T": "tilt"}
-        return {
-            names[letter]: one.axis.pointing.angle_deg(time.monotonic()) for letter, one in self.axes.items()
+def axis(end_deg: float = 15.0, **more: Any) -> Mapping[str, Any]:
+    """An axis of a section."""
+    return {"limits_deg": [-end_deg, end_deg], "speed_deg_s": 40, "acceleration_deg_s2": 200, **more}
+
+
+class OurStage(StageContract):
+    """A simulated stage of one port, and the section for its driver."""
+
+    of_bench: ClassVar[str]
+    names: ClassVar[tuple[str, ...]] = ("pan", "tilt")
+    scale: ClassVar[int] = 6400
+
+    def device(self, clock: Callable[[], float]) -> Any:
+        ends = {"pan": (15.0, 2.4), "tilt": (10.0, -1.7)}
+        axes = {
+            name: AxisConfig(f"10010{number}", *ends[name], self.scale, settle_s=0.001)
+            for number, name in enumerate(self.names, start=1)
         }
-
-
-class Rotator(AptController):
-    def angles_deg(self) -> Mapping[str, float]:
-        return {"pan": self.axis.pointing.angle_deg(time.monotonic())}
-
-
-class Servos(DynamixelBus):
-    def angles_deg(self) -> Mapping[str, float]:
-        names = {1: "pan", 2: "tilt"}
-        return {
-            names[number]: one.axis.pointing.angle_deg(time.monotonic())
-            for number, one in self.servos.items()
+        stage = make_stage(self.of_bench, axes, clock, lambda *_: None)
+        (device,) = stage.dialects.values()
+        device.angles_deg = lambda: {
+            name: one.axis.pointing.angle_deg(time.monotonic()) for name, one in stage.controllers.items()
         }
+        return device
 
 
-class Lamp(MicrocontrollerLight):
-    def is_lit(self) -> bool:
-        return self._light.output and self._light.high > 0
+class OurLight(LightContract):
+    """A simulated driver of a light, and the section for ours."""
+
+    of_bench: ClassVar[str]
+
+    def device(self, clock: Callable[[], float]) -> Any:
+        states = [LightState()]
+        device = make_light(LightConfig(self.of_bench, "SB7"), clock, states.append)
+        device.is_lit = lambda: states[-1].output and states[-1].high > 0
+        return device
 
 
 class FrameCamera(SimulatedFrameCamera):
@@ -57,74 +64,129 @@ class FrameCamera(SimulatedFrameCamera):
         self.inject_fault("unplug")
 
 
+class TestZaber(OurStage):
+    of_bench = "zaber"
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "zaber_ascii",
+        "port": "PORT",
+        "axes": {
+            "pan": axis(device=1, serial="100101", microsteps_per_deg=6400),
+            "tilt": axis(10.0, device=2, serial="100102", microsteps_per_deg=6400),
+        },
+    }
+
+
 @pytest.mark.slow
-class TestFlirPtu(StageContract):
+class TestXimc(OurStage):
+    """One axis: the suite has one port."""
+
+    of_bench = "ximc"
+    names = ("pan",)
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "ximc",
+        "axes": {"pan": axis(port="PORT", serial="100101", steps_per_deg=25, encoder_counts_per_deg=500)},
+    }
+
+
+@pytest.mark.slow
+class TestGrbl(OurStage):
+    of_bench = "grbl"
+    scale = 640
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "grbl",
+        "port": "PORT",
+        "axes": {
+            "pan": axis(letter="X", steps_per_deg=640, zero_deg=16),
+            "tilt": axis(10.0, letter="Y", steps_per_deg=640, zero_deg=11),
+        },
+    }
+
+
+@pytest.mark.slow
+class TestEsp(OurStage):
+    of_bench = "esp301"
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "esp30x",
+        "port": "PORT",
+        "axes": {"pan": axis(number=1, serial="100101"), "tilt": axis(10.0, number=2, serial="100102")},
+    }
+
+
+@pytest.mark.slow
+class TestFlirPtu(OurStage):
+    of_bench = "flir_ptu"
+    scale = 800
     section: ClassVar[Mapping[str, Any]] = {
         "driver": "text",
         "protocol": "flir_ptu",
         "port": "PORT",
-        "serial": "E1042",
-        "baudrate": 57600,
-        "axes": {"pan": {"address": "P", **AXIS}, "tilt": {"address": "T", **AXIS}},
+        "serial": "100101",
+        "axes": {
+            "pan": axis(address="P", counts_per_deg=800),
+            "tilt": axis(10.0, address="T", counts_per_deg=800),
+        },
     }
     other_serial = "E9"
 
-    def device(self, clock: Callable[[], float]) -> Unit:
-        model = PtuAxisModel(Mechanics(800.0, -17.0, 17.0, start_deg=2.4, stall_detection=False), 15.0)
-        return Unit({"P": model, "T": model}, "E1042", clock, baud=57_600)
-
 
 @pytest.mark.slow
-class TestThorlabs(StageContract):
+class TestThorlabs(OurStage):
     """One axis: the suite has one port."""
 
+    of_bench = "thorlabs_apt"
+    names = ("pan",)
+    scale = 136_533
     section: ClassVar[Mapping[str, Any]] = {
         "driver": "thorlabs_apt",
-        "axes": {
-            "pan": {
-                "port": "PORT",
-                "serial": "55000123",
-                "counts_per_deg": K10CR1_COUNTS_PER_DEG,
-                "limits_deg": [-15, 15],
-                "speed_deg_s": 40,
-                "acceleration_deg_s2": 200,
-            }
-        },
+        "axes": {"pan": axis(port="PORT", serial="100101", counts_per_deg=K10CR1_COUNTS_PER_DEG)},
     }
-
-    def device(self, clock: Callable[[], float]) -> Rotator:
-        mechanics = Mechanics(
-            K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4, settle_s=0.001, stall_detection=False
-        )
-        return Rotator(AptModel(mechanics, 55000123), clock)
 
 
 @pytest.mark.slow
-class TestDynamixel(StageContract):
+class TestDynamixel(OurStage):
+    of_bench = "dynamixel"
+    scale = 11
     section: ClassVar[Mapping[str, Any]] = {
         "driver": "dynamixel",
         "port": "PORT",
         "axes": {
-            name: {
-                "id": number,
-                "model": "XL430-W250",
-                "counts_per_deg": 4096 / 360,
-                "limits_deg": [-15, 15],
-                "speed_deg_s": 40,
-                "acceleration_deg_s2": 200,
-            }
-            for name, number in (("pan", 1), ("tilt", 2))
+            "pan": axis(id=1, model="XL430-W250", counts_per_deg=4096 / 360),
+            "tilt": axis(10.0, id=2, model="XL430-W250", counts_per_deg=4096 / 360),
         },
     }
     tolerance_deg = 0.05
 
-    def device(self, clock: Callable[[], float]) -> Servos:
-        model = ServoModel(Mechanics(4096 / 360, -17.0, 17.0, start_deg=2.4))
-        return Servos({1: model, 2: model}, clock)
+
+@pytest.mark.slow
+class TestKeysight(OurLight):
+    of_bench = "keysight"
+    section: ClassVar[Mapping[str, Any]] = {"driver": "scpi", "port": "PORT", "serial": "SB7"}
+    other_serial = "SB8"
 
 
 @pytest.mark.slow
-class TestMicrocontrollerLight(LightContract):
+class TestRigol(OurLight):
+    of_bench = "rigol"
+    section: ClassVar[Mapping[str, Any]] = {**TestKeysight.section, "dialect": "numbered"}
+    other_serial = "SB8"
+
+
+@pytest.mark.slow
+class TestSiglent(OurLight):
+    of_bench = "siglent"
+    section: ClassVar[Mapping[str, Any]] = {**TestKeysight.section, "dialect": "siglent"}
+    other_serial = "SB8"
+
+
+@pytest.mark.slow
+class TestGardasoft(OurLight):
+    of_bench = "gardasoft"
+    section: ClassVar[Mapping[str, Any]] = {"driver": "gardasoft", "port": "PORT"}
+
+
+@pytest.mark.slow
+class TestMicrocontroller(OurLight):
+    of_bench = "microcontroller"
     section: ClassVar[Mapping[str, Any]] = {
         "driver": "text",
         "protocol": "microcontroller_light",
@@ -132,9 +194,6 @@ class TestMicrocontrollerLight(LightContract):
         "serial": "SB7",
     }
     other_serial = "SB8"
-
-    def device(self, clock: Callable[[], float]) -> Lamp:
-        return Lamp("SB7", clock)
 
 
 @pytest.mark.slow

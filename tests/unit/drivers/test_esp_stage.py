@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from drivers.errors import (
@@ -20,7 +19,6 @@ from drivers.errors import (
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
 from tests.unit.drivers.esp_peer import EspPeer
-from tests.unit.drivers.noisy_port import NoisyPort
 
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 
@@ -253,26 +251,3 @@ def test_the_answer_to_another_question_is_no_position(homed, peer) -> None:
     peer.spoil = lambda line: b"1\r\n" if b"." in line else line
     with pytest.raises(ReplyError, match="not a number with decimals"):
         homed.position_deg()
-
-
-@pytest.mark.parametrize("exchanges", [pytest.param(3_000), pytest.param(100_000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("rate", [0.02, 0.2])
-def test_no_position_that_is_told_is_wrong(clock, exchanges, rate) -> None:
-    peer = EspPeer(clock)
-    rng = np.random.default_rng(6)
-    port = NoisyPort(peer, rng, 0.0)
-    stage = EspStage(port, axes(), clock=clock)
-    stage.home()
-    port.rate = rate
-    good = 0
-    while port.writes < exchanges:
-        for axis in peer.axes.values():
-            axis.start = axis.goal = float(rng.integers(-15, 15))
-        expected = {"pan": peer.axes[1].goal, "tilt": 2.0 - peer.axes[2].goal}
-        try:
-            told = stage.position_deg()
-        except DriverError:
-            continue
-        assert told == expected
-        good += 1
-    assert good > 10
