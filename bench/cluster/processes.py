@@ -1,7 +1,6 @@
-"""Workers on this computer: one process for each, without a scheduler and without a network.
+"""Workers on this computer: a pool of one process for each, so that it is known with which work a process died.
 
-A worker that dies is replaced, and its work is done again; only a piece of work with which several workers died counts
-as failed. A worker ends when its pipe is closed, so none outlives the command for longer than its present work.
+Such a pool is replaced, and its work is done again. A worker ends with the command, however that ends.
 """
 
 from __future__ import annotations
@@ -9,142 +8,141 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections import Counter, deque
+import threading
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
-from typing import Self
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 
 from bench.base.failure import Failure
-from bench.cluster.work import MOST_DEATHS, Finished, Work, do
+from bench.cluster.work import Finished, Work, Workers, do
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _END_S = 2.0
 
 
+@dataclass(frozen=True)
 class _Worker:
-    """A process that does one piece of work at a time."""
+    """A pool of one process, and that process."""
 
-    def __init__(self, memory_bytes: int | None) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.process: SpawnProcess = context.Process(target=_serve, args=(theirs, memory_bytes), daemon=True)
-        with _one_thread():
-            self.process.start()
-        theirs.close()
-        self.work: Work | None = None
+    pool: ProcessPoolExecutor
+    process: BaseProcess
 
     def end(self) -> None:
         """End the process at once."""
-        with suppress(OSError):
-            self.pipe.close()
         self.process.terminate()
         self.process.join(_END_S)
         if self.process.is_alive():
             self.process.kill()
-            self.process.join()
+        self.pool.shutdown(cancel_futures=True)
 
 
-class Processes:
+def _started(memory_bytes: int | None) -> _Worker:
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare, (memory_bytes,))
+    before = multiprocessing.active_children()
+    with _one_thread():
+        pool.submit(os.getpid)  # the first work starts the process
+    (process,) = (one for one in multiprocessing.active_children() if one not in before)
+    return _Worker(pool, process)
+
+
+class Processes(Workers):
     """Workers on this computer.
 
     count: Number of processes; None for one for each processor.
     memory_bytes: Memory that each may use; None for no limit. Only Linux limits it.
     """
 
+    size = 1
+
     def __init__(self, count: int | None = None, memory_bytes: int | None = None) -> None:
+        super().__init__()
         self._memory_bytes = memory_bytes
         self._waiting: deque[Work] = deque()
-        self._deaths: Counter[str] = Counter()
+        self._idle: list[_Worker] = []
+        self._working: dict[Future[Finished], _Worker] = {}
+        self._exit_code: int | None = None
         self.size = max(1, count or processors())
         self.replaced = 0
-        self._workers: list[_Worker] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def pids(self) -> list[int]:
         """Numbers of the processes."""
-        return [worker.process.pid for worker in self._workers if worker.process.pid]
+        workers = (*self._idle, *self._working.values())
+        return [worker.process.pid for worker in workers if worker.process.pid]
 
     def submit(self, work: Work) -> None:
-        """See `Workers.submit`."""
-        self._waiting.append(work)
+        """See `Workers.submit`. Work with which a worker died is done first."""
+        if work.key in self._deaths:
+            self._waiting.appendleft(work)
+        else:
+            self._waiting.append(work)
         self._hand_out()
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
         """See `Workers.finished`."""
-        busy = {worker.pipe: worker for worker in self._workers if worker.work is not None}
-        ended = []
-        for pipe in wait(list(busy), timeout_s):
-            worker = busy[pipe]  # type: ignore[index] # of the pipes that were given
-            try:
-                ended.append(worker.pipe.recv())
-                self._deaths.pop(ended[-1].key, None)
-                worker.work = None
-            except (EOFError, OSError):
-                ended += self._replace(worker)
+        ended = super().finished(timeout_s)
         self._hand_out()
         return ended
 
     def close(self) -> None:
         """See `Workers.close`."""
         self._waiting.clear()
-        for worker in self._workers:
+        for worker in (*self._idle, *self._working.values()):
             worker.end()
-        self._workers.clear()
+        self._idle.clear()
+        self._working.clear()
 
     def _hand_out(self) -> None:
-        while self._waiting:
-            worker = next((one for one in self._workers if one.work is None), None)
-            if worker is None:
-                if len(self._workers) >= self.size:
-                    return
-                worker = _Worker(self._memory_bytes)
-                self._workers.append(worker)
-            work = self._waiting.popleft()
+        while self._waiting and (self._idle or len(self._working) < self.size):
+            worker = self._idle.pop() if self._idle else _started(self._memory_bytes)
             try:
-                worker.pipe.send(work)
-            except OSError:  # it died while it had nothing to do
-                self._waiting.appendleft(work)
-                self._replace(worker)
+                future = worker.pool.submit(do, self._waiting[0])
+            except BrokenProcessPool:  # it died while it had nothing to do
+                self._forget(worker)
                 continue
-            worker.work = work
+            self._busy[future] = self._waiting.popleft()
+            self._working[future] = worker
 
-    def _replace(self, worker: _Worker) -> list[Finished]:
-        """Forget a worker that died; do its work again, or give it up."""
+    def _end(self, work: Work, future: Future[Finished]) -> Finished | None:
+        worker = self._working.pop(future)
+        if isinstance(future.exception(), BrokenProcessPool):
+            self._forget(worker)
+        else:
+            self._idle.append(worker)
+        return super()._end(work, future)
+
+    def _forget(self, worker: _Worker) -> None:
         worker.end()
-        self._workers.remove(worker)
+        self._exit_code = worker.process.exitcode
         self.replaced += 1
-        work = worker.work
-        if work is None:
-            return []
-        self._deaths[work.key] += 1
-        if self._deaths[work.key] < MOST_DEATHS:
-            self._waiting.appendleft(work)
-            return []
-        what = (
-            f"{MOST_DEATHS} workers died with this work, the last with exit code {worker.process.exitcode}."
-        )
+
+    def _why_it_died(self, error: BaseException) -> Failure | None:
+        if not isinstance(error, BrokenProcessPool):
+            return None
+        what = f"{self.most_deaths} workers died with this work, the last with exit code {self._exit_code}."
         remedy = (
             "Look for a lack of memory in the system's log, or give each more: use fewer, with --workers."
         )
-        return [Finished(work.key, failure=Failure("WorkerDied", what, "", remedy))]
+        return Failure("WorkerDied", what, "", remedy)
 
 
-def _serve(pipe: Connection, memory_bytes: int | None) -> None:
-    """Do the work that comes through a pipe, until it is closed."""
+def _prepare(memory_bytes: int | None) -> None:
+    """Prepare a process for its work."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers
+    threading.Thread(target=_end_with_the_command, daemon=True).start()
     limit_memory(memory_bytes)
     _one_thread_of_opencv()
-    with suppress(EOFError, OSError):
-        while True:
-            pipe.send(do(pipe.recv()))
+
+
+def _end_with_the_command() -> None:
+    command = multiprocessing.parent_process()
+    assert command is not None
+    command.join()
+    os._exit(1)
 
 
 def limit_memory(memory_bytes: int | None) -> None:

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections import deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN, Failure
 
-MOST_DEATHS = 10
-"""How many workers may die with a piece of work before it counts as failed."""
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""
 
@@ -45,26 +44,66 @@ class Finished:
     defect: str = ""  # Traceback of an error that was not foreseen; else empty
 
 
-class Workers(Protocol):
-    """Does pieces of work, in any order."""
+class Workers:
+    """Does pieces of work, in any order, by executors of `concurrent.futures`.
+
+    Work with which a worker died is done again; if that happens too often, the work counts as failed.
+    """
+
+    most_deaths = 10
+    """How many workers may die with a piece of work before it counts as failed."""
+
+    def __init__(self) -> None:
+        self._busy: dict[Future[Finished], Work] = {}
+        self._deaths: Counter[str] = Counter()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     @property
     def size(self) -> int:
         """How many pieces can be in progress at once; at least 1."""
+        raise NotImplementedError
 
     def submit(self, work: Work) -> None:
         """Hand out a piece of work."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Cancel what is in progress, and end the workers that were started here."""
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
         """Wait for the end of any piece of work.
 
         timeout_s: Longest time to wait, s.
-        Returns: What ended; empty after the time.
+        Returns: What ended; empty after the time, or if a worker died whose work is done again.
         Raises WorkersLost: If nobody is left who could do the work.
         """
+        done = wait(self._busy, timeout_s, FIRST_COMPLETED).done
+        return [end for one in done if (end := self._end(self._busy.pop(one), one)) is not None]
 
-    def close(self) -> None:
-        """Cancel what is in progress, and end the workers that were started here."""
+    def _end(self, work: Work, future: Future[Finished]) -> Finished | None:
+        """Return the end of a piece of work; None if a worker died with it and it is handed out again."""
+        error = future.exception()
+        if error is None:
+            self._deaths.pop(work.key, None)
+            return future.result()
+        died = self._why_it_died(error)
+        if died is None:
+            what = f"A worker could not do this work: {type(error).__name__}: {error}"
+            remedy = "Install the same Starbench on the workers."
+            return Finished(work.key, failure=Failure(type(error).__name__, what, "", remedy))
+        self._deaths[work.key] += 1
+        if self._deaths[work.key] < self.most_deaths:
+            self.submit(work)
+            return None
+        return Finished(work.key, failure=died)
+
+    def _why_it_died(self, error: BaseException) -> Failure | None:
+        """Return how work fails with which too many workers died; None if none died with it."""
 
 
 def do(work: Work) -> Finished:
@@ -88,31 +127,16 @@ def do(work: Work) -> Finished:
         return Finished(work.key, failure=Failure.of(error), defect=traceback.format_exc())
 
 
-class Serial:
-    """Does the work in this process, one piece after the other."""
+class Serial(Workers):
+    """Does the work in this process, as soon as it is handed out."""
 
     size = 1
 
-    def __init__(self) -> None:
-        self._waiting: deque[Work] = deque()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def submit(self, work: Work) -> None:
         """See `Workers.submit`."""
-        self._waiting.append(work)
-
-    def finished(self, timeout_s: float) -> Sequence[Finished]:  # noqa: ARG002
-        """See `Workers.finished`. Does the next piece now."""
-        return [do(self._waiting.popleft())] if self._waiting else []
-
-    def close(self) -> None:
-        """See `Workers.close`."""
-        self._waiting.clear()
+        future: Future[Finished] = Future()
+        future.set_result(do(work))
+        self._busy[future] = work
 
 
 def map_work(
