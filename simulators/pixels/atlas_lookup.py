@@ -136,15 +136,6 @@ def _tabulated_crossing(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark
 
 
 @njit(forceinline=True, **JIT)
-def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
-    """Return the phase at which a pixel's ln u meets a target on one branch of the atlas."""
-    j = np.uint32(np.int32(level))
-    f = level - np.float32(j)
-    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
-    return _tabulated_crossing(d, j, f, target, bright, dark, off)
-
-
-@njit(forceinline=True, **JIT)
 def near_crossing(
     d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
 ) -> tuple[Any, Any, Any, Any, Any]:

@@ -17,7 +17,6 @@ turn, each in a process of its own.
 from __future__ import annotations
 
 import argparse
-import itertools
 import os
 import subprocess
 import sys
@@ -27,7 +26,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from ideal_readout import ideal_slices
 
 from simulators.optics import picture as optics
 from simulators.pixels.evt3_writer import Evt3Writer
@@ -90,19 +88,6 @@ def writing_speed(events: Events) -> float:
         writer.write(*events, until_us=int(events.t[-1]) + 1)
         best = min(best, time.process_time() - begin)
     return len(events.t) / best
-
-
-def ideal_speed(picture: np.ndarray) -> float:
-    """Sorted events of an ideal readout in a CPU second, sine."""
-    slices = ideal_slices(picture, LightState(waveform="sine", output=True), 1e6)
-    best = 0.0
-    for _ in itertools.islice(slices, 2):
-        pass
-    for _ in range(SLICES):
-        begin = time.process_time()
-        n = len(next(slices))
-        best = max(best, n / (time.process_time() - begin))
-    return best
 
 
 MEMORY = """
@@ -198,7 +183,6 @@ def report() -> None:
     square, sine = (writing_speed(figures[k].events) / 1e6 for k in (0, 3))
     print(f"\nEVT3 writing: {square:.0f} Mev per CPU s (square), {sine:.0f} (sine)")
     print(f"rendering a pose: {render_s:.2f} s")
-    print(f"ideal readout, sine, sorted 16-byte events: {ideal_speed(picture) / 1e6:.0f} Mev per CPU s")
     for waveform in ("square", "sine"):
         streamed, at_once = memory(waveform, 2000, written=True), memory(waveform, 33_000, written=False)
         print(f"peak memory, 33 ms, {waveform}, as words, 2 ms at a time as the stream does: {streamed}")
