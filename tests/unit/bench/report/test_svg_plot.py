@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.report.plot_frame import Key, Words, axes_in
-from bench.report.plots import regions, residual_vectors
+from bench.report.plots import deviations_from_truth, regions, residual_vectors
 from bench.report.svg_plot import Picture, Scale
 from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
@@ -99,3 +99,16 @@ def test_a_report_and_its_charts_load_no_library_that_draws():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_deviations_lie_on_bands_of_one_and_two_standard_uncertainties():
+    drawn = deviations_from_truth(["fx", "fy"], [0.5, -1.0])
+    wide, narrow = (
+        [tuple(map(float, corner.split())) for corner in re.split("[LMZ]", path) if corner]
+        for path in re.findall(r'<path d="([^"]*Z)"', drawn)
+    )
+    for band in (wide, narrow):
+        assert len(set(band)) == 4
+        assert len({x for x, _ in band}) == len({y for _, y in band}) == 2
+    widths = [max(x for x, _ in band) - min(x for x, _ in band) for band in (wide, narrow)]
+    assert widths[0] == pytest.approx(2 * widths[1], abs=0.03)

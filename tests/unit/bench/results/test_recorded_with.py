@@ -69,6 +69,12 @@ def test_a_few_words_of_an_end_that_was_cut_off_are_none(checked):
     assert checked(HEAD.encode() + EVENTS + b"\x05\x00" * 5).faults == []
 
 
+@pytest.mark.parametrize("kind", [0x6, 0x8, 0xE, 0xF])
+def test_times_and_what_the_camera_says_of_itself_may_follow_the_last_event(checked, kind):
+    words = np.full(100, kind << 12 | 5, "<u2").tobytes()
+    assert checked(HEAD.encode() + EVENTS + words).faults == []
+
+
 def test_another_camera_or_size_in_the_head_is_found(checked):
     found = checked((HEAD.replace("00051234", "00050999")).encode() + EVENTS)
     assert "its head names the serial 00050999" in found.faults[0].what
@@ -81,6 +87,13 @@ def test_another_camera_in_the_facts_is_found(checked):
 def test_another_date_in_the_head_is_told(checked):
     (remark,) = checked((HEAD.replace("2026-03-01", "1999-01-01")).encode() + EVENTS).remarks
     assert "its head states the time 1999-01-01 13:02:05, the journal 2026-03-01 12:02 UTC" in remark
+
+
+@pytest.mark.parametrize(("date", "told"), [("2026-03-02 02:02:05", 0), ("2026-03-02 03:32:05", 1)])
+def test_a_date_that_a_time_zone_explains_is_not_told(checked, date, told):
+    """Zones reach 14 h from UTC; the journal says 12:02:06 UTC."""
+    head = HEAD.replace("2026-03-01 13:02:05", date)
+    assert len(checked(head.encode() + EVENTS).remarks) == told
 
 
 def test_what_no_camera_writes_into_the_head_is_told(checked):
