@@ -12,7 +12,9 @@ Arabic letters and mathematical signs, but no Chinese, Japanese, Korean, Indian 
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,13 +30,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bench import __version__
 from bench.base.errors import BenchError, UsageError
-from bench.certificate.pdf_blocks import Picture, draw_plots, pictures
-from bench.certificate.pdf_sections import opening, sections, subject
+from bench.certificate.pdf_plots import draw_plots, pictures
 from bench.records.results import Results
-from bench.report.text import words_of
+from bench.report.text import MINUS, NOTHING, exact, moment, number, words_of
 
 if TYPE_CHECKING:
-    from bench.certificate.certificate_data import Certificate
+    from bench.certificate.certificate_data import Certificate, Covariance
+    from bench.certificate.pdf_plots import Picture
 
 
 _FONTS = ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf")
@@ -162,6 +164,9 @@ _KINDS = {
 }
 _HEADER = 120
 """Most characters of the laboratory's name in the head of a page."""
+AUTHORISATION = "SHA256SUMS.authorised.sig"
+_PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
 
@@ -175,7 +180,7 @@ def render_pdf(
 
     results: Content of the run's results.json.
     attachments: Files to attach, by name: ``dcc.xml`` and ``results.json``.
-    plots: SVG by name, from `bench.certificate.pdf_blocks.plots_of_run`; None to draw what follows from
+    plots: SVG by name, from `bench.certificate.pdf_plots.plots_of_run`; None to draw what follows from
       ``results`` alone.
     Raises UsageError: When typst is not installed, or the laboratory wrote characters that the fonts do not
       have.
@@ -186,11 +191,7 @@ def render_pdf(
     refuse_missing(content)
     shown = pictures(certificate, draw_plots(results) if plots is None else plots, words_of(results))
     files = {one.file: one.svg for one in shown}
-    return _compiled(_document(certificate, shown, attachments), files, attachments)
-
-
-def _keywords(certificate: Certificate) -> list[str]:
-    return [certificate.number, certificate.item.camera.serial, "calibration", "ISO/IEC 17025"]
+    return _compiled(document(certificate, shown, attachments), files, attachments)
 
 
 def _programs() -> str:
@@ -199,32 +200,107 @@ def _programs() -> str:
     )
 
 
-def _document(
-    certificate: Certificate, shown: list[Picture], attachments: Mapping[str, bytes]
+def document(
+    certificate: Certificate, shown: Sequence[Picture], attachments: Mapping[str, bytes]
 ) -> dict[str, Any]:
     """Return the document as data for the layout; every text in it can be printed."""
     issued = datetime.fromisoformat(certificate.issued_utc)
-    found: dict[str, Any] = {
-        "title": f"{certificate.title} {certificate.number}",
-        "heading": certificate.title,
-        "subject": subject(certificate),
-        "author": certificate.laboratory.name,
-        "keywords": [*_keywords(certificate), f"rendered by {_programs()}"],
-        "language": certificate.language,
-        "number": certificate.number,
-        "simulated": certificate.simulated,
-        "laboratory": shorten(certificate.laboratory.name, _HEADER, placeholder=" …"),
-        "date": [issued.year, issued.month, issued.day, issued.hour, issued.minute, issued.second],
-        "footer": f"Certificate {certificate.number}. SEALED; not a certificate until authorised, see “Authorisation”.",
-        "end_mark": f"END OF CERTIFICATE {certificate.number}",
-        "attachments": [_attachment(name, data) for name, data in sorted(attachments.items())],
-        "opening": opening(certificate),
-        "sections": sections(certificate, shown, attachments),
+    content = json.loads(certificate.to_json())
+    del content["covariance"]  # its digits are others
+    found = _printable(
+        {
+            "title": f"{certificate.title} {certificate.number}",
+            "subject": _subject(certificate),
+            "keywords": [
+                certificate.number,
+                certificate.item.camera.serial,
+                "calibration",
+                "ISO/IEC 17025",
+                f"rendered by {_programs()}",
+            ],
+            "laboratory": shorten(certificate.laboratory.name, _HEADER, placeholder=" …"),
+            "date": [issued.year, issued.month, issued.day, issued.hour, issued.minute, issued.second],
+            "begun": moment(certificate.begun_utc),
+            "ended": moment(certificate.ended_utc),
+            "issued": moment(certificate.issued_utc),
+            "state": _state(certificate),
+            "statements": {one.id: one.text for one in reversed(certificate.statements)},
+            "covariance": _printed_covariance(certificate.covariance),
+            "pictures": [
+                {"name": one.name, "file": one.file, "alt": one.alt, "caption": one.caption, "wide": one.wide}
+                for one in shown
+            ],
+            "attachments": [_attachment(name, data) for name, data in sorted(attachments.items())],
+            "certificate": content,
+        }
+    )
+    return {**found, "note": CODE_NOTE if "[U+" in json.dumps(found) else ""}
+
+
+def _printable(found: Any) -> Any:
+    """Replace every character that cannot be printed by its code, and every number by its printed forms."""
+    if isinstance(found, str):
+        return with_codes(found)
+    if isinstance(found, float):
+        return _forms(found)
+    if isinstance(found, dict):
+        return {name: _printable(value) for name, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [_printable(value) for value in found]
+    return found
+
+
+def _forms(value: float) -> dict[str, str]:
+    """Return the forms in which a number is printed: with some digits, as stated, and a share in percent."""
+    return {
+        "two": compact(value, 2),
+        "three": compact(value),
+        "four": compact(value, 4),
+        "stated": stated(value),
+        "stated_five": stated(value, 5),
+        "percent": percent(value),
+        "share": f"{100 * value:.2f}",
     }
-    coded = _with_codes(found)
-    if "[U+" in json.dumps(coded):
-        coded["sections"][-1]["blocks"].append({"kind": "paragraph", "tone": "note", "text": CODE_NOTE})
-    return dict(coded)
+
+
+def _subject(certificate: Certificate) -> str:
+    """Return the calibrated item in one line."""
+    camera, lens = certificate.item.camera, certificate.item.lens
+    text = f"{f'{camera.maker} {camera.model}'.strip() or 'Camera'}, serial {camera.serial}"
+    named = f"{lens.maker} {lens.model}".strip()
+    if named or lens.serial:
+        text += f", with lens {named}".rstrip()
+        text += f", serial {lens.serial}" if lens.serial else ""
+    return text
+
+
+def _state(certificate: Certificate) -> str:
+    """Return the state of the document, and what makes it a certificate (ISO/IEC 17025, 7.8.2.1 o)."""
+    person = certificate.authorised_by
+    return (
+        f"SEALED; not a certificate until authorised by {person.name}, {person.role} (key {person.key_fingerprint})"
+        f" \N{EN DASH} see {AUTHORISATION}."
+    )
+
+
+def _printed_covariance(found: Covariance) -> list[Any]:
+    """Return names, units, and the printed matrices of covariance and correlation."""
+    sigma = [math.sqrt(max(row[at], 0.0)) for at, row in enumerate(found.matrix)]
+    covariances = [[_short_exponent(f"{value:.5e}") for value in row] for row in found.matrix]
+    correlations = [
+        [
+            _printed(f"{value / (sigma[i] * sigma[j]) + 0.0:.4f}") if sigma[i] and sigma[j] else NOTHING
+            for j, value in enumerate(row)
+        ]
+        for i, row in enumerate(found.matrix)
+    ]
+    return [found.names, found.units, covariances, correlations]
+
+
+def _short_exponent(text: str) -> str:
+    """Shorten the exponent of a number, so that it can still be copied into a program."""
+    mantissa, _, power = text.partition("e")
+    return f"{mantissa}e{int(power)}"
 
 
 def _attachment(name: str, data: bytes) -> dict[str, Any]:
@@ -233,6 +309,8 @@ def _attachment(name: str, data: bytes) -> dict[str, Any]:
         "name": name,
         "file": f"attached/{name}",
         "encoded": not _is_text(data),
+        "bytes": str(len(data)),
+        "sha256": hashlib.sha256(data).hexdigest(),
         "mime_type": mime_type,
         "relationship": relationship,
         "description": description,
@@ -247,17 +325,6 @@ def _is_text(data: bytes) -> bool:
     return True
 
 
-def _with_codes(found: Any) -> Any:
-    """Replace every character that cannot be printed by its code."""
-    if isinstance(found, str):
-        return with_codes(found)
-    if isinstance(found, dict):
-        return {name: _with_codes(value) for name, value in found.items()}
-    if isinstance(found, list | tuple):
-        return [_with_codes(value) for value in found]
-    return found
-
-
 def _typst() -> ModuleType:
     try:
         import typst
@@ -269,10 +336,12 @@ def _typst() -> ModuleType:
     return typst
 
 
-def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+def _compiled(content: Mapping[str, Any], svg: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+    folder = resources.files("bench.certificate")
     files: dict[str, bytes] = {
-        "main.typ": resources.files("bench.certificate").joinpath("certificate.typ").read_bytes(),
-        "document.json": json.dumps(document, ensure_ascii=False).encode(),
+        "main.typ": b'#include "certificate.typ"',
+        **{one.name: one.read_bytes() for one in folder.iterdir() if one.name.endswith(".typ")},
+        "document.json": json.dumps(content, ensure_ascii=False).encode(),
         **{name: with_codes(text).encode() for name, text in svg.items()},
         **{
             f"attached/{name}": data if _is_text(data) else json.dumps(list(data)).encode()
@@ -294,3 +363,63 @@ def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: 
         ) from error
     assert isinstance(found, bytes)
     return found
+
+
+def _printed(text: str) -> str:
+    """Return a printed number with a true minus sign."""
+    return MINUS + text[1:] if text.startswith("-") else text
+
+
+def compact(value: float | None, digits: int = 3) -> str:
+    """Print a computed number with a number of significant digits, as a power of ten where it is very small or large.
+
+    value: The number; None is printed as a dash.
+    Returns: The number with a true minus sign.
+
+    Examples
+    --------
+    >>> compact(0.4149821), compact(-1.2345e-7), compact(0.0), compact(None)
+    ('0.415', '−1.23·10⁻⁷', '0', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    if value == 0 or _PLAIN_FROM <= abs(value) < _PLAIN_TO:
+        return number(float(value), digits)
+    mantissa, power = f"{value:.{digits - 1}e}".split("e")
+    return f"{_printed(mantissa)}·10{str(int(power)).translate(_SUPERSCRIPTS)}"
+
+
+def stated(value: float | None, digits: int = 9) -> str:
+    """Print a number that somebody stated, with all its digits.
+
+    value: The number; None is printed as a dash.
+    Returns: The number with a true minus sign.
+
+    Examples
+    --------
+    >>> stated(255.0), stated(4.5e-06), stated(-0.5)
+    ('255', '4.5·10⁻⁶', '−0.5')
+    """
+    if value is None:
+        return NOTHING
+    text = exact(float(f"{value:.{digits}g}"))
+    if "e" not in text:
+        return text
+    mantissa, power = text.replace(MINUS, "-").split("e")
+    return f"{_printed(mantissa)}·10{str(int(power)).translate(_SUPERSCRIPTS)}"
+
+
+def percent(share: float) -> str:
+    """Print a share in percent, with one decimal.
+
+    share: The share, 0 to 1.
+    Returns: The share; a share below 0.05 % as ``< 0.1``.
+
+    Examples
+    --------
+    >>> percent(0.3731), percent(1e-7), percent(0.0), percent(1.0)
+    ('37.3', '< 0.1', '0', '100.0')
+    """
+    if share == 0:
+        return "0"
+    return f"{100 * share:.1f}" if share >= 0.0005 else "< 0.1"

@@ -5,7 +5,7 @@ import re
 
 from bench.certificate.compose import compose
 from bench.certificate.dcc import render_dcc
-from bench.certificate.pdf_blocks import draw_plots, pictures
+from bench.certificate.pdf_plots import draw_plots, pictures
 from bench.report.text import BOARD, STARS
 from tests.support.certificate_sample import identity, sample_lab, sample_results
 

@@ -29,7 +29,7 @@ STORES = {"os.rename", "os.remove", "os.mkdir", "os.chmod", "os.link", "os.trunc
 def lab(tmp_path):
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch("bench.certificate.pdf_blocks.plots_of_run", return_value={}),
+        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
     ):
         yield Lab(tmp_path / "lab")
 

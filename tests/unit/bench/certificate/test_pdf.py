@@ -11,14 +11,14 @@ import pytest
 from bench.base.errors import BenchError, UsageError
 from bench.certificate import pdf
 from bench.certificate.certificate_data import Conformity, Covariance, Deviation, Statement
-from bench.certificate.pdf import _document, render_pdf
-from bench.certificate.pdf_blocks import PLOTS, at_the_point, draw_plots, pictures
-from bench.certificate.pdf_results import covariance
+from bench.certificate.pdf import render_pdf
+from bench.certificate.pdf_plots import PLOTS, draw_plots, pictures
 from bench.report.view_picture import ViewPicture
 from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts, numbers_of, texts_of
 
 pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
+from tests.support.printed_content import opening_of, sections_of, value_of
 
 ATTACHED = {"dcc.xml": b"<dcc/>\r\n", "results.json": RESULTS.read_bytes()}
 NO_PLOTS = {}
@@ -36,10 +36,8 @@ def customer_named(name):
 
 def words(certificate):
     """All text of the document."""
-    document = _document(certificate, [], ATTACHED)
-    return "\n".join(
-        texts_of([document["heading"], document["end_mark"], document["opening"], document["sections"]])
-    )
+    whole = [opening_of(certificate), sections_of(certificate, ATTACHED)]
+    return "\n".join([certificate.title, f"END OF CERTIFICATE {certificate.number}", *texts_of(whole)])
 
 
 class TestSameInputSameBytes:
@@ -107,9 +105,9 @@ class TestEveryValueIsPrinted:
             tuple(1e-9 * (1 + min(i, j)) + 0.1234567 * (i == j) for j in range(19)) for i in range(19)
         )
         large = changed(full_certificate(), covariance=Covariance(names, ("1",) * 19, matrix))
-        tables = [
-            part for block in covariance(large) for part in block.get("blocks", []) if part["kind"] == "table"
-        ]
+        (section,) = (one for one in sections_of(large, {}) if one["title"].startswith("Covariance"))
+        parts = [part for block in section["blocks"] for part in block.get("blocks", [])]
+        tables = [part for part in parts if part["kind"] == "table"]
         assert max(len(one["head"]) for one in tables) == 9
         shown = numbers_of("\n".join(texts_of(tables)))
         for row in matrix:
@@ -119,27 +117,26 @@ class TestEveryValueIsPrinted:
 
 class TestWhatAnAssessorLooksFor:
     def test_simulated_and_amended_stand_before_the_results(self):
-        opening = " ".join(texts_of(_document(full_certificate(), [], {})["opening"]))
+        opening = " ".join(texts_of(opening_of(full_certificate())))
         assert "SIMULATED" in opening
         assert "replaces certificate SIMULATED-SB-2026-00016" in opening
 
     def test_a_real_one_says_neither(self):
-        document = _document(small_certificate(), [], {})
-        assert not document["simulated"]
-        assert "SIMULATED" not in " ".join(texts_of(document["opening"]))
+        assert "SIMULATED" not in words(small_certificate())
         assert "replaces" not in words(small_certificate())
 
     def test_state_with_the_person_and_the_key(self):
         text = (
             "SEALED; not a certificate until authorised by Dr. Grace Hopper, Head of laboratory (key SHA256:"
         )
-        assert text in " ".join(texts_of(_document(small_certificate(), [], {})["opening"]))
+        assert text in " ".join(texts_of(opening_of(small_certificate())))
 
     def test_end_mark_and_number(self):
-        assert _document(small_certificate(), [], {})["end_mark"] == "END OF CERTIFICATE SB-2026-00018"
+        data = pdf.document(small_certificate(), [], {})
+        assert value_of("content.end-mark(d)", data) == "END OF CERTIFICATE SB-2026-00018"
 
     def test_order_of_the_sections(self):
-        titles = [one["title"] for one in _document(full_certificate(), [], {})["sections"]]
+        titles = [one["title"] for one in sections_of(full_certificate(), {})]
         assert titles[:2] == ["Results", "Statement of conformity"]
         assert titles.index("Metrological traceability") < titles.index("Uncertainty budgets")
         assert titles.index("Authorisation") < titles.index("How to verify this certificate")
@@ -155,7 +152,7 @@ class TestWhatAnAssessorLooksFor:
         assert {"fail", "conditionalFail"} <= set(text.split("\n"))
 
     def test_decimal_points_stand_below_each_other(self):
-        cells = at_the_point(["3346.4", "\N{MINUS SIGN}0.68", "12"])
+        cells = value_of('content_numbers.at-the-point(("3346.4", "\N{MINUS SIGN}0.68", "12"))')
         pads = [cell["pad"] if isinstance(cell, dict) else 0 for cell in cells]
         assert pads == pytest.approx([0.636, 0, 2 * 0.636 + 0.318])
 
@@ -253,6 +250,6 @@ class TestFaults:
             render_pdf(small_certificate(), {}, {}, NO_PLOTS)
 
     def test_a_fault_of_the_layout_is_one_message(self, monkeypatch):
-        monkeypatch.setattr(pdf, "opening", lambda certificate: [{"kind": "unheard of"}])
+        monkeypatch.setattr(pdf, "document", lambda *_: {})
         with pytest.raises(BenchError, match="typst could not make the certificate"):
             render_pdf(small_certificate(), {}, {}, NO_PLOTS)

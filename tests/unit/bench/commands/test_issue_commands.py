@@ -46,7 +46,7 @@ def bench(tmp_path, monkeypatch):
         mock.patch.object(certificate, "_verify", verified),
         mock.patch.object(certificate, "datetime", LaterClock),
         mock.patch.object(certificate, "_ledger", return_value=ledger),
-        mock.patch("bench.certificate.pdf_blocks.plots_of_run", return_value={}),
+        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
     ):
         yield tmp_path
 
