@@ -5,7 +5,9 @@ Bytes pass straight from a driver to a simulated device behind a line of faults:
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +106,55 @@ class DirectLine:
 
     def close(self) -> None:
         """Nothing to give back."""
+
+
+class Listening(DirectLine):
+    """A line that keeps what was sent. It can lose requests, change replies, and let something happen before a request."""
+
+    def __init__(self, *args) -> None:
+        super().__init__(*args)
+        self.sent: list[bytes] = []
+        self.closed = False
+        self.lose: Callable[[bytes], bool] = lambda _request: False
+        self.spoil: Callable[[bytes], bytes] = lambda reply: reply
+        self.before: Callable[[bytes], None] = lambda _request: None
+
+    def write(self, data: bytes) -> None:
+        self.sent.append(data)
+        self.before(data)
+        if self.lose(data):
+            return
+        waiting, self.ready = self.ready, b""
+        super().write(data)
+        self.ready = waiting + (self.spoil(self.ready) if self.ready else b"")
+
+    def lose_next(self, part: bytes, count: int = 1) -> None:
+        left = [count]
+
+        def lose(data: bytes) -> bool:
+            if part not in data or not left[0]:
+                return False
+            left[0] -= 1
+            return True
+
+        self.lose = lose
+
+    def once_moving(self, command: bytes, event: Callable[[], None], after_s: float = 0.2) -> None:
+        """Let an event happen that long after the first request that holds a command."""
+        times = [math.inf]
+
+        def before(data: bytes) -> None:
+            if command in data and times[0] == math.inf:
+                times[0] = self.clock.now_s + after_s
+            if self.clock.now_s >= times[0]:
+                times[0] = -math.inf
+                self.before = lambda _request: None
+                event()
+
+        self.before = before
+
+    def close(self) -> None:
+        self.closed = True
 
 
 def mechanics(counts_per_deg: float, **more) -> Mechanics:

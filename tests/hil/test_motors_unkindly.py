@@ -25,8 +25,8 @@ from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
-    DirectLine,
     DirectStage,
+    Listening,
     VirtualClock,
     k10cr1,
     stop_in_mid_move,
@@ -35,31 +35,6 @@ from tests.hil.direct_stages import (
 
 TORQUE_ON = bytes([3, 64, 0, 1])
 GOAL = bytes([3, 116, 0])
-
-
-class Listening(DirectLine):
-    """A line that keeps what was sent, and can lose messages."""
-
-    def __init__(self, *args) -> None:
-        super().__init__(*args)
-        self.sent: list[bytes] = []
-        self.lose = lambda _data: False
-
-    def write(self, data: bytes) -> None:
-        self.sent.append(data)
-        if not self.lose(data):
-            super().write(data)
-
-    def lose_next(self, part: bytes, count: int = 1) -> None:
-        left = [count]
-
-        def lose(data: bytes) -> bool:
-            if part not in data or not left[0]:
-                return False
-            left[0] -= 1
-            return True
-
-        self.lose = lose
 
 
 class Gimbal:

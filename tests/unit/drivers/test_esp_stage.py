@@ -1,10 +1,10 @@
-"""The ESP stage: what it sends, and that no fault of a move passes for an arrival."""
+"""The ESP stage on its simulated controller: what it sends, what it refuses, and what it says of a fault."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+import re
 
+import numpy as np
 import pytest
 
 from drivers.errors import (
@@ -18,236 +18,304 @@ from drivers.errors import (
 )
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
-from tests.unit.drivers.esp_peer import EspPeer
+from simulators.faults.line_faults import FaultLine
+from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.esp301 import EspAxisModel, EspController
+from tests.hil.direct_stages import Listening, VirtualClock
 
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
+AXES = [
+    EspAxis(name="pan", number=1, serial="SN1263", limits=LIMITS),
+    EspAxis(name="tilt", number=2, serial="1264", limits=LIMITS, direction=-1, zero_deg=2.0),
+]
 
 
-def axes() -> list[EspAxis]:
-    return [
-        EspAxis(name="pan", number=1, serial="SN1263", limits=LIMITS),
-        EspAxis(name="tilt", number=2, serial="1264", limits=LIMITS, direction=-1, zero_deg=2.0),
-    ]
+class Bench:
+    """A controller of two axes on a line, and the driver for it."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        mechanics = Mechanics(10_000.0, -22.0, 22.0, start_deg=3.0)
+        models = [EspAxisModel(mechanics, one, -20.0, 20.0, "URS75CC") for one in ("1263", "1264")]
+        self.controller = EspController(models, self.clock.monotonic)
+        faults = FaultLine(self.controller, self.clock.monotonic, np.random.default_rng(1))
+        self.line = Listening(faults, self.clock)
+        self.pan, self.tilt = self.controller.axes[1], self.controller.axes[2]
+
+    def open(self) -> EspStage:
+        return EspStage(self.line, AXES, clock=self.clock)
+
+    def homed(self) -> EspStage:
+        stage = self.open()
+        stage.home()
+        self.line.sent.clear()
+        return stage
+
+    def motions(self) -> list[str]:
+        sent = b"".join(self.line.sent).decode().split("\r")
+        return [text for text in sent if re.match(r"\d(PA|PR|OR|MV)[^?]*$", text)]
+
+    def answer(self, query: str, *answers: str) -> None:
+        """Let the controller answer a query otherwise, in turn; STAMP is the time that it would have told."""
+        left = list(answers)
+
+        def spoil(reply: bytes) -> bytes:
+            if not left or self.line.sent[-1] != f"{query}\r".encode():
+                return reply
+            stamp = reply.decode().split(", ")[1]
+            told = left.pop(0) if len(left) > 1 or answers[1:] else left[0]
+            return told.replace("STAMP", stamp).encode() + b"\r\n"
+
+        self.line.spoil = spoil
 
 
 @pytest.fixture
-def peer(clock) -> EspPeer:
-    return EspPeer(clock)
-
-
-@pytest.fixture
-def stage(peer, clock) -> EspStage:
-    return EspStage(peer, axes(), clock=clock)
-
-
-@pytest.fixture
-def homed(stage, peer) -> EspStage:
-    stage.home()
-    peer.sent.clear()
-    return stage
+def bench() -> Bench:
+    return Bench()
 
 
 # ---------------------------------------------------------------- the good case
-def test_opening_moves_nothing_and_programs_the_controller(stage, peer) -> None:
-    assert peer.motions() == []
-    assert peer.axes[1].values == {"SN": 7.0, "SL": -15.0, "SR": 15.0, "VA": 10.0, "AC": 50.0, "AG": 50.0}
-    assert (peer.axes[2].values["SL"], peer.axes[2].values["SR"]) == (-13.0, 17.0)
-    assert not peer.axes[1].motor
+def test_opening_moves_nothing_and_programs_the_controller(bench) -> None:
+    bench.open()
+    assert bench.motions() == []
+    programmed = {"SN": 7.0, "SL": -15.0, "SR": 15.0, "VA": 10.0, "AC": 50.0, "AG": 50.0}
+    assert bench.pan.settings.items() >= programmed.items()
+    assert (bench.tilt.settings["SL"], bench.tilt.settings["SR"]) == (-13.0, 17.0)
+    assert not bench.pan.motor_on
 
 
-def test_identity_is_what_the_controller_says(stage) -> None:
-    pan, tilt = stage.identify()
+def test_identity_is_what_the_controller_says(bench) -> None:
+    pan, tilt = bench.open().identify()
     assert (pan.name, pan.maker, pan.model, pan.serial) == ("pan", "Newport", "URS75CC", "SN1263")
     assert pan.firmware == "ESP301 Version 3.0.1 6/1/99"
     assert tilt.serial == "SN1264"
 
 
-def test_homing_powers_the_motors_first(stage, peer) -> None:
-    assert not stage.is_homed()
+def test_homing_powers_the_motors_first(bench) -> None:
+    stage = bench.open()
     assert stage.faults() == ["pan: motor off", "tilt: motor off"]
     stage.home()
-    assert stage.is_homed()
     assert stage.faults() == []
-    assert stage.position_deg() == {"pan": 0.0, "tilt": 2.0}
-    assert peer.motions() == ["1OR1", "2OR1"]
+    assert stage.position_deg() == pytest.approx({"pan": 0.0, "tilt": 2.0}, abs=1e-3)
+    assert bench.motions() == ["1OR1", "2OR1"]
 
 
-def test_a_move_arrives_where_it_was_sent(homed, peer) -> None:
-    homed.move_to({"pan": 5.25, "tilt": 3.0})
-    assert homed.position_deg() == {"pan": 5.25, "tilt": 3.0}
-    assert peer.motions() == ["1PA5.25000", "2PA-1.00000"]
+def test_a_move_is_sent_in_the_controllers_angles(bench) -> None:
+    stage = bench.homed()
+    stage.move_to({"pan": 5.25, "tilt": 3.0})
+    assert stage.position_deg() == pytest.approx({"pan": 5.25, "tilt": 3.0}, abs=1e-3)
+    assert bench.motions() == ["1PA5.25000", "2PA-1.00000"]
 
 
 # ---------------------------------------------------------------- refused before anything moves
-def test_another_stage_is_refused_and_nothing_is_set(peer, clock) -> None:
-    peer.axes[2].identity = "URS75CC, SN9"
+def test_another_stage_is_refused_and_nothing_is_set(bench) -> None:
+    bench.tilt.exchange("9", bench.clock.now_s)
+    bench.clock.sleep(2.0)
     with pytest.raises(WrongDevice, match="1264 for tilt, but axis 2 answers 'URS75CC, SN9'"):
-        EspStage(peer, axes(), clock=clock)
-    assert peer.axes[1].values["VA"] == 1.0
-    assert peer.closed
+        bench.open()
+    assert bench.pan.settings["VA"] == 40.0
+    assert bench.line.closed
 
 
-def test_an_axis_that_counts_in_millimetres_is_refused(peer, clock) -> None:
-    peer.axes[1].values["SN"] = 2.0
-    with pytest.raises(OutsideLimits, match="1SN7"):
-        EspStage(peer, axes(), clock=clock)
+@pytest.mark.parametrize(
+    ("setting", "value", "error", "message"),
+    [
+        ("SN", 2.0, OutsideLimits, "1SN7"),
+        ("SR", 12.0, OutsideLimits, r"-15 to 15 deg, but the controller allows only -20 to 12 deg\."),
+        ("VU", 5.0, DeviceRefused, r"'1VA10\.00000': speed beyond its maximum \(error 110\)"),
+    ],
+)
+def test_what_does_not_fit_the_controller_is_refused(bench, setting, value, error, message) -> None:
+    bench.pan.settings[setting] = value
+    with pytest.raises(error, match=message):
+        bench.open()
 
 
-def test_limits_beyond_the_controllers_are_refused(peer, clock) -> None:
-    peer.axes[1].values["SR"] = 12.0
-    with pytest.raises(OutsideLimits, match=r"-15 to 15 deg, but the controller allows only -20 to 12 deg\."):
-        EspStage(peer, axes(), clock=clock)
-
-
-def test_a_speed_the_controller_does_not_take_is_refused(peer, clock) -> None:
-    class Slow(dict):
-        def __setitem__(self, key, value) -> None:
-            if key == "VA":
-                peer.errors.append((110, "MAXIMUM VELOCITY EXCEEDED"))
-            else:
-                super().__setitem__(key, value)
-
-    peer.axes[1].values = Slow(peer.axes[1].values)
-    with pytest.raises(DeviceRefused, match=r"'1VA10\.00000': speed beyond its maximum \(error 110\)"):
-        EspStage(peer, axes(), clock=clock)
-
-
-def test_a_setting_that_reads_back_otherwise_is_refused(peer, clock) -> None:
-    class Deaf(dict):
-        def __setitem__(self, key, value) -> None:
-            """Take nothing."""
-
-    peer.axes[1].values = Deaf(peer.axes[1].values)
+def test_a_setting_that_reads_back_otherwise_is_refused(bench) -> None:
+    bench.line.lose_next(b"1SL-15")
     with pytest.raises(DeviceRefused, match="SL was set to -15, but reads -20"):
-        EspStage(peer, axes(), clock=clock)
+        bench.open()
 
 
-def test_a_motor_that_does_not_go_on_is_not_homed(stage, peer) -> None:
-    serve = peer.serve
-    peer.serve = lambda text: None if text == "1MO" else serve(text)
+def test_a_motor_that_does_not_go_on_is_not_homed(bench) -> None:
+    stage = bench.open()
+    bench.line.lose_next(b"1MO\r")
     with pytest.raises(MoveFailed, match="the motor stays off"):
         stage.home()
-    assert peer.motions() == []
+    assert bench.motions() == []
 
 
 @pytest.mark.parametrize("answer", ["no error", "0", "0, x, NO ERROR DETECTED", "204, 1, POSITIVE LIMIT"])
-def test_an_error_buffer_of_another_form_or_without_end_is_refused(stage, peer, answer) -> None:
-    serve = peer.serve
-    peer.serve = lambda text: answer if text == "TB?" else serve(text)
+def test_an_error_buffer_of_another_form_or_without_end_is_refused(bench, answer) -> None:
+    stage = bench.open()
+    bench.answer("TB?", answer)
     with pytest.raises(ReplyError):
         stage.faults()
 
 
-def test_the_controllers_errors_are_told_once_in_plain_words(homed, peer) -> None:
-    peer.errors.append((209, "FEEDBACK SIGNAL FAULT DETECTED"))
-    peer.errors.append((7, "PARAMETER OUT OF RANGE"))
-    assert homed.faults() == ["feedback signal lost (error 209)", "parameter out of range (error 7)"]
-    assert homed.faults() == []
+def test_the_controllers_errors_are_told_once_in_plain_words(bench) -> None:
+    stage = bench.homed()
+    bench.answer("TB?", "209, STAMP, FEEDBACK SIGNAL FAULT DETECTED", "7, STAMP, PARAMETER OUT OF RANGE")
+    assert stage.faults() == ["feedback signal lost (error 209)", "parameter out of range (error 7)"]
+    assert stage.faults() == []
 
 
-def test_a_motor_switched_off_undoes_the_reference(homed, peer) -> None:
-    peer.axes[2].motor = False
-    assert not homed.is_homed()
+def test_a_motor_switched_off_undoes_the_reference(bench) -> None:
+    stage = bench.homed()
+    bench.tilt.motor_on = False
+    assert not stage.is_homed()
     with pytest.raises(NotHomed):
-        homed.move_to({"pan": 1.0})
-    assert peer.motions() == []
+        stage.move_to({"pan": 1.0})
+    assert bench.motions() == []
 
 
 # ---------------------------------------------------------------- noticed in mid-move
-def once_moving(peer: EspPeer, event: Callable[[], None], after_s: float = 0.2) -> None:
-    """Let an event happen that long after the first move command."""
-    state = {"at_s": math.inf, "done": False}
-
-    def before(command: str) -> None:
-        if command[1:3] == "PA":
-            state["at_s"] = peer.clock.now_s + after_s
-        if peer.clock.now_s >= state["at_s"] and not state["done"]:
-            state["done"] = True
-            event()
-
-    peer.before = before
-
-
-def hit_limit(peer: EspPeer) -> None:
-    peer.axes[1].halt()
-    peer.errors.append((104, "POSITIVE HARDWARE TRAVEL LIMIT"))
-
-
-def restart_with_motors_on(peer: EspPeer) -> None:
-    peer.restart()
-    for axis in peer.axes.values():
-        axis.motor = True
-
-
-def complain(peer: EspPeer) -> None:
-    peer.errors.append((103, "FOLLOWING ERROR"))
+def cut_the_motors(bench: Bench) -> None:
+    bench.pan.motor_on = bench.tilt.motor_on = False
 
 
 @pytest.mark.parametrize(
     ("event", "message"),
     [
-        (lambda peer: peer.axes[1].halt(), "pan: stopped at .* from its target 9"),
-        (EspPeer.restart, "motor went off, as after a fault or a restart"),
-        (hit_limit, "stopped at"),
-        (complain, r"following error beyond its threshold \(error 103\)"),
-        (lambda peer: setattr(peer.axes[1], "stuck", True), "busy without progress"),
+        (lambda bench: bench.pan.axis.halt(bench.clock.now_s), "pan: stopped at .* from its target 9"),
+        (cut_the_motors, "motor went off, as after a fault or a restart"),
+        (
+            lambda bench: bench.answer("TB?", "103, STAMP, FOLLOWING ERROR", "0, STAMP, NO ERROR DETECTED"),
+            r"following error beyond its threshold \(error 103\)",
+        ),
+        (lambda bench: setattr(bench.pan.axis, "stuck_busy", True), "busy without progress"),
     ],
 )
-def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(homed, peer, event, message) -> None:
-    once_moving(peer, lambda: event(peer))
+def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(bench, event, message) -> None:
+    stage = bench.homed()
+    bench.line.once_moving(b"2PA", lambda: event(bench))
     with pytest.raises(MoveFailed, match=message):
-        homed.move_to({"pan": 9.0, "tilt": 9.0})
-    assert "ST" in peer.sent
-    assert peer.axes[2].start == peer.axes[2].goal
+        stage.move_to({"pan": 9.0, "tilt": 9.0})
+    assert b"ST\r" in bench.line.sent
+    bench.clock.sleep(1.0)
+    assert not bench.tilt.axis.busy(bench.clock.now_s)
 
 
-def test_a_restart_is_noticed_by_the_controllers_clock_even_at_its_own_zero(homed, peer) -> None:
-    homed.move_to({"pan": 9.0})
-    once_moving(peer, lambda: restart_with_motors_on(peer))
+def test_a_restart_is_noticed_by_the_controllers_clock_even_at_its_own_zero(bench) -> None:
+    stage = bench.homed()
+    stage.move_to({"pan": 9.0})
+    bench.line.once_moving(b"1PA", lambda: bench.answer("TB?", "0, 5, NO ERROR DETECTED"))
     with pytest.raises(MoveFailed, match="restarted during the move"):
-        homed.move_to({"pan": 0.0})
-    assert not homed.is_homed()
+        stage.move_to({"pan": 0.0})
+    assert not stage.is_homed()
 
 
-def test_homing_that_is_aborted_has_failed(stage, peer) -> None:
-    peer.homes = False
+def test_homing_that_is_aborted_has_failed(bench) -> None:
+    stage = bench.open()
+    bench.pan.axis.arm(MotionFault("stop_short"))
+    aborted = ("120, STAMP, HOMING ABORTED", "0, STAMP, NO ERROR DETECTED")
+    bench.line.once_moving(b"1OR1", lambda: bench.answer("TB?", *aborted), after_s=0.05)
     with pytest.raises(DriverError, match="homing aborted"):
         stage.home()
     assert not stage.is_homed()
 
 
-def test_a_stop_goes_out_before_the_line_comes_into_step(homed, peer) -> None:
-    peer.spoil = lambda line: b""
+def test_a_stop_goes_out_before_the_line_comes_into_step(bench) -> None:
+    stage = bench.homed()
+    bench.line.spoil = lambda reply: b""
     with pytest.raises(ReplyError):
-        homed.position_deg()
-    peer.spoil = lambda line: line
-    peer.axes[1].go(15.0)
-    peer.sent.clear()
-    homed.stop()
-    assert peer.sent[0] == "ST"
-    assert not peer.axes[1].busy()
+        stage.position_deg()
+    bench.line.spoil = lambda reply: reply
+    bench.controller.receive(b"1PA15\r")
+    bench.line.sent.clear()
+    stage.stop()
+    assert bench.line.sent[0] == b"ST\r"
+    bench.clock.sleep(1.0)
+    assert not bench.pan.axis.busy(bench.clock.now_s)
+    assert stage.position_deg()["pan"] < 14.0
+
+
+# ---------------------------------------------------------------- what befalls the second axis
+def test_an_error_of_the_second_axis_is_not_lost_by_asking_about_the_first(bench) -> None:
+    stage = bench.homed()
+
+    def late_error(command: bytes) -> None:
+        arrived = bench.motions() and not bench.tilt.axis.busy(bench.clock.now_s)
+        if command == b"1MO?\r" and arrived:
+            bench.answer(
+                "TB?", "203, STAMP, FOLLOWING ERROR THRESHOLD EXCEEDED", "0, STAMP, NO ERROR DETECTED"
+            )
+            bench.line.before = lambda _command: None
+
+    bench.line.before = late_error
+    with pytest.raises(MoveFailed, match="following error beyond its threshold"):
+        stage.move_to({"pan": 5.0, "tilt": 5.0})
+    assert not stage.is_homed()
+
+
+def test_an_error_of_an_axis_that_is_not_ours_is_none_of_ours(bench) -> None:
+    stage = bench.homed()
+
+    def always_one(command: bytes) -> None:
+        if command == b"2TP\r":
+            bench.answer("TB?", "308, STAMP, STAGE NOT CONNECTED", "0, STAMP, NO ERROR DETECTED")
+
+    bench.line.before = always_one
+    stage.move_to({"pan": 5.0, "tilt": 5.0})
+    assert stage.position_deg() == pytest.approx({"pan": 5.0, "tilt": 5.0}, abs=1e-3)
+
+
+def test_the_first_axis_alone_is_no_reference(bench) -> None:
+    """The line fails while the second axis's homing is looked at: nobody knows how that one ended."""
+    stage = bench.open()
+    looks = 0
+
+    def dies_at_the_last_look(reply: bytes) -> bytes:
+        nonlocal looks
+        at_rest = not any(one.axis.busy(bench.clock.now_s) for one in (bench.pan, bench.tilt))
+        looks += at_rest and bench.line.sent[-1] == b"2MD?\r"
+        return b"" if looks > 2 else reply
+
+    bench.line.spoil = dies_at_the_last_look
+    with pytest.raises(ReplyError):
+        stage.home()
+    bench.line.spoil = lambda reply: reply
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 1.0})
+
+
+def test_every_axis_of_ours_is_stopped_by_its_number_as_well(bench) -> None:
+    """Should a controller take ``ST`` without a number for a mistake, it moves on for no longer than a line lasts."""
+    stage = bench.homed()
+    bench.line.lose = lambda data: data == b"ST\r"
+    bench.controller.receive(b"1PA12\r2PA12\r")
+    bench.line.sent.clear()
+    stage.stop()
+    assert bench.line.sent[:3] == [b"ST\r", b"1ST\r", b"2ST\r"]
+    bench.clock.sleep(1.0)
+    assert not any(one.axis.busy(bench.clock.now_s) for one in (bench.pan, bench.tilt))
+    assert max(stage.position_deg()["pan"], -stage.position_deg()["tilt"]) < 9.0
 
 
 # ---------------------------------------------------------------- a line that lies
-MUTATIONS = {
-    "echo": lambda line: b"1TP\r" + line,
-    "twice": lambda line: line + line,
-    "a byte too many": lambda line: line + b"x",
-    "no line end": lambda line: line[:-2],
-    "eighth bit": lambda line: bytes(byte | 0x80 for byte in line),
-}
-
-
-@pytest.mark.parametrize("name", MUTATIONS)
-def test_a_controller_with_one_thing_wrong_is_refused(peer, clock, name) -> None:
-    peer.spoil = MUTATIONS[name]
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda reply: b"1TP\r" + reply,
+        lambda reply: reply + reply,
+        lambda reply: reply + b"x",
+        lambda reply: reply[:-2],
+        lambda reply: bytes(byte | 0x80 for byte in reply),
+    ],
+    ids=["echo", "twice", "a byte too many", "no line end", "eighth bit"],
+)
+def test_a_controller_with_one_thing_wrong_is_refused(bench, change) -> None:
+    bench.line.spoil = change
     with pytest.raises(ReplyError):
-        EspStage(peer, axes(), clock=clock)
-    assert peer.motions() == []
+        bench.open()
+    assert bench.motions() == []
 
 
-def test_the_answer_to_another_question_is_no_position(homed, peer) -> None:
-    homed.move_to({"pan": -1.0})
-    peer.spoil = lambda line: b"1\r\n" if b"." in line else line
+@pytest.mark.parametrize("answer", [b"1\r\n", b"9.0e999\r\n"])
+def test_the_answer_to_another_question_and_what_is_beyond_all_numbers_is_no_position(bench, answer) -> None:
+    stage = bench.homed()
+    stage.move_to({"pan": -1.0})
+    bench.line.spoil = lambda reply: answer if bench.line.sent[-1] == b"1TP\r" else reply
     with pytest.raises(ReplyError, match="not a number with decimals"):
-        homed.position_deg()
+        stage.position_deg()
