@@ -5,9 +5,10 @@ import time
 from pathlib import Path
 
 import pytest
-from align_fakes import FakeDevices, fake_session, wait_until
+from align_fakes import FakeDevices, FakeStage, fake_session, wait_until
 
 from bench.align import live_loop
+from bench.align.controls import StageControl
 from bench.align.live_figures import LiveFigures
 from bench.align.live_loop import with_signal_of
 from bench.base.errors import ControlRefused
@@ -437,3 +438,14 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
 
 def said(session):
     return " ".join(one["text"] for one in session.state()["messages"])
+
+
+def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
+    stage, told = FakeStage(), []
+    control = StageControl(stage, lambda: told.append(control.state), lambda _words: None)
+    control.look(thoroughly=True)
+    stage.fault, stage.faults = "the motor is stuck", list
+    control.home()
+    wait_until(lambda: told[-1].failure is not None and told[-1].work is None)
+    control.close()
+    assert "the motor is stuck" in told[-1].failure.what
