@@ -14,6 +14,7 @@ a fault: its first 8 bytes are that time as a little-endian double, in seconds (
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import math
 import mmap
@@ -28,7 +29,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -194,6 +195,10 @@ class Bench:
             ) from error
 
 
+_NEW_OBJECTS: Final = 200_000
+"""Python looks for cycles after so many new objects. Compiling makes millions, and a search takes longer each time."""
+
+
 def _warm_up(truth: Truth) -> None:
     """Load or compile the machine code of the pixel model before the first recording needs it."""
     world = World(truth)
@@ -260,6 +265,7 @@ def main(words: Sequence[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda _number, _frame: ending.set())
     allow_background()
+    gc.set_threshold(_NEW_OBJECTS)
     try:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         with Bench(arguments.folder, _read_config(arguments.config), arguments.seed) as bench:

@@ -34,6 +34,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.compiled import INNER, LOOP
 from simulators.world.truth import CollimatorTruth, ReticleTruth
 
 FloatArray = NDArray[np.float64]
@@ -147,7 +148,7 @@ def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
     return terms
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[float, float]:
     """Return the displacement at a point of the disc.
 
@@ -180,7 +181,7 @@ def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[fl
     return x, y
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _rim_field(cosine: float, sine: float, coefficients: FloatArray) -> tuple[float, float]:
     """Return the rim's field at the disc's edge, in the direction of that cosine and sine.
 
@@ -284,7 +285,7 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
     """Return the radius of the disc in one direction, relative to the mean radius; at least 0.1.
 
@@ -300,7 +301,7 @@ def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
     return max(wide, 0.1)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
     """Return the distance of a target point from the disc's centre, as a fraction of the radius in that direction.
 
@@ -313,7 +314,7 @@ def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
     return away / (disc.radius * relative_radius(x / away, y / away, disc.edge))
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def radius_fractions(points_mm: FloatArray, disc: Disc) -> FloatArray:
     """Return ``radius_fraction`` for several points.
 
@@ -374,7 +375,7 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
     return field_coefficients(place, c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
     """Return the apparent displacement of a reticle point; the module's docstring has the equation.
 
@@ -398,7 +399,7 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
     return dx + roll * from_x, dy + roll * from_y
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
     """Return the reticle point that appears at (x, y): the inverse of P + `displacement`, to about 1e-6 mm.
 
@@ -411,7 +412,7 @@ def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, floa
     return p_x, p_y
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def is_ideal(e: Aberrations) -> bool:
     """Return whether the collimator displaces no point."""
     return (

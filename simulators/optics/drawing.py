@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.compiled import INNER, LOOP
 from simulators.optics.collimator_errors import Aberrations, displacement, is_ideal, reticle_point
 from simulators.optics.lens_focus import Lens, image_point
 
@@ -33,7 +34,7 @@ def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[n
     return np.zeros(((height + 2 * margin) * cells, (width + 2 * margin) * cells + 1), np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: float, weight: float) -> None:
     """Add an edge from (x0, y0) to (x1, y1), in cells from the upper left corner of the grid.
 
@@ -59,7 +60,7 @@ def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: fl
         row += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_span(steps: NDArray[np.float32], left: float, right: float, height: float) -> None:
     """Add the part of an edge that lies in one row, between two abscissae.
 
@@ -76,7 +77,7 @@ def _add_span(steps: NDArray[np.float32], left: float, right: float, height: flo
     steps[cell] += height * (1.0 - covered)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _area_left_of(x: float, left: float, right: float) -> float:
     """Return the area between an edge of unit height, which runs from ``left`` to ``right``, and x to its right."""
     if x <= left:
@@ -107,7 +108,7 @@ def _normal(z: float) -> float:
     return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@njit(**LOOP, fastmath={"contract"})
 def join_cells(
     steps: NDArray[np.float32],
     light: NDArray[np.float32],
@@ -147,7 +148,7 @@ def join_cells(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _lit_row(
     steps: NDArray[np.float32],
     above: NDArray[np.float32],
@@ -192,7 +193,7 @@ class Cells(NamedTuple):
     margin_px: int
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[float, float]:
     """Return the image point of a point of the plane.
 
@@ -212,7 +213,7 @@ def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[fl
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
     """Return the image points of points of the plane.
 
@@ -224,7 +225,7 @@ def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
     """Return the points of the plane that rays meet.
 
@@ -266,7 +267,7 @@ def draw(
     _draw(np.ascontiguousarray(polygons_mm, np.float64), projection, reach, cells, steps)
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _draw(
     polygons: FloatArray, projection: Projection, reach: float, cells: Cells, steps: NDArray[np.float32]
 ) -> None:
@@ -284,7 +285,7 @@ def _draw(
                 _draw_edge(a, b, projection, cells, steps)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _within(x_mm: float, y_mm: float, projection: Projection, reach: float) -> bool:
     """Return whether a point lies in front of the camera and at most at that tangent from the optical axis."""
     x, y, z = x_mm - projection.centre[0], y_mm - projection.centre[1], -projection.centre[2]
@@ -293,7 +294,7 @@ def _within(x_mm: float, y_mm: float, projection: Projection, reach: float) -> b
     return depth > 0.0 and x * x + y * y + z * z < (1.0 + reach * reach) * depth * depth
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _draw_edge(
     a: FloatArray, b: FloatArray, projection: Projection, cells: Cells, steps: NDArray[np.float32]
 ) -> None:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import j1
 
+from simulators.compiled import INNER, LOOP
 from simulators.errors import ConfigError
 from simulators.world.board import placement_record, view_of
 from simulators.world.truth import (
@@ -83,7 +84,7 @@ def lens_of(camera: CameraTruth) -> Lens:
     return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     """Return distorted normalised coordinates.
 
@@ -108,7 +109,7 @@ def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     return xd, yd
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]:
     """Return the image point of a point in the camera's frame.
 
@@ -160,7 +161,7 @@ def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArr
     return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _distort(points: FloatArray, lens: Lens) -> FloatArray:
     """Loop of ``distort_arrays``."""
     out = np.empty_like(points)

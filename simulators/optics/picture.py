@@ -22,6 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from calib.target import StarTarget
+from simulators.compiled import INNER, LOOP
 from simulators.optics.collimator_errors import (
     Disc,
     aberrations_of,
@@ -202,7 +203,7 @@ def _even_radius(disc: Disc, rim: float) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _light(
     plane: FloatArray, light: Light, even: float, height: int, width: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -235,7 +236,7 @@ def _light(
     return brightness, distance
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _disc_light(x: float, y: float, rho: float, light: Light) -> float:
     """Return the disc's brightness at a point inside it, x and y in its radii.
 

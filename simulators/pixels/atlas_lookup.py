@@ -25,7 +25,7 @@ from simulators.pixels.drive import (
     WHEN_STEPS,
     Drive,
 )
-from simulators.pixels.fast_math import JIT, exp32, log32
+from simulators.pixels.fast_math import INNER, exp32, log32
 
 _ZERO: Final = np.float32(0.0)
 _ONE: Final = np.float32(1.0)
@@ -36,7 +36,7 @@ _HALF: Final = np.float32(0.5)
 _NEXT: Final = np.uint32(1)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
     """Return u of a pixel at a phase, interpolated on the atlas."""
     x = _bin_at(drive, np.float32(phase), bent)
@@ -50,7 +50,7 @@ def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
     return exp32(a + g * (b - a)) if level >= _ZERO else np.float32(1.0 / drive.ambient)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def between(table: NDArray[np.float32], j: Any, f: Any) -> Any:
     """Interpolate between the entries j and j + 1 of a table.
 
@@ -59,7 +59,7 @@ def between(table: NDArray[np.float32], j: Any, f: Any) -> Any:
     return table[j] + f * (table[j + _NEXT] - table[j])
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _atlas_crossing(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
     """Return the phase near ``at`` at which the atlas, as ``smooth_level`` interpolates it, meets the target.
 
@@ -74,7 +74,7 @@ def _atlas_crossing(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
     return later + start + share * length if abs(share - _HALF) <= _ONE else at
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
     """Return where in bin i a curve meets the target, 0 at its start and 1 at its end."""
     c = i * np.uint32(ATLAS_LEVELS) + j
@@ -82,7 +82,7 @@ def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
     return (target - here) / (there - here)
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _bisected_crossing(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
     """Return the phase at which a curve meets the target on a branch, by bisection.
 
@@ -107,7 +107,7 @@ def _bisected_crossing(d: Drive, j: Any, f: Any, target: Any, first: Any, last: 
     return later + d.grid[i] + share * (d.grid[i + _NEXT] - d.grid[i])
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
     """Return the position of a phase below one period among the atlas's bins, with its fraction."""
     bins = np.float32(ATLAS_BINS)
@@ -122,7 +122,7 @@ def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
     return min(max(x, _ZERO), bins - np.float32(0.001))
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _tabulated_crossing(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: Any) -> Any:
     """Return the phase of a crossing from ``Drive.when``, to about a tenth of a microsecond."""
     above, below = max(target - bright, _ZERO), max(dark - target, _ZERO)
@@ -135,7 +135,7 @@ def _tabulated_crossing(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark
     return here + f * (there - here)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def near_crossing(
     d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
 ) -> tuple[Any, Any, Any, Any, Any]:
@@ -173,7 +173,7 @@ def near_crossing(
     return near, target, now if in_now else _ZERO, _NEVER if never else shift, _ZERO if off else _ONE
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def exact_crossing(
     d: Drive, level: Any, near: Any, target: Any, earliest: Any, shift: Any, bent: bool
 ) -> Any:
@@ -190,7 +190,7 @@ def exact_crossing(
     return _NEVER if shift == _NEVER else cross
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def smooth_crossing(
     d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
 ) -> tuple[Any, Any]:

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels.biases import PixelSettings
-from simulators.pixels.fast_math import JIT
+from simulators.pixels.fast_math import INNER, JIT
 from simulators.world.world import LightState
 
 # Kinds of Drive.
@@ -275,7 +275,7 @@ def fill_when(
                 when[off, j, k] = t + period if whole >= bins else t
 
 
-@njit(**JIT)
+@njit(**INNER)
 def crossing_bin(curve: NDArray[np.float64], first: int, last: int, target: float, off: bool) -> float:
     """Return where a curve crosses a target, found by bisection on the branch between two bins.
 

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.compiled import LOOP
 from simulators.pixels.sensor import Events
 
 FILTERS: Final = ("afk", "stc", "trail", "erc")
@@ -89,7 +90,7 @@ class EventFilters:
         return np.asarray(number == 1 if name == "trail" else number > 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _burst_number(
     t: NDArray[np.int64],
     x: NDArray[np.uint16],
@@ -109,7 +110,7 @@ def _burst_number(
     return number
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _not_flickering(
     t: NDArray[np.int64],
     x: NDArray[np.uint16],
@@ -134,7 +135,7 @@ def _not_flickering(
     return keep
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _within_quota(t: NDArray[np.int64], erc: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return, for each event, whether it is within its window's quota."""
     keep = np.empty(t.size, np.bool_)

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.compiled import INNER, LOOP
 from simulators.errors import SimulationMisuse
 
 ADDR_Y: Final = 0x0000
@@ -128,7 +129,7 @@ class Evt3Writer:
         return words[:n]
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def _write(
     words: NDArray[np.uint16],
     state: NDArray[np.int64],
@@ -167,7 +168,7 @@ def _write(
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _write_ticks(
     words: NDArray[np.uint16],
     n: int,
@@ -197,7 +198,7 @@ def _write_ticks(
     return n, entered
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _run_end(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], first: int
 ) -> int:
@@ -214,7 +215,7 @@ def _run_end(
     return last
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _write_time_low(words: NDArray[np.uint16], n: int, state: NDArray[np.int64], t: int) -> int:
     """Write a TIME_LOW, unless the same one is in force; return the number of words."""
     if state[_LOW] != t:
@@ -224,7 +225,7 @@ def _write_time_low(words: NDArray[np.uint16], n: int, state: NDArray[np.int64],
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _write_counters(words: NDArray[np.uint16], n: int, state: NDArray[np.int64]) -> int:
     """Write the events into and out of the rate controller in the window that ends; begin the next window."""
     for k in range(2):
@@ -239,7 +240,7 @@ def _write_counters(words: NDArray[np.uint16], n: int, state: NDArray[np.int64])
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _write_run(
     words: NDArray[np.uint16],
     n: int,

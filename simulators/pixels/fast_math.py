@@ -13,19 +13,21 @@ import numpy as np
 from numba import njit
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
-JIT: Final[dict[str, Any]] = {
-    "cache": True,
+_SENSOR: Final[dict[str, Any]] = {
     "error_model": "numpy",
     "nogil": True,
     "_nrt": False,
     "no_cfunc_wrapper": True,
     "fastmath": {"nnan", "nsz", "contract"},
 }
+JIT: Final[dict[str, Any]] = {"cache": True, **_SENSOR}
 """Compiler options of the sensor's loops.
 
 Infinity is kept (a pixel that never requests again). References to arrays are not counted (``_nrt``): the loops neither
 create nor return any, and the counting took four times as long as the work itself.
 """
+INNER: Final[dict[str, Any]] = {"no_cpython_wrapper": True, **_SENSOR}
+"""Compiler options of what only these loops call, as `simulators.compiled.INNER`: never call it from Python."""
 
 
 class _NoAlias(CompilerBase):
@@ -38,7 +40,7 @@ class _NoAlias(CompilerBase):
         return [usual(self.state)]
 
 
-KERNEL: Final[dict[str, Any]] = {**JIT, "pipeline_class": _NoAlias}
+INNER_KERNEL: Final[dict[str, Any]] = {**INNER, "pipeline_class": _NoAlias}
 """How the loops over a batch of pixels are compiled; no array argument may overlap another."""
 
 _LOG2_E: Final = np.float32(1.0 / math.log(2.0))
@@ -50,7 +52,7 @@ _SQRT_HALF_BITS: Final = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
 _MANTISSA: Final = np.int32(0x007FFFFF)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def exp32(x: Any) -> Any:
     """Return exp(x) of a float32 x <= 80; below -87 it is exp(-87).
 
@@ -70,7 +72,7 @@ def exp32(x: Any) -> Any:
     return p * np.int32(power).view(np.float32)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def log32(x: Any) -> Any:
     """Return the natural logarithm of a positive, finite, normal float32.
 

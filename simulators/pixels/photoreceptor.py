@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from simulators.pixels.atlas_lookup import exact_crossing, near_crossing, smooth_crossing, smooth_level
 from simulators.pixels.drive import ATLAS_LEVELS, BENT, LEAST, SMOOTH, SQUARE, Drive
-from simulators.pixels.fast_math import JIT, KERNEL, exp32, log32
+from simulators.pixels.fast_math import INNER, INNER_KERNEL, exp32, log32
 
 # Rows of a batch.
 LIGHT: Final = (
@@ -54,7 +54,7 @@ _HUGE: Final = np.float32(1e30)
 _TINY: Final = np.float32(1e-30)
 
 
-@njit(**JIT)
+@njit(**INNER)
 def period_start(drive: Drive, epoch: float, t: float) -> float:
     """Return the start of the light's period that contains a time.
 
@@ -66,7 +66,7 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
     return first + floor((t - first) / drive.period_us) * drive.period_us
 
 
-@njit(**JIT)
+@njit(**INNER)
 def stored_light(drive: Drive, light: float) -> float:
     """Return the number by which a pixel's light is stored.
 
@@ -80,7 +80,7 @@ def stored_light(drive: Drive, light: float) -> float:
     return min(level, ATLAS_LEVELS - 1.001)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
     """Return U_RISE and U_FALL of a pixel.
 
@@ -92,7 +92,7 @@ def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
     return _steady_square(d, placed)
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None:
     """Fill in U_RISE and U_FALL of each pixel from its stored light."""
     if drive.kind != SQUARE:
@@ -103,7 +103,7 @@ def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None
             batch[U_RISE, k], batch[U_FALL, k] = _steady_square(drive, batch[LIGHT, k])
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
     """Return u of one pixel at a phase."""
     if d.kind != SQUARE:
@@ -111,7 +111,7 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
     return _square_level(d, light, u_rise, u_fall, phase)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
     """Return the first crossing of one pixel at or after a phase.
 
@@ -122,7 +122,7 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
     return _square_crossing(d, light, u_rise, u_fall, on_at, off_at, phase)
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in U of each pixel at a phase."""
     bent = drive.kind == BENT
@@ -134,7 +134,7 @@ def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) 
             batch[U, k] = _square_level(drive, batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k], phase)
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase."""
     bent = drive.kind == BENT
@@ -159,7 +159,7 @@ def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: floa
             )
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
     """Return u at the rising and the falling edge in the periodic steady state, in closed form."""
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
@@ -172,7 +172,7 @@ def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
     return u_rise, bright + (u_rise - bright) * decay_high
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
     """Return u at a phase: it relaxes towards 1 / I from its value at the last edge."""
     rising = phase >= d.high_us  # u rises in the low part
@@ -182,7 +182,7 @@ def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) 
     return end + ((u_fall if rising else u_rise) - end) * exp32(-since * i)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _square_crossing(
     d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float
 ) -> Any:

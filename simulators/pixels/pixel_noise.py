@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.pixels.fast_math import JIT, KERNEL, log32
+from simulators.compiled import LOOP
+from simulators.pixels.fast_math import INNER, INNER_KERNEL, log32
 
 # Indices into a generator.
 KEY: Final = 0  # its seed
@@ -28,7 +29,7 @@ _TO_UNIT: Final = np.float32(2.0**-23)
 _HALF_UNIT: Final = np.float32(2.0**-24)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _bits(key: Any, count: Any) -> Any:
     """Return 64 random bits: number ``count`` of the generator (SplitMix64)."""
     z = key + count * _GOLDEN
@@ -37,20 +38,20 @@ def _bits(key: Any, count: Any) -> Any:
     return z ^ (z >> np.uint64(31))
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _next_bits(random: NDArray[np.uint64]) -> Any:
     """Return the next 64 random bits."""
     random[COUNTER] += np.uint64(1)
     return _bits(random[KEY], random[COUNTER])
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def uniform(random: NDArray[np.uint64]) -> float:
     """Return the next random number, uniform in (0, 1)."""
     return (np.int64(_next_bits(random) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def reset_error(normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64]) -> Any:
     """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order."""
     if spread == 0.0:
@@ -58,7 +59,7 @@ def reset_error(normals: NDArray[np.float32], spread: float, random: NDArray[np.
     return np.float32(1.0) + np.float32(spread) * normals[_next_bits(random) >> np.uint64(52)]
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def reset_errors(
     normals: NDArray[np.float32],
     spread: float,
@@ -80,7 +81,7 @@ def reset_errors(
     random[COUNTER] = count + np.uint64(n)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def earlier_reset_error(
     normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64], back: int
 ) -> Any:
@@ -94,7 +95,7 @@ def earlier_reset_error(
     return np.float32(1.0) + np.float32(spread) * normals[bits >> np.uint64(52)]
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def draw_arrivals(
     alias: NDArray[np.uint64],
     rate_us: float,
@@ -133,7 +134,7 @@ def draw_arrivals(
         times[k] = t
 
 
-@njit(cache=True, nogil=True)
+@njit(**LOOP)
 def fill_alias(scaled: NDArray[np.float64], alias: NDArray[np.uint64]) -> None:
     """Fill Walker's alias table (Walker 1977), by Vose's algorithm (Vose 1991).
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simulators.pixels import photoreceptor as pr
 from simulators.pixels import square_tail as tail
 from simulators.pixels.drive import Drive
-from simulators.pixels.fast_math import JIT, KERNEL
+from simulators.pixels.fast_math import INNER, INNER_KERNEL, JIT
 from simulators.pixels.photoreceptor import fill_crossings, fill_levels, fill_steady_states, period_start
 from simulators.pixels.pixel_noise import earlier_reset_error, reset_error, reset_errors, uniform
 from simulators.pixels.sensor_state import (
@@ -40,7 +40,7 @@ LANES: Final = 16
 _GAIN: Final = np.float32(1.0 / 65536.0)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
     """Return the levels at which a pixel fires.
 
@@ -51,20 +51,20 @@ def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
     return u * on, u / off
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _gains_of(gains: Any) -> tuple[float, float]:
     """Return the ON and the OFF gain of a pixel."""
     return np.int64(gains & np.uint32(0xFFFF)) / 65536.0, np.int64(gains >> np.uint32(ON_BITS)) / 65536.0
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def _load(cell: NDArray[np.float32], column: NDArray[np.uint32], batch: NDArray[np.float32], n: int) -> None:
     """Load the stored light of the listed pixels of a row into the batch."""
     for k in range(n):
         batch[pr.LIGHT, k] = cell[column[k], STORED_LIGHT]
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def _fill_firing_levels(
     gains: NDArray[np.uint32], column: NDArray[np.uint32], batch: NDArray[np.float32], n: int
 ) -> None:
@@ -73,7 +73,7 @@ def _fill_firing_levels(
         batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = firing_levels(batch[pr.U, k], gains[column[k], GAINS])
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def _store(
     px_row: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
     column: NDArray[np.uint32],
@@ -93,7 +93,7 @@ def _store(
         is_on[c] = np.uint8(batch[pr.IS_ON, k])
 
 
-@njit(**JIT)
+@njit(**INNER)
 def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: float, start: float) -> None:
     """Set a pixel's next crossing by a reference in double precision, and store the reference with its lower digits."""
     on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
@@ -103,7 +103,7 @@ def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: flo
     px.t_next[r, c] = max(px.cell[r, c, T_LIVE], np.float32(start + cross))
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def reset_pixel(
     px: Pixels,
     drive: Drive,
@@ -133,7 +133,7 @@ def reset_pixel(
         cross_exactly(px, drive, r, c, tail.level(drive, light, phase) * error, phase, start)
 
 
-@njit(**JIT)
+@njit(**INNER)
 def reset_at_once(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
@@ -157,7 +157,7 @@ def reset_at_once(
         cross_exactly(px, drive, r, c, u, phase, live_start)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def reset_row(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:

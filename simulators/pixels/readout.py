@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels.drive import SQUARE, Drive
-from simulators.pixels.fast_math import JIT
+from simulators.pixels.fast_math import INNER, JIT
 from simulators.pixels.photoreceptor import period_start
 from simulators.pixels.pixel_noise import draw_arrivals
 from simulators.pixels.pixel_reset import reset_at_once, reset_pixel, reset_row
@@ -66,7 +66,7 @@ def draw_noise(px: Pixels, ro: Readout, after: float, random: NDArray[np.uint64]
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _place_noise(px: Pixels, at: int, width: int, t: float) -> Any:
     """Let a pixel request a read at t, unless it is in its dead time or waits already; return its time, else inf."""
     r, c = (at >> 1) // width, (at >> 1) % width
@@ -82,13 +82,13 @@ def _place_noise(px: Pixels, at: int, width: int, t: float) -> Any:
     return t32
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _block_words(n: int) -> int:
     """Return the EVT3 words of n events of one polarity in a block: single events, or a vector triple with its base."""
     return n if n < VECTOR_FROM else VECTOR_WORDS
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
     """List the blocks of a row in which pixels wait in ``px.asked``; return their number.
 
@@ -106,7 +106,7 @@ def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
     return n
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16]) -> Any:
     """List the waiting pixels of a row in ``px.column``; return their number, how many are ON, and their words.
 
@@ -129,7 +129,7 @@ def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16
     return n, n_on, words
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArrays) -> None:
     """Write a row's events, whose ON columns are written: ON first, then OFF, each from left to right."""
     ts, xs, ys, ps = out
@@ -155,7 +155,7 @@ def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArray
         ps[k] = k < n_on
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _update_blocks(px: Pixels, r: int, blocks: int) -> Any:
     """Set the earliest requests of the listed blocks of a row, of the row and of its group; return that of all.
 
@@ -175,7 +175,7 @@ def _update_blocks(px: Pixels, r: int, blocks: int) -> Any:
     return min(oldest, group)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _next_noise(px: Pixels, ro: Readout, state: NDArray[np.float64], random: NDArray[np.uint64]) -> None:
     """Advance to the next background or hot-pixel event."""
     queue = int(state[QUEUE])
@@ -186,7 +186,7 @@ def _next_noise(px: Pixels, ro: Readout, state: NDArray[np.float64], random: NDA
     state[NOISE] = px.noise_t[queue + 1]
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _read_alone(
     px: Pixels,
     drive: Drive,
@@ -215,7 +215,7 @@ def _read_alone(
     return 1
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _account(state: NDArray[np.float64], ro: Readout, t: float, n: int, words: int) -> None:
     """Keep the arbiter and the link busy for a row read at t."""
     state[FREE] = t + ro.row_us + n * ro.event_us

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.pixels.fast_math import JIT
+from simulators.pixels.fast_math import INNER, JIT
 
 BLOCK: Final = 32
 """Pixels of a block: one vector triple of the EVT3 format."""
@@ -84,7 +84,7 @@ class Readout(NamedTuple):
     normals: NDArray[np.float32]  # (4096,) float32, normal deviates
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def smallest(values: Any) -> Any:
     """Return the smallest of at least one float32; none is NaN."""
     found = values[0]
@@ -93,7 +93,7 @@ def smallest(values: Any) -> Any:
     return found
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def _first_equal(values: Any, wanted: Any) -> Any:
     """Return the index of the first number that equals the wanted one; 0 if none does."""
     for k in range(values.size):
@@ -102,7 +102,7 @@ def _first_equal(values: Any, wanted: Any) -> Any:
     return np.int64(0)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def update_row(px: Pixels, r: int) -> None:
     """Update the earliest request of a row and of its group from those of its blocks."""
     px.row_min[r] = smallest(px.block_min[r])
@@ -110,7 +110,7 @@ def update_row(px: Pixels, r: int) -> None:
     px.group_min[g] = smallest(px.row_min[g * GROUP : (g + 1) * GROUP])
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def retime(px: Pixels, r: int, c: int, before: float) -> None:
     """Update the minima after the request of one pixel was moved.
 
@@ -131,7 +131,7 @@ def retime(px: Pixels, r: int, c: int, before: float) -> None:
         px.group_min[r // GROUP] = min(px.group_min[r // GROUP], new)
 
 
-@njit(**JIT)
+@njit(**INNER)
 def update_minima(px: Pixels) -> None:
     """Update all minima from the pixels' requests."""
     rows, blocks = px.block_min.shape
@@ -141,7 +141,7 @@ def update_minima(px: Pixels) -> None:
         update_row(px, r)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def row_at(px: Pixels, oldest: float) -> int:
     """Return the first row whose earliest request is the earliest of all.
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from simulators.pixels import photoreceptor as pr
 from simulators.pixels.drive import SQUARE, Drive
-from simulators.pixels.fast_math import JIT, KERNEL
+from simulators.pixels.fast_math import INNER, INNER_KERNEL
 from simulators.pixels.sensor_state import smallest
 
 STEEP: Final = 3e-5
@@ -30,7 +30,7 @@ TIME_STEP_US: Final = 4.0 / 1024.0
 """The coarsest step of a float32 time after the epoch, about 4 ns."""
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def tail_width(d: Drive) -> float:
     """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``.
 
@@ -39,7 +39,7 @@ def tail_width(d: Drive) -> float:
     return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
     """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period."""
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
@@ -47,7 +47,7 @@ def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
     return min(abs(on_at * i_high - np.float32(1.0)), abs(off_at * i_low - np.float32(1.0)))
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any:
     """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light.
 
@@ -60,7 +60,7 @@ def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any
     return min(np.float32(1.0), smallest(batch[pr.LIMIT_DISTANCE, :n]))
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _steady(d: Drive, light: float) -> tuple[float, float]:
     """Return u at the rising and the falling edge in the periodic steady state."""
     i_high, i_low = d.ambient + light * d.w_high, d.ambient + light * d.w_low
@@ -72,7 +72,7 @@ def _steady(d: Drive, light: float) -> tuple[float, float]:
     return u_rise, bright + (u_rise - bright) * decay_high
 
 
-@njit(**JIT)
+@njit(**INNER)
 def level(d: Drive, light: float, phase: float) -> float:
     """Return u of a pixel at a phase."""
     u_rise, u_fall = _steady(d, light)
@@ -82,7 +82,7 @@ def level(d: Drive, light: float, phase: float) -> float:
     return 1.0 / i + ((u_fall if rising else u_rise) - 1.0 / i) * exp(-since * i / d.q_us)
 
 
-@njit(**JIT)
+@njit(**INNER)
 def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
     """Return the first crossing at or after a phase.
 
@@ -103,7 +103,7 @@ def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) 
     return max(begin + d.q_us * end * log(max(past, 1.0)), phase), on
 
 
-@njit(**JIT)
+@njit(**INNER)
 def request_time(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
     """Return when u met a target, more exactly than float32 stores a request's time.
 
@@ -123,7 +123,7 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
 # Digits of a reference beyond float32: its relative rounding error, at most 2^-24, as -63 to 63 steps in bits 1 to 7.
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def lower_digits(u: float, u32: Any) -> Any:
     """Return the digits of u that its float32 value lacks, to be stored beside it.
 
@@ -134,7 +134,7 @@ def lower_digits(u: float, u32: Any) -> Any:
     return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
 
 
-@njit(forceinline=True, **JIT)
+@njit(forceinline=True, **INNER)
 def join_digits(u32: Any, digits: Any) -> float:
     """Return a reference with its lower digits.
 

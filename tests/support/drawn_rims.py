@@ -7,13 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from inner_loops import from_python
 from numpy.typing import NDArray
 
 from calib.model.rim_fit import FittedRim, fit_rims
 from calib.view import RimPoints
-from simulators.optics.collimator_errors import disc_of, relative_radius
+from simulators.optics.collimator_errors import disc_of
+from simulators.optics.collimator_errors import relative_radius as inner_relative_radius
 from simulators.optics.picture import pose_rotation
 from simulators.world.truth import Truth
+
+relative_radius = from_python(inner_relative_radius)
 
 Array = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ import pytest
 from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
+from inner_loops import from_python
 
 from simulators.errors import ConfigError
 from simulators.optics import picture as optics
@@ -14,10 +15,14 @@ from simulators.optics.collimator_errors import (
     aberrations_of,
     disc_of,
     radius_fractions,
-    reticle_point,
+)
+from simulators.optics.collimator_errors import (
+    reticle_point as inner_reticle_point,
 )
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
+
+reticle_point = from_python(inner_reticle_point)
 
 COEFFICIENT = st.floats(-0.3, 0.3)
 TURN = optics.pose_rotation({"pan": 6.0, "tilt": -4.0, "roll": 15.0}, OpticsTruth())

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from inner_loops import from_python
 
 from calib.target import StarTarget
-from simulators.optics.drawing import add_edge, empty_picture, join_cells, spread_kernel
+from simulators.optics.drawing import add_edge as inner_add_edge
+from simulators.optics.drawing import empty_picture, join_cells, spread_kernel
 from simulators.optics.outlines import black_polygons
+
+add_edge = from_python(inner_add_edge)
 
 PLACE = st.tuples(st.floats(-3.0, 12.0), st.floats(-3.0, 9.0))
 

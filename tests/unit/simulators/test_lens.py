@@ -5,10 +5,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from inner_loops import from_python
 
 from simulators.errors import ConfigError
-from simulators.optics.lens_focus import distort_arrays, image_point, lens_of, ray_grid, undistort
+from simulators.optics.lens_focus import distort_arrays, lens_of, ray_grid, undistort
+from simulators.optics.lens_focus import image_point as inner_image_point
 from simulators.world.truth import CameraTruth
+
+image_point = from_python(inner_image_point)
 
 K = ("k1", "k2", "k3", "k4")
 FISHEYE = CameraTruth(
