@@ -6,24 +6,23 @@ Draws from the object of `bench.history.chart_findings` alone. Each run shows it
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import datetime
 from html import escape
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
 from bench.report.html import environment
-from bench.report.svg_plot import INK, LINE, MUTED, POSE_COLOURS, painted, tick_label, ticks
+from bench.report.plot_frame import Words, axes_in
+from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Array, Picture, Scale, tick_label, ticks
 from bench.report.text import NOTHING, with_uncertainty
 
-# Axes of the control charts as SVG text: lines, bars and dots of many runs. Pure; no library draws.
-#
-# Positions are rounded to half a unit of the picture, and what falls on the same place is drawn once. So
-# the size of a picture is bounded, also with thousands of runs.
+# A chart of many runs. What falls on the same place is drawn once, so the size of a picture is bounded, also with
+# thousands of runs.
 
-WIDTH, HEIGHT = 460.0, 190.0
-LEFT, RIGHT, TOP, BOTTOM = 58.0, 62.0, 20.0, 24.0
+_WIDTH, _HEIGHT, _NAMES, _DATE = 380.0, 156.0, 46.0, 10.0
+"""Width and height of a picture, room for the names of lines at its right, and for half a date at its left, points."""
 BLUE, RED = POSE_COLOURS[0], "#c0271d"
 _MOST_DOTS_WITH_TEXT = 150
 MANY = 200
@@ -32,163 +31,101 @@ _BAND, _BAR, _PALE_BAR = 0.09, 0.44, 0.18
 """Opacities of the band between the limits, of bars, and of bars of many runs."""
 
 
-@dataclass
-class ChartAxes:
-    """A picture in work."""
+class _Chart:
+    """A picture in work: lines, bars and dots in one frame."""
 
-    title: str
-    x_low: float
-    x_high: float
-    y_low: float
-    y_high: float
-    parts: list[str] = field(default_factory=list)
+    def __init__(
+        self, title: str, xs: Sequence[float], values: Sequence[float], labels: Sequence[tuple[float, str]]
+    ) -> None:
+        self._picture = Picture(_WIDTH, _HEIGHT, "chart", title)
+        x, y = _wider(xs, 0.02, 0.5, labels), _wider(values, 0.05, abs(values[0]) * 1e-6 or 1.0)
+        place = (_DATE, 0.0, _WIDTH - _NAMES - _DATE, _HEIGHT)
+        self._axes = axes_in(self._picture, x, y, Words((title,)), place=place, grid="y", clip=False)
 
-    def __post_init__(self) -> None:
-        if not self.x_high > self.x_low:
-            self.x_low, self.x_high = self.x_low - 0.5, self.x_high + 0.5
-        if not self.y_high > self.y_low:
-            slack = abs(self.y_low) * 1e-6 or 1.0
-            self.y_low, self.y_high = self.y_low - slack, self.y_high + slack
-
-    def x(self, value: float) -> float:
-        """Return the column of a value."""
-        share = (value - self.x_low) / (self.x_high - self.x_low)
-        return round(2 * (LEFT + share * (WIDTH - LEFT - RIGHT))) / 2
-
-    def y(self, value: float) -> float:
-        """Return the row of a value."""
-        share = (value - self.y_low) / (self.y_high - self.y_low)
-        return round(2 * (HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM))) / 2
-
-    def band(self, low: Sequence[float], high: Sequence[float], xs: Sequence[float]) -> None:
+    def band(self, xs: Sequence[float], low: Sequence[float], high: Sequence[float]) -> None:
         """Fill the area between two lines."""
-        there = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, high, strict=True)])
-        back = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, low, strict=True)])
-        outline = "L".join(f"{x:g} {y:g}" for x, y in [*there, *reversed(back)])
-        self.parts.append(f'<path d="M{outline}Z" fill="{BLUE}" fill-opacity="{_BAND:g}"/>')
+        there, back = self._thinned(xs, high), self._thinned(xs, low)
+        self._axes.shapes([[*there, *reversed(back)]], BLUE, _BAND)
 
     def line(
-        self,
-        xs: Sequence[float],
-        values: Sequence[float],
-        colour: str,
-        *,
-        width: float = 1.0,
-        dashed: bool = False,
+        self, xs: Sequence[float], values: Sequence[float], colour: str, width: float = 0.9, dash: str = ""
     ) -> None:
         """Draw a line."""
-        points = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)])
-        dash = ' stroke-dasharray="5 3"' if dashed else ""
-        outline = "L".join(f"{x:g} {y:g}" for x, y in points)
-        self.parts.append(
-            f'<path d="M{outline}" fill="none" {painted("stroke", colour)} stroke-width="{width:g}"{dash}/>'
-        )
+        self._axes.line(self._thinned(xs, values), colour, width, dash=dash)
 
-    def bars(self, xs: Iterable[float], low: Iterable[float], high: Iterable[float]) -> None:
+    def bars(self, xs: Sequence[float], low: Sequence[float], high: Sequence[float]) -> None:
         """Draw vertical bars, such as uncertainties; bars in one column become one."""
-        columns: dict[float, tuple[float, float]] = {}
-        for x, a, b in zip(xs, low, high, strict=True):
-            column, bottom, top = self.x(x), self.y(a), self.y(b)
-            known = columns.get(column, (bottom, top))
-            columns[column] = (max(known[0], bottom), min(known[1], top))
-        outline = "".join(f"M{x:g} {a:g}V{b:g}" for x, (a, b) in columns.items())
+        columns: dict[float, tuple[float, float, float]] = {}
+        for column, x, bottom, top in zip(self._columns(xs), xs, low, high, strict=True):
+            known = columns.get(column, (x, bottom, top))
+            columns[column] = (known[0], min(known[1], bottom), max(known[2], top))
+        x, bottoms, tops = np.array(list(columns.values())).T
         opacity = _BAR if len(columns) <= MANY else _PALE_BAR
-        self.parts.append(
-            f'<path class="bars" d="{outline}" fill="none" stroke="{BLUE}" stroke-opacity="{opacity:g}"'
-            ' stroke-width="1.1"/>'
-        )
+        self._axes.strokes(np.column_stack([x, bottoms]), np.column_stack([x, tops]), BLUE, 0.9, opacity)
 
     def dots(
         self, xs: Sequence[float], values: Sequence[float], texts: Sequence[str], beyond: Iterable[int]
     ) -> None:
         """Draw dots; those beyond the limits are red and larger."""
-        red = set(beyond)
-        points = [(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)]
+        red, points = set(beyond), np.column_stack([xs, values])
         plain = [place for place in range(len(points)) if place not in red]
         if len(points) <= _MOST_DOTS_WITH_TEXT:
-            self.parts += [_dot(points[p], texts[p], BLUE, 2.6) for p in plain]
+            self._told_dots(points, plain, texts, BLUE, 2.1)
         else:
-            spots = dict.fromkeys(points[p] for p in plain)
-            outline = "".join(f"M{x:g} {y:g}h0" for x, y in spots)
-            self.parts.append(
-                f'<path d="{outline}" fill="none" stroke="{BLUE}" stroke-width="3" stroke-linecap="round"/>'
-            )
-        self.parts += [_dot(points[p], texts[p], RED, 4.0) for p in sorted(red)]
+            _, kept = np.unique(np.round(2 * self._axes.at(points[plain])), axis=0, return_index=True)
+            self._axes.dots(points[plain][kept], BLUE, 2.5)
+        self._told_dots(points, sorted(red), texts, RED, 3.3)
 
     def rule(self, value: float, name: str, *, dashed: bool = True) -> None:
         """Draw a horizontal line over the whole width, with its name at the right."""
-        self.line(
-            [self.x_low, self.x_high], [value, value], MUTED if not dashed else INK, width=0.9, dashed=dashed
-        )
+        self._axes.level(value, INK if dashed else MUTED, 0.8, dash="5 3" if dashed else "")
         self.name_at_right(value, name)
 
     def name_at_right(self, value: float, name: str) -> None:
         """Write a name to the right of the axes."""
-        self.parts.append(
-            f'<text x="{WIDTH - RIGHT + 4:g}" y="{self.y(value) + 4:g}" font-size="11" {painted("fill", MUTED)}>'
-            f"{escape(name)}</text>"
-        )
+        self._axes.text((self._axes.x.high, value), name, by=(4.0, 3.0), colour=MUTED, size=FONT)
 
     def upright(self, value: float, name: str) -> None:
         """Draw a vertical line with a name, such as the end of the baseline."""
-        x = self.x(value)
-        self.parts.append(
-            f'<path d="M{x:g} {TOP:g}V{HEIGHT - BOTTOM:g}" {painted("stroke", MUTED)} stroke-dasharray="2 3"/>'
-            f'<text x="{x - 4:g}" y="{TOP + 9:g}" font-size="10" text-anchor="end"'
-            f" {painted('fill', MUTED)}>{escape(name)}</text>"
-        )
+        self._axes.upright(value, MUTED, dash="2 3")
+        at = value, self._axes.y.high
+        self._axes.text(at, name, by=(-4.0, 8.0), colour=MUTED, anchor="end")
 
-    def svg(self, x_ticks: Sequence[tuple[float, str]]) -> str:
-        """Return the picture.
+    def svg(self) -> str:
+        """Return the picture."""
+        return self._picture.svg()
 
-        Returns: The ``<svg>`` element.
-        """
-        frame = [
-            f'<text x="0" y="11" font-size="12" font-weight="650" {painted("fill", INK)}>{escape(self.title)}</text>'
-        ]
-        for value in ticks(self.y_low, self.y_high, 4):
-            y = self.y(value)
-            frame.append(
-                f'<path d="M{LEFT:g} {y:g}H{WIDTH - RIGHT:g}" {painted("stroke", LINE)} stroke-width="0.6"/>'
-                f'<text x="{LEFT - 5:g}" y="{y + 4:g}" font-size="11" text-anchor="end" {painted("fill", MUTED)}>'
-                f"{tick_label(value, self.y_high - self.y_low)}</text>"
-            )
-        foot = HEIGHT - BOTTOM
-        frame.append(
-            f'<path d="M{LEFT:g} {foot:g}H{WIDTH - RIGHT:g}" {painted("stroke", MUTED)} stroke-width="0.8"/>'
-        )
-        for value, label in x_ticks:
-            x = self.x(value)
-            frame.append(
-                f'<path d="M{x:g} {foot:g}v3" {painted("stroke", MUTED)}/>'
-                f'<text x="{x:g}" y="{foot + 15:g}" font-size="11"'
-                f' text-anchor="middle" {painted("fill", MUTED)}>{escape(label)}</text>'
-            )
-        return (
-            f'<svg class="plot" role="img" aria-label="{escape(self.title)}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'
-            f' xmlns="http://www.w3.org/2000/svg">{"".join(frame)}{"".join(self.parts)}</svg>'
-        )
+    def _told_dots(
+        self, points: Array, places: Sequence[int], texts: Sequence[str], colour: str, radius: float
+    ) -> None:
+        """Draw dots that show their text under the pointer."""
+        for place, (x, y) in zip(places, self._axes.at(points[places]).tolist(), strict=True):
+            told = f"<title>{escape(texts[place])}</title>"
+            self._picture.add(f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="{colour}">{told}</circle>')
+
+    def _columns(self, xs: Sequence[float]) -> list[float]:
+        """Return the column of each point, in half points of the picture."""
+        return [round(2 * self._axes.width * share) for share in self._axes.x.share(xs).tolist()]
+
+    def _thinned(self, xs: Sequence[float], values: Sequence[float]) -> list[tuple[float, float]]:
+        """Keep the first, the last, the highest and the lowest point of each column."""
+        columns: dict[float, list[tuple[float, float]]] = {}
+        for column, point in zip(self._columns(xs), zip(xs, values, strict=True), strict=True):
+            columns.setdefault(column, []).append(point)
+        kept: list[tuple[float, float]] = []
+        for found in columns.values():
+            ends = (min(found, key=lambda one: one[1]), max(found, key=lambda one: one[1]))
+            kept += found if len(found) <= 4 else [found[0], *ends, found[-1]]
+        return kept
 
 
-def _dot(point: tuple[float, float], text: str, colour: str, radius: float) -> str:
-    x, y = point
-    return (
-        f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="{colour}"><title>{escape(text)}</title></circle>'
-    )
-
-
-def _thinned(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Keep the first, the last, the highest and the lowest point of each column."""
-    columns: dict[float, list[tuple[float, float]]] = {}
-    for point in points:
-        columns.setdefault(point[0], []).append(point)
-    kept: list[tuple[float, float]] = []
-    for column in columns.values():
-        if len(column) <= 4:
-            kept += column
-        else:
-            kept += [column[0], min(column, key=lambda p: p[1]), max(column, key=lambda p: p[1]), column[-1]]
-    return kept
+def _wider(
+    values: Sequence[float], share: float, least: float, ticks: Sequence[tuple[float, str]] | None = None
+) -> Scale:
+    """Return a scale that is wider than values by a share of their range; by the least if all are equal."""
+    low, high = min(values), max(values)
+    margin = share * (high - low) or least
+    return Scale(low - margin, high + margin, ticks=ticks)
 
 
 _TICKS = 4
@@ -215,9 +152,9 @@ def _values(chart: Json, group: Json) -> str:
     values, runs = chart["values"], list(range(1, len(chart["values"]) + 1))
     lows, highs = _ends(chart)
     limits = [] if chart["lower"] is None else [chart["lower"], chart["upper"]]
-    axes = _axes(_titled("Values", chart), [1, len(runs)], [*lows, *highs, *limits])
+    axes = _Chart(_titled("Values", chart), [1, len(runs)], [*lows, *highs, *limits], _dates(group))
     if limits:
-        axes.band([chart["lower"]] * 2, [chart["upper"]] * 2, [axes.x_low, axes.x_high])
+        axes.band([1, len(runs)], [chart["lower"]] * 2, [chart["upper"]] * 2)
     axes.bars(runs, lows, highs)
     _join(axes, runs, values)
     if limits:
@@ -225,39 +162,39 @@ def _values(chart: Json, group: Json) -> str:
         if chart["baseline"] < len(runs):
             axes.upright(chart["baseline"] + 0.5, "limits from here back")
     axes.dots(runs, values, _texts(chart, group), chart["beyond"] if limits else ())
-    return axes.svg(_dates(group))
+    return axes.svg()
 
 
 def _ranges(chart: Json, group: Json) -> str:
     places = list(range(2, len(chart["values"]) + 1))
-    axes = _axes(
-        _titled("Moving ranges", chart), [1, places[-1]], [0.0, *chart["ranges"], chart["range_upper"]]
-    )
+    values = [0.0, *chart["ranges"], chart["range_upper"]]
+    axes = _Chart(_titled("Moving ranges", chart), [1, places[-1]], values, _dates(group))
     _join(axes, places, chart["ranges"])
     upper, _ = with_uncertainty(chart["range_upper"], chart["sigma"] or 1.0)
     axes.rule(chart["range_upper"], f"≤ {upper}")
     axes.rule(chart["range_mean"], "mean", dashed=False)
     texts = [f"{group['runs'][p - 1]['run']}: {r:.6g}" for p, r in zip(places, chart["ranges"], strict=True)]
     axes.dots(places, chart["ranges"], texts, [place - 1 for place in chart["ranges_beyond"]])
-    return axes.svg(_dates(group))
+    return axes.svg()
 
 
 def _averages(chart: Json, group: Json) -> str:
     average, runs = chart["ewma"], list(range(1, len(chart["values"]) + 1))
-    axes = _axes(
+    axes = _Chart(
         _titled(f"EWMA, λ = {average['lambda']:g}, L = {average['limit']:g}", chart),
         [1, len(runs)],
         [*average["values"], *average["lower"], *average["upper"]],
+        _dates(group),
     )
-    axes.band(average["lower"], average["upper"], runs)
+    axes.band(runs, average["lower"], average["upper"])
     for bound in ("lower", "upper"):
-        axes.line(runs, average[bound], INK, width=0.9, dashed=True)
+        axes.line(runs, average[bound], INK, dash="5 3")
         axes.name_at_right(average[bound][-1], with_uncertainty(average[bound][-1], chart["sigma"] or 1.0)[0])
     axes.rule(chart["centre"], "centre", dashed=False)
     _join(axes, runs, average["values"])
     texts = [f"{one['run']}: {v:.8g}" for one, v in zip(group["runs"], average["values"], strict=True)]
     axes.dots(runs, average["values"], texts, average["beyond"])
-    return axes.svg(_dates(group))
+    return axes.svg()
 
 
 def _over_time(chart: Json, group: Json) -> str:
@@ -290,25 +227,18 @@ def _drift(
     middle_x, middle_y = sum(xs) / len(xs), sum(values) / len(values)
     ends = [min(xs), max(xs)]
     line = [middle_y + found["value"] * (x - middle_x) for x in ends]
-    axes = _axes(f"Over {what}: {found['text']}", ends, [*lows, *highs, *line])
+    axes = _Chart(f"Over {what}: {found['text']}", ends, [*lows, *highs, *line], labels)
     axes.bars(xs, lows, highs)
     texts = _texts(chart, group)
     axes.dots(xs, values, [texts[place] for place in places], ())
-    axes.line(ends, line, RED if found["seen"] else INK, width=1.8, dashed=not found["seen"])
-    return axes.svg(labels)
+    axes.line(ends, line, RED if found["seen"] else INK, 1.5, "" if found["seen"] else "5 3")
+    return axes.svg()
 
 
-def _axes(title: str, xs: Sequence[float], values: Sequence[float]) -> ChartAxes:
-    low, high = min(values), max(values)
-    margin = 0.05 * (high - low)
-    beside = 0.02 * (max(xs) - min(xs))
-    return ChartAxes(title, min(xs) - beside, max(xs) + beside, low - margin, high + margin)
-
-
-def _join(axes: ChartAxes, xs: Sequence[float], values: Sequence[float]) -> None:
+def _join(axes: _Chart, xs: Sequence[float], values: Sequence[float]) -> None:
     """Join the dots; thousands of them would hide each other behind the lines."""
     if len(xs) <= MANY:
-        axes.line(xs, values, BLUE, width=0.7)
+        axes.line(xs, values, BLUE, 0.6)
 
 
 def _titled(what: str, chart: Json) -> str:
@@ -316,7 +246,7 @@ def _titled(what: str, chart: Json) -> str:
     return f"{what} of {chart['name']}{unit}"
 
 
-def _name_limits(axes: ChartAxes, centre: float, lower: float, upper: float, sigma: float) -> None:
+def _name_limits(axes: _Chart, centre: float, lower: float, upper: float, sigma: float) -> None:
     for value, dashed in ((lower, True), (centre, False), (upper, True)):
         axes.rule(value, with_uncertainty(value, sigma)[0], dashed=dashed)
 
