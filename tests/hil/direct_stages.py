@@ -23,19 +23,14 @@ from drivers.stage.text import TextAxis, TextStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
+from simulators.assembly import make_stage
+from simulators.config import AxisConfig
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
+from simulators.ports.serial_device import Dialect
 from simulators.stages.axis_motion import Mechanics
-from simulators.stages.dynamixel import DynamixelBus, ServoModel
-from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.flir_ptu import PtuAxisModel, PtuController
-from simulators.stages.grbl import GrblAxis as BoardAxis
-from simulators.stages.grbl import GrblController
-from simulators.stages.grbl_planner import GrblAxisModel
 from simulators.stages.thorlabs_apt import AptController, AptModel
-from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 
@@ -157,10 +152,6 @@ class Listening(DirectLine):
         self.closed = True
 
 
-def mechanics(counts_per_deg: float, **more) -> Mechanics:
-    return Mechanics(counts_per_deg, -17.0, 17.0, start_deg=2.4, **more)
-
-
 @dataclass
 class DirectStage:
     """A stage of one axis, pan, and what the simulated side of it can be told."""
@@ -168,6 +159,7 @@ class DirectStage:
     stage: Stage
     line: DirectLine
     controller: AxisController
+    reopen: Callable[[], Stage]
 
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench; the axis is called pan, its line gimbal."""
@@ -214,95 +206,97 @@ def stop_in_mid_move(
     return caught.value
 
 
-def zaber(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    controller = ZaberController(ZaberModel(mechanics(6400), "100101", -96000, 96000), clock.now_s)
-    axis = ZaberAxis(name="pan", device=1, serial="100101", microsteps_per_deg=6400, limits=LIMITS)
-    line = DirectLine(FaultLine(ZaberChain([controller], clock.monotonic), clock.monotonic, rng), clock)
-    return DirectStage(ZaberStage(line, [axis], clock=clock), line, controller)
-
-
-def ximc(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    controller = XimcController(XimcModel(mechanics(25600), 4242, -15.0, 15.0), clock.monotonic)
-    axis = XimcAxis(
-        name="pan", port="", serial="4242", steps_per_deg=100.0, encoder_counts_per_deg=2000.0, limits=LIMITS
-    )
-    line = DirectLine(FaultLine(controller, clock.monotonic, rng), clock)
-    return DirectStage(XimcStage([line], [axis], clock=clock), line, controller)
-
-
-def grbl(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    model = GrblAxisModel(mechanics(640.0, home_deg=15.0, stall_detection=False), 32.0)
-    board = GrblController({"X": model}, clock.monotonic)
-    axis = GrblAxis(name="pan", letter="X", steps_per_deg=640.0, zero_deg=16.0, limits=LIMITS)
-    board.name = "GIMBAL"
-    line = DirectLine(FaultLine(board, clock.monotonic, rng), clock)
-    return DirectStage(
-        GrblStage(line, [axis], serial="gimbal", clock=clock), line, BoardAxis(board, board.axes["X"])
-    )
-
-
-def esp(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    controller = EspController([EspAxisModel(mechanics(10_000.0), "1263", -15.0, 15.0)], clock.monotonic)
-    axis = EspAxis(name="pan", number=1, serial="SN1263", limits=LIMITS)
-    line = DirectLine(FaultLine(controller, clock.monotonic, rng), clock)
-    return DirectStage(EspStage(line, [axis], clock=clock), line, controller.axes[1])
-
-
 FLIR_PTU = read_stage_protocol(find_description("flir_ptu", None)).value.for_driver()
-
-
-def flir(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    model = PtuAxisModel(mechanics(800.0, stall_detection=False), 15.0)
-    unit = PtuController({"P": model}, "E1042", clock.monotonic)
-    axis = TextAxis(name="pan", address="P", counts_per_deg=800.0, limits=LIMITS)
-    line = DirectLine(FaultLine(unit, clock.monotonic, rng), clock)
-    stage = TextStage(line, [axis], FLIR_PTU, serial="E1042", clock=clock)
-    return DirectStage(stage, line, unit.axes["P"])
-
-
 K10CR1_COUNTS_PER_DEG = 409_600 / 3
 PRM1Z8_COUNTS_PER_DEG = 1919.6418578623391
-
-
-def thorlabs(
-    clock: VirtualClock, rng: np.random.Generator, model: str = "KDC101", scale: float = PRM1Z8_COUNTS_PER_DEG
-) -> DirectStage:
-    told = AptModel(mechanics(scale, stall_detection=model == "KDC101"), 27000123, model)
-    controller = AptController(told, clock.monotonic)
-    axis = ThorlabsAxis(name="pan", port="", serial="27000123", counts_per_deg=scale, limits=LIMITS)
-    line = DirectLine(FaultLine(controller, clock.monotonic, rng), clock)
-    return DirectStage(ThorlabsStage([line], [axis], clock=clock), line, controller)
-
-
-def k10cr1(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    return thorlabs(clock, rng, "K10CR1", K10CR1_COUNTS_PER_DEG)
-
-
 SERVO_COUNTS_PER_DEG = 100.0
 """A servo with a gear of 8.8: the tests compare angles to some thousandths of a degree."""
+PAN = {"name": "pan", "limits": LIMITS}
 
 
-def dynamixel(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
-    bus = DynamixelBus({1: ServoModel(mechanics(SERVO_COUNTS_PER_DEG))}, clock.monotonic)
-    axis = DynamixelAxis(
-        name="pan",
-        id=1,
-        model="XL430-W250",
-        counts_per_deg=SERVO_COUNTS_PER_DEG,
-        limits=LIMITS,
-        tolerance_deg=0.02,
-    )
-    line = DirectLine(FaultLine(bus, clock.monotonic, rng), clock)
-    return DirectStage(DynamixelStage(line, [axis], clock=clock), line, bus.servos[1])
+@dataclass(frozen=True)
+class Family:
+    """A simulated controller of one axis, and our driver for it."""
+
+    simulate: Callable[[Callable[[], float]], tuple[Dialect, AxisController]]
+    open: Callable[[DirectLine], Stage]
+
+    def __call__(self, clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
+        """Open the driver on a line of faults without faults yet."""
+        dialect, controller = self.simulate(clock.monotonic)
+        line = DirectLine(FaultLine(dialect, clock.monotonic, rng), clock)
+        return DirectStage(self.open(line), line, controller, lambda: self.open(line))
 
 
+def of_bench(kind: str, counts_per_deg: int, serial: str = "100101"):
+    """A controller as a simulated bench has it."""
+
+    def simulate(clock: Callable[[], float]) -> tuple[Dialect, AxisController]:
+        axes = {"pan": AxisConfig(serial, 15.0, start_deg=2.4, microsteps_per_deg=counts_per_deg)}
+        stage = make_stage(kind, axes, clock, lambda *_: None)
+        (dialect,) = stage.dialects.values()
+        return dialect, stage.controllers["pan"]
+
+    return simulate
+
+
+def named_board(clock: Callable[[], float]) -> tuple[Dialect, AxisController]:
+    board, controller = of_bench("grbl", 640)(clock)
+    board.name = "GIMBAL"
+    return board, controller
+
+
+def kdc101(clock: Callable[[], float]) -> tuple[Dialect, AxisController]:
+    mechanics = Mechanics(PRM1Z8_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4)
+    controller = AptController(AptModel(mechanics, 27000123, "KDC101"), clock)
+    return controller, controller
+
+
+def of_thorlabs(counts_per_deg: float) -> Callable[[DirectLine], Stage]:
+    axis = ThorlabsAxis(port="", serial="27000123", counts_per_deg=counts_per_deg, **PAN)
+    return lambda line: ThorlabsStage([line], [axis], clock=line.clock)
+
+
+XIMC = XimcAxis(port="", serial="4242", steps_per_deg=100.0, encoder_counts_per_deg=2000.0, **PAN)
+SERVO = DynamixelAxis(
+    id=1, model="XL430-W250", counts_per_deg=SERVO_COUNTS_PER_DEG, tolerance_deg=0.02, **PAN
+)
 FAMILIES = {
-    "zaber": zaber,
-    "ximc": ximc,
-    "esp": esp,
-    "grbl": grbl,
-    "flir": flir,
-    "thorlabs": thorlabs,
-    "k10cr1": k10cr1,
-    "dynamixel": dynamixel,
+    "zaber": Family(
+        of_bench("zaber", 6400),
+        lambda line: ZaberStage(
+            line, [ZaberAxis(device=1, serial="100101", microsteps_per_deg=6400, **PAN)], clock=line.clock
+        ),
+    ),
+    "ximc": Family(
+        of_bench("ximc", 25_600, "4242"), lambda line: XimcStage([line], [XIMC], clock=line.clock)
+    ),
+    "esp": Family(
+        of_bench("esp301", 10_000, "1263"),
+        lambda line: EspStage(line, [EspAxis(number=1, serial="SN1263", **PAN)], clock=line.clock),
+    ),
+    "grbl": Family(
+        named_board,
+        lambda line: GrblStage(
+            line,
+            [GrblAxis(letter="X", steps_per_deg=640.0, zero_deg=16.0, **PAN)],
+            serial="gimbal",
+            clock=line.clock,
+        ),
+    ),
+    "flir": Family(
+        of_bench("flir_ptu", 800, "E1042"),
+        lambda line: TextStage(
+            line,
+            [TextAxis(address="P", counts_per_deg=800.0, **PAN)],
+            FLIR_PTU,
+            serial="E1042",
+            clock=line.clock,
+        ),
+    ),
+    "thorlabs": Family(kdc101, of_thorlabs(PRM1Z8_COUNTS_PER_DEG)),
+    "k10cr1": Family(of_bench("thorlabs_apt", 136_533, "27000123"), of_thorlabs(K10CR1_COUNTS_PER_DEG)),
+    "dynamixel": Family(
+        of_bench("dynamixel", 100), lambda line: DynamixelStage(line, [SERVO], clock=line.clock)
+    ),
 }

@@ -23,7 +23,7 @@ from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from simulators.faults.line_faults import LineFault
 from tests.hil.direct_lights import MICROCONTROLLER, direct_light
-from tests.hil.direct_stages import FLIR_PTU, LIMITS, DirectStage, VirtualClock, flir
+from tests.hil.direct_stages import FAMILIES, FLIR_PTU, LIMITS, DirectStage, VirtualClock
 
 
 class Interrupted(Exception):
@@ -37,7 +37,7 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def rig(clock) -> DirectStage:
-    return flir(clock, np.random.default_rng(2))
+    return FAMILIES["flir"](clock, np.random.default_rng(2))
 
 
 def again(rig: DirectStage, axis: TextAxis, description=FLIR_PTU) -> TextStage:

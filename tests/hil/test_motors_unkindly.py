@@ -23,14 +23,13 @@ from simulators.stages.axis_motion import Mechanics
 from simulators.stages.dynamixel import DynamixelBus, ServoModel, status_packet
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
+    FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
     DirectStage,
     Listening,
     VirtualClock,
-    k10cr1,
     stop_in_mid_move,
-    thorlabs,
 )
 
 TORQUE_ON = bytes([3, 64, 0, 1])
@@ -271,9 +270,9 @@ def listening(rig: DirectStage) -> Listening:
     return line
 
 
-@pytest.fixture(params=[thorlabs, k10cr1], ids=["KDC101", "K10CR1"])
+@pytest.fixture(params=["thorlabs", "k10cr1"], ids=["KDC101", "K10CR1"])
 def rig(request) -> DirectStage:
-    return request.param(VirtualClock(), np.random.default_rng(1))
+    return FAMILIES[request.param](VirtualClock(), np.random.default_rng(1))
 
 
 def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None:
@@ -374,7 +373,7 @@ def test_a_limit_switch_is_named(rig) -> None:
 
 
 def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
-    rig = thorlabs(VirtualClock(), np.random.default_rng(1))
+    rig = FAMILIES["thorlabs"](VirtualClock(), np.random.default_rng(1))
     line = listening(rig)
     rig.stage.home()
     asked = [sent for sent in line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import MoveFailed, MoveTimeout, ReplyError
-from drivers.stage.ximc import XimcStage
-from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
 from tests.hil.mutated import XIMC, ZABER, Mutated
 
@@ -24,14 +22,9 @@ def mutated(family: str, change) -> tuple[DirectStage, VirtualClock]:
     return rig, clock
 
 
-def use(rig: DirectStage, clock: VirtualClock) -> None:
+def use(rig: DirectStage) -> None:
     """Open the driver anew, home and move, as a run does."""
-    axes = list(rig.stage._axes.values())
-    stage = (
-        ZaberStage(rig.line, axes, clock=clock)
-        if isinstance(rig.stage, ZaberStage)
-        else XimcStage([rig.line], axes, clock=clock)
-    )
+    stage = rig.reopen()
     stage.home()
     stage.move_to({"pan": -9.0})
 
@@ -44,7 +37,7 @@ def test_a_controller_with_one_thing_wrong_is_refused_in_bounded_time(family, na
     standing_deg = rig.controller.axis.pointing.angle_deg(clock.now_s)
     began_s = clock.now_s
     with pytest.raises((ReplyError, MoveFailed, MoveTimeout)):
-        use(rig, clock)
+        use(rig)
     assert clock.now_s - began_s < LONGEST_S
     if name not in REPORTED_WRONGLY:
         assert rig.controller.axis.pointing.angle_deg(clock.now_s) == standing_deg
@@ -53,5 +46,5 @@ def test_a_controller_with_one_thing_wrong_is_refused_in_bounded_time(family, na
 @pytest.mark.parametrize("family", ["zaber", "ximc"])
 def test_the_same_controller_with_nothing_wrong_is_used(family) -> None:
     rig, clock = mutated(family, lambda said: said)
-    use(rig, clock)
+    use(rig)
     assert rig.controller.axis.pointing.angle_deg(clock.now_s + 1.0) == pytest.approx(-9.0, abs=0.002)

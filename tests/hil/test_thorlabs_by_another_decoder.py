@@ -19,11 +19,12 @@ from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
+    FAMILIES as RIGS,
+)
+from tests.hil.direct_stages import (
     K10CR1_COUNTS_PER_DEG,
     PRM1Z8_COUNTS_PER_DEG,
     VirtualClock,
-    k10cr1,
-    thorlabs,
 )
 
 apt = pytest.importorskip("thorlabs_apt_protocol", reason="pip install thorlabs-apt-protocol")
@@ -165,8 +166,8 @@ def test_the_driver_reads_bits_and_identity_as_the_other_decoder_does() -> None:
 def test_all_that_a_driver_sends_is_decoded_by_the_other_encoder_s_table() -> None:
     """Every message of a homing, two moves and a stop is one that the other package can build."""
     for rig in (
-        thorlabs(VirtualClock(), np.random.default_rng(1)),
-        k10cr1(VirtualClock(), np.random.default_rng(1)),
+        RIGS["thorlabs"](VirtualClock(), np.random.default_rng(1)),
+        RIGS["k10cr1"](VirtualClock(), np.random.default_rng(1)),
     ):
         sent: list[bytes] = []
         write = rig.line.write
