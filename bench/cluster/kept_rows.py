@@ -55,25 +55,24 @@ def content_key(parts: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-class KeptRows:
-    """The results in one file of a folder.
+class Table:
+    """Rows in one file of a folder.
 
     folder: The folder; it is made if it does not exist.
     Raises UsageError: If the folder holds other things, but not the file.
     Raises RunFolderError: If another process works in the folder.
     """
 
+    foreign = "The folder holds something else"
+
     def __init__(self, folder: Path, name: str) -> None:
         self.path = folder / name
         with storage_errors(folder):
-            found = (
-                next((one for one in folder.iterdir() if one.name[0] != "."), None)
-                if folder.is_dir()
-                else None
-            )
+            inside = folder.iterdir() if folder.is_dir() else ()
+            found = next((one for one in inside if not one.name.startswith(".")), None)
         if found is not None and not self.path.is_file():
             raise UsageError(
-                f"The folder holds something else: it contains {found.name}, but no {name}.",
+                f"{self.foreign}: it contains {found.name}, but no {name}.",
                 where=str(folder),
                 remedy="Choose a new folder.",
             )
@@ -94,20 +93,16 @@ class KeptRows:
         os.close(self._stream)
         os.close(self._lock)
 
-    def get(self, key: str) -> Any:
-        """Return a result.
+    def _known(self, row: Any) -> tuple[str, Any]:
+        """Return key and value of a line. Raises KeyError, TypeError for a line of another kind."""
+        raise NotImplementedError
 
-        key: Its key, of `content_key`.
-        Returns: The result, as JSON holds it; None if it is not known.
-        """
-        return self._rows.get(key)
-
-    def add(self, key: str, value: Any) -> None:
-        """Keep a result."""
-        line = (json.dumps({"key": key, "value": value}, allow_nan=False) + "\n").encode()
+    def _append(self, row: Mapping[str, Any]) -> None:
+        """Write a line, synced."""
         with storage_errors(self.path):
-            write_all(self._stream, line)
+            write_all(self._stream, line_of(row))
             os.fsync(self._stream)
+        key, value = self._known(row)
         self._rows[key] = value
 
     def _read(self) -> dict[str, Any]:
@@ -121,6 +116,30 @@ class KeptRows:
                 os.truncate(self.path, len(whole))
         for line in whole.splitlines():
             with suppress(ValueError, KeyError, TypeError):
-                row = parse_json(line)
-                rows[row["key"]] = row["value"]
+                key, value = self._known(parse_json(line))
+                rows[key] = value
         return rows
+
+
+def line_of(row: Mapping[str, Any]) -> bytes:
+    """Return a row as a line of the file."""
+    return (json.dumps(row, allow_nan=False) + "\n").encode()
+
+
+class KeptRows(Table):
+    """Results by their key."""
+
+    def get(self, key: str) -> Any:
+        """Return a result.
+
+        key: Its key, of `content_key`.
+        Returns: The result, as JSON holds it; None if it is not known.
+        """
+        return self._rows.get(key)
+
+    def add(self, key: str, value: Any) -> None:
+        """Keep a result."""
+        self._append({"key": key, "value": value})
+
+    def _known(self, row: Any) -> tuple[str, Any]:
+        return row["key"], row["value"]

@@ -6,21 +6,18 @@ busy. Each run ends with one row: done, or failed with the reason. A run that fa
 
 from __future__ import annotations
 
-import json
-import os
 import shutil
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.base.failure import FORESEEN, Failure
+from bench.cluster.kept_rows import Table, line_of
 from bench.cluster.tasks import (
     ROW_FORMAT,
     FoundView,
@@ -37,14 +34,9 @@ from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.records.run_folder import RESULTS
 from bench.records.storage import (
-    MOST_TABLE_BYTES,
-    lock_folder,
-    make_folder,
-    read_bounded,
     sha256_of,
     storage_errors,
     sync_folder,
-    write_all,
     write_atomic,
 )
 from bench.results.offline_folder import write_files
@@ -62,7 +54,7 @@ _PART = ".part-"
 _KEY_SHOWN = 8
 
 
-class ResultsFolders:
+class ResultsFolders(Table):
     """The folder of a recalculation; one process at a time works in it.
 
     folder: The folder; it is made if it does not exist. What an earlier, interrupted recalculation did is
@@ -73,32 +65,21 @@ class ResultsFolders:
     Raises RunFolderError: If another process works in it.
     """
 
+    foreign = "The folder is not that of a recalculation"
+
     def __init__(self, folder: Path, key: BenchKey | None, *, table_only: bool = False) -> None:
+        with storage_errors(folder):
+            is_file = folder.exists() and not folder.is_dir()
+        if is_file:
+            raise UsageError("This is a file, not a folder.", where=str(folder), remedy="Choose another -o.")
         self.folder, self.key, self.table_only = folder, key, table_only
         self._reserved: set[str] = set()
-        self._refuse_foreign()
-        make_folder(folder)
-        self._lock = lock_folder(folder)
+        super().__init__(folder, TABLE)
         try:
             self._remove_parts()
-            self._rows = self._read()
-            with storage_errors(self._table):
-                self._stream = os.open(self._table, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-            self._end_torn_line()
         except BaseException:
-            os.close(self._lock)
+            self.__exit__()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._stream)
-        os.close(self._lock)
-
-    @property
-    def _table(self) -> Path:
-        return self.folder / TABLE
 
     def done(self, place: str, key: str) -> dict[str, Any] | None:
         """Return the row of a calibration that is done already.
@@ -156,61 +137,23 @@ class ResultsFolders:
 
     def add(self, row: dict[str, Any]) -> None:
         """Add a row to the table, synced."""
-        with storage_errors(self._table):
-            write_all(self._stream, _line(row))
-            os.fsync(self._stream)
-        self._rows[row["folder"]] = row
+        self._append(row)
 
     def finish(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""
         given = {str(row["folder"]): row for row in rows}
         others = [row for place, row in self._rows.items() if place not in given]
-        write_atomic(self._table, b"".join(_line(row) for row in (*given.values(), *others)))
+        write_atomic(self.path, b"".join(line_of(row) for row in (*given.values(), *others)))
 
-    def _refuse_foreign(self) -> None:
-        with storage_errors(self.folder):
-            if not self.folder.exists():
-                return
-            if not self.folder.is_dir():
-                raise UsageError(
-                    "This is a file, not a folder.", where=str(self.folder), remedy="Choose another -o."
-                )
-            found = next((one for one in self.folder.iterdir() if not one.name.startswith(".")), None)
-        if found is not None and not self._table.is_file():
-            raise UsageError(
-                f"The folder is not that of a recalculation: it contains {found.name}, but no {TABLE}.",
-                where=str(self.folder),
-                remedy="Choose a new folder.",
-            )
-
-    def _read(self) -> dict[str, dict[str, Any]]:
-        """Return the last row of each folder; a line that was cut off does not count."""
-        rows: dict[str, dict[str, Any]] = {}
-        if not self._table.is_file():
-            return rows
-        with storage_errors(self._table):
-            lines = read_bounded(self._table, MOST_TABLE_BYTES).splitlines()
-        for line in lines:
-            with suppress(ValueError, KeyError, TypeError):
-                row = parse_json(line)
-                if {"state", "key", "results", "results_sha256"} <= row.keys():
-                    rows[str(row["folder"])] = row
-        return rows
-
-    def _end_torn_line(self) -> None:
-        with storage_errors(self._table):
-            data = self._table.read_bytes()
-            if data and not data.endswith(b"\n"):
-                write_all(self._stream, b"\n")
+    def _known(self, row: Any) -> tuple[str, Any]:
+        if not {"state", "key", "results", "results_sha256"} <= row.keys():
+            raise KeyError(row)
+        return str(row["folder"]), row
 
     def _remove_parts(self) -> None:
         """Remove what a process that was killed left behind."""
         for part in self.folder.glob(f"{_PART}*"):
             _remove(part)
-
-
-def _line(row: Mapping[str, Any]) -> bytes:
-    return (json.dumps(row, allow_nan=False) + "\n").encode()
 
 
 def _remove(part: Path) -> None:
