@@ -112,10 +112,8 @@ def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossSt
     wrong: Stars with a gross error, for each view; none if there are none.
     """
     used = [~one.wrong for one in wrong] or [np.ones(len(view), np.bool_) for view in views]
-    if guard_band < 1.0:
-        inside = [
-            inside_guard_band(view, disc, guard_band)
-            for view, disc in zip(views, visible_discs(views), strict=True)
-        ]
+    discs = visible_discs(views) if guard_band < 1.0 else []
+    if discs:  # else the rim is nowhere in view, and no star is near it
+        inside = [inside_guard_band(view, disc, guard_band) for view, disc in zip(views, discs, strict=True)]
         used = [own & one for own, one in zip(used, inside, strict=True)]
     return used

@@ -21,7 +21,6 @@ from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
 from calib.joint.layout import POSE_PLACES, RIM, Layout
 from calib.joint.marginal import Problem
-from calib.joint.pupil import estimated
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
 from calib.model.beam import Disc, visible_discs
@@ -36,6 +35,8 @@ Array = NDArray[np.float64]
 ROUNDS = 40
 #: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
 _WANDERS = 0.012
+#: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
+_AS_TURNS = 3.0
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
 
@@ -122,21 +123,24 @@ def posed(
 
 
 def rims_and_pupils(
-    views: Sequence[View], poses: NDArray[np.int64], turns: Array, r_mm: float
+    views: Sequence[View], poses: NDArray[np.int64], r_mm: float
 ) -> tuple[tuple[Disc, ...], Array | None]:
     """Return the visible discs, and where the pupils are if they wander farther than on a gimbal.
 
     On a gimbal the pupil follows the turn, which is known far better than a disc.
 
-    turns: (n, 2) tangents of the poses' turns.
     Returns: Discs, none if the rim is nowhere in view; and (n, 2) places as turns, or None.
     """
-    discs = tuple(visible_discs(views))
-    if not all(disc.rim_visible or disc.uses_other_views for disc in discs):
+    discs = tuple(visible_discs(views, poses))
+    if not discs:
         return (), None
-    pupils = estimated(discs, poses, turns)
-    wanders = pupils.wander_mm > _WANDERS * r_mm
-    return discs, pupils.as_turns(r_mm) if wanders else None
+    first = [discs[v] for v in np.unique(poses, return_index=True)[1]]
+    middles = np.array([disc.centre_mm for disc in first])
+    aside = middles - np.array([disc.expected_mm for disc in first])
+    aside -= aside.mean(axis=0)
+    if np.sqrt((aside**2).sum(axis=1).mean()) < _WANDERS * r_mm:
+        return discs, None
+    return discs, _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
@@ -183,6 +187,5 @@ def _searched(
     if problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
         return search(*posed(views, options, start, lens), rounds)
     poses = np.array(poses_of(start.rotations), np.int64)
-    turns, _ = turns_of(start.rotations, poses)
-    seen = rims_and_pupils(views, poses, turns, start.collimator.r)
+    seen = rims_and_pupils(views, poses, start.collimator.r)
     return search(*posed(views, options, start, lens, *seen), rounds)

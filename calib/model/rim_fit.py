@@ -63,6 +63,8 @@ _LEAST_WEIGHT = 1e-6
 #: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
 #: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
 _CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
+#: The rim counts as visible if the 1-sigma of the disc's centre is at most this share of its radius.
+_VISIBLE_RIM_SIGMA = 0.06
 #: Smallest 1-sigma of a point, mm: neighbouring points share errors of the map.
 _POINT_FLOOR_MM = 0.03
 #: Largest number of bright points of a view that take part.
@@ -77,8 +79,8 @@ _FIRST_SCATTERS = (0.12, 0.05, 0.03)
 
 
 @dataclass(frozen=True)
-class FittedRim:
-    """The disc of one view."""
+class Disc:
+    """The disc of one view, on the target's plane."""
 
     centre_mm: Array  # (2,) float64, mm
     radius_mm: float  # Mean radius, mm
@@ -86,6 +88,12 @@ class FittedRim:
     # 1-sigma of the centre along the worse axis, mm, by the points of this view alone, if the edge were a
     # circle of about the radius of the other views. It tells how much of the rim is in view.
     own_sigma_mm: float
+    expected_mm: Array  # (2,) float64, mm, centre by the motion that all discs have in common
+
+    @property
+    def rim_visible(self) -> bool:
+        """Whether the view itself shows enough of the rim to locate a circle."""
+        return self.own_sigma_mm <= _VISIBLE_RIM_SIGMA * self.radius_mm
 
 
 @dataclass(frozen=True)
@@ -119,9 +127,7 @@ class _Common(NamedTuple):
     sigmas: Array
 
 
-def fit_rims(
-    rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float
-) -> list[FittedRim]:
+def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float) -> list[Disc]:
     """Fit the discs of all views together.
 
     The head of the module gives model and sources. The points enter with weights of Huber (1981).
@@ -137,7 +143,7 @@ def fit_rims(
 
 def fit_rims_and_motion(
     rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float
-) -> tuple[list[FittedRim], DiscMotion]:
+) -> tuple[list[Disc], DiscMotion]:
     """Fit the discs of all views together, and how they move with the look of the camera.
 
     The head of the module gives model and sources. A line through the discs would take their errors as independent.
@@ -148,7 +154,7 @@ def fit_rims_and_motion(
     looks_mm: (V, 2) float64, mm, points of the target at which the camera looks.
     middle_mm: (2,) float64, mm, a point well inside the beam.
     reach_mm: First guess of the radius, mm.
-    Returns: One `FittedRim` for each view, and the `DiscMotion`. Its prior is zero with a 1-sigma of 0.3 for
+    Returns: One `Disc` for each view, and the `DiscMotion`. Its prior is zero with a 1-sigma of 0.3 for
       each entry.
     """
     common = _common(looks_mm - middle_mm, reach_mm)
@@ -170,10 +176,11 @@ def fit_rims_and_motion(
             break
         grid = likely if round_ > 0 else grid
     discs = []
+    expected = (common.designs[:, :2] @ found.shared) + middle_mm
     for i, rim in enumerate(rims):
         covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
         centre, radius = found.mean[i, :2] + middle_mm, abs(float(found.mean[i, 2]))
-        discs.append(FittedRim(centre, radius, covariance, float(own[i])))
+        discs.append(Disc(centre, radius, covariance, float(own[i]), expected[i]))
     motion = slice(2, 6)
     return discs, DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
 

@@ -10,7 +10,7 @@ import numpy as np
 from inner_loops import from_python
 from numpy.typing import NDArray
 
-from calib.model.rim_fit import FittedRim, fit_rims
+from calib.model.rim_fit import Disc, fit_rims
 from calib.view import RimPoints
 from simulators.optics.collimator_errors import disc_of
 from simulators.optics.collimator_errors import relative_radius as inner_relative_radius
@@ -41,7 +41,7 @@ class DrawnRims:
     looks_mm: Array  # (V, 2) points of the target at which the camera looks
     discs_mm: Array  # (V, 2) true centres of the discs
 
-    def fitted(self) -> list[FittedRim]:
+    def fitted(self) -> list[Disc]:
         """Return the fitted discs."""
         seen = np.concatenate([np.vstack([rim.points_mm, rim.lit_mm]) for rim in self.rims])
         middle = seen.mean(axis=0)

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from calib.calibration import ModelName
 from calib.engine import Calibration, CalibrationOptions, calibrate
-from calib.model.beam import Disc, visible_disc
+from calib.model.beam import visible_discs
+from calib.model.rim_fit import Disc
 from calib.view import View
 from simulators.optics import picture as optics
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
@@ -58,7 +59,7 @@ def recordings(folder: Path) -> Recorded:
         rows = np.loadtxt(folder / f"image{number}.txt")
         views.append(_seen(str(number), rows[:, 4].astype(np.int64), rows[:, :2] - 0.5))
     rotations = np.asarray(calibrate(views, CalibrationOptions(model="field", loss="l2")).rotations)
-    return Recorded(views, rotations, [visible_disc(view) for view in views])
+    return Recorded(views, rotations, visible_discs(views))
 
 
 def simulated(
@@ -89,7 +90,7 @@ def simulated(
 
 def figures(views: Sequence[View]) -> Figures:
     """Statistics of the residuals and of the free centres, by name: px, drift in % of r, focal gaps in %."""
-    discs = [visible_disc(view) for view in views]
+    discs = visible_discs(views)
     fits = {name: calibrate(views, CalibrationOptions(model=name, loss="l2")) for name in MODELS}
     spherical, field, planar = fits.values()
     found: Figures = {f"{name}_rms": fit.rms_px for name, fit in fits.items()}
