@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.errors import InputMismatch
 from calib.model.beam import inside_guard_band, visible_discs
 from calib.model.homography import gross_errors, view_homography
-from calib.model.local_consistency import local_spacing
+from calib.model.local_consistency import LIMIT_PX, local_spacing
 from calib.stars.grid_map import predict_locally
 from calib.view import View
 
@@ -88,7 +88,10 @@ def _gross_stars(view: View) -> GrossStars:
     predicted = predict_locally(
         h, right.target_mm / spacing, right.points_px, view.target_mm[wrong] / spacing
     )
-    return GrossStars(view.name, wrong, np.linalg.norm(view.points_px[wrong] - predicted, axis=1))
+    distances = np.linalg.norm(view.points_px[wrong] - predicted, axis=1)
+    found = wrong.copy()
+    found[wrong] = far = distances > LIMIT_PX  # right stars amid many wrong ones seem wrong too
+    return GrossStars(view.name, found, distances[far])
 
 
 def part_of(view: View, kept: Bools) -> View:

@@ -23,18 +23,19 @@ from calib.joint.layout import POSE_PLACES, RIM, Layout
 from calib.joint.marginal import Problem
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
-from calib.model.beam import Disc, visible_discs
+from calib.model.beam import discs_and_motion
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
+from calib.model.rim_fit import Disc
 from calib.view import View
 
 Array = NDArray[np.float64]
 
 ROUNDS = 40
-#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
-_WANDERS = 0.012
+#: A pupil is moved by hand if the logarithm of the odds exceeds this: positive evidence (Kass and Raftery, 1995).
+_WANDERS = 1.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 3.0
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
@@ -131,16 +132,14 @@ def rims_and_pupils(
 
     Returns: Discs, none if the rim is nowhere in view; and (n, 2) places as turns, or None.
     """
-    discs = tuple(visible_discs(views, poses))
-    if not discs:
+    found = discs_and_motion(views, poses)
+    if found is None:
         return (), None
-    first = [discs[v] for v in np.unique(poses, return_index=True)[1]]
-    middles = np.array([disc.centre_mm for disc in first])
-    aside = middles - np.array([disc.expected_mm for disc in first])
-    aside -= aside.mean(axis=0)
-    if np.sqrt((aside**2).sum(axis=1).mean()) < _WANDERS * r_mm:
-        return discs, None
-    return discs, _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm
+    discs, motion = found
+    if motion.wander_odds < _WANDERS:
+        return tuple(discs), None
+    middles = np.array([discs[v].centre_mm for v in np.unique(poses, return_index=True)[1]])
+    return tuple(discs), _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from calib.joint.layout import RIM_POWERS, Layout
 from calib.joint.readings import Readings
-from calib.model.beam import Disc
 from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
+from calib.model.rim_fit import Disc
 from calib.model.rotation import exp_map, skew
 from calib.view import View
 

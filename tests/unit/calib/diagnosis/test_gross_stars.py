@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
@@ -22,6 +22,7 @@ def spoilt(view, stars, rng, nearest=30.0, farthest=300.0):
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 25))
+@example(seed=348, count=20)
 def test_gross_errors_are_counted_and_measured(seed, count):
     rng = np.random.default_rng(seed)
     clean = Bench().views(rng, 0.05)[0]

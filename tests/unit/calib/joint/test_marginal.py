@@ -122,8 +122,7 @@ def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders)
     for view, x in zip(views[:3], (-mm, -mm, mm), strict=True):
         away = view.target_mm - middle - [x, 0.0]
         seen.append(part_of(view, np.hypot(*away.T) < 25.0))
-    turns = np.tan(np.radians([[-6.0, 2.0], [6.0, 2.0], [0.0, -4.0]]))
-    discs, pupils = rims_and_pupils(seen if wanders else views[:3], np.arange(3), turns, 255.0)
+    discs, pupils = rims_and_pupils(seen if wanders else views[:3], np.arange(3), 255.0)
     assert (pupils is not None) == wanders
     if wanders:
         assert 2.0 * mm == pytest.approx(discs[2].centre_mm[0] - discs[0].centre_mm[0], rel=0.3)
