@@ -1,21 +1,10 @@
 """A door that is opened while a run moves and records: seen from outside."""
 
 import json
-import time
 
 import pytest
-from quick_runs import write_sequence, write_station
-from running import PATIENCE_S, entering, journal, numbers, starbench, start
-
-THREE = "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, {name: below, tilt_deg: -3}]"
-
-
-def wait_for(process, folder, reached, seen=0):
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(reached, journal(folder)[seen:])):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline, journal(folder)
-        time.sleep(0.005)
+from quick_runs import THREE_NAMED, write_sequence, write_station
+from running import PATIENCE_S, entering, journal, numbers, starbench, start, wait_for
 
 
 @pytest.mark.slow
@@ -23,7 +12,7 @@ def test_a_door_holds_the_run_dark_within_a_moment_and_it_ends_with_the_same_num
     home, door, folder = tmp_path / "home", tmp_path / "door", tmp_path / "run"
     door.write_text("1\n")
     station = write_station(tmp_path / "station.yaml", f"\ninterlocks: {{door: {{path: {door}}}}}\n")
-    sequence = write_sequence(tmp_path / "sequence.yaml", THREE)
+    sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED)
     whole = starbench("run", sequence, "-s", station, "--seed", 7, "-o", tmp_path / "whole", home=home)
     assert whole.returncode == 0, whole.stderr
     process = start("run", sequence, "-s", station, "--seed", 7, "-o", folder, home=home)

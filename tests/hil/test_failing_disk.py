@@ -7,13 +7,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from quick_runs import write_sequence, write_station
+from quick_runs import THREE_NAMED, write_sequence, write_station
 from running import PATIENCE_S, STARBENCH, environment, journal, starbench
 
 CONTROL = Path("/usr/lib/fiu/fiu_run_preload.so")
 """Reads from the environment what is to fail."""
 SHIM = Path(__file__).parents[1] / "support" / "failing_disk.c"
-THREE = "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, {name: below, tilt_deg: -3}]"
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +34,7 @@ def shim(tmp_path_factory):
 
 @pytest.fixture
 def files(tmp_path):
-    return write_sequence(tmp_path / "sequence.yaml", THREE), write_station(tmp_path / "station.yaml")
+    return write_sequence(tmp_path / "sequence.yaml", THREE_NAMED), write_station(tmp_path / "station.yaml")
 
 
 def run_on_failing_disk(shim, tmp_path, files, what, probability, seed):

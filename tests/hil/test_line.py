@@ -11,6 +11,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from align_browser import CHROMIUM, running_chromium
 from pages import served
 from quick_runs import THREE, TWELVE, write_sequence, write_station
 from running import journal
@@ -21,7 +22,6 @@ from bench.panel.panel_app import panel_app
 from bench.records.events import Event
 from bench.web.guard import PageToken
 
-CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
 PATIENCE_MS = 90_000
 SERIAL = "00050423"
 
@@ -42,13 +42,8 @@ def line(folder, upper=1750, poses=THREE, limits="limits: [{result: fx, lower: 1
 def chromium():
     if not Path(CHROMIUM).exists():
         pytest.skip(f"no Chromium at {CHROMIUM}")
-    sync_api = pytest.importorskip("playwright.sync_api")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--headless", "--no-sandbox", "--disable-gpu"]
-        )
+    with running_chromium() as browser:
         yield browser
-        browser.close()
 
 
 def picture(tab, name):

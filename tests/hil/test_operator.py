@@ -3,11 +3,10 @@
 import json
 import re
 import signal
-import time
 
 import pytest
 from quick_runs import write_sequence, write_station
-from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start
+from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start, wait_for
 
 from bench.run.control import Command, send
 
@@ -34,14 +33,6 @@ def process(home, tmp_path):
     yield process
     process.kill()
     process.communicate()
-
-
-def wait_for(process, folder, reached):
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(reached, journal(folder))):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline, journal(folder)
-        time.sleep(0.01)
 
 
 def states(folder):

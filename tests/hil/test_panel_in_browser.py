@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import time
-from pathlib import Path
 
 import pytest
+from align_browser import NEEDS_CHROMIUM, running_chromium
 from journals import MadeRun, at_work
 from pages import served
 from quick_runs import write_sequence, write_station
@@ -18,24 +17,16 @@ from bench.panel.panel_app import panel_app
 from bench.records.journal import read_journal
 from bench.web.guard import PageToken
 
-CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
 PATIENCE_S = 60.0
 QUEUE = "format: starbench/queue/1\nname: Night\njobs:\n  - {name: cam, sequence: three_pose, station: simulated}\n"
 
-pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason=f"no Chromium at {CHROMIUM}")
+pytestmark = NEEDS_CHROMIUM
 
 
 @pytest.fixture(scope="module")
 def chromium():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with running_chromium() as browser:
         yield browser
-        browser.close()
 
 
 class Tabs:

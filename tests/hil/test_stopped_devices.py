@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from quick_runs import SIMULATION, write_sequence, write_station
+from quick_runs import SIMULATION, THREE_NAMED, write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, starbench, start
 
 from bench.base.clock import BenchClock
@@ -21,7 +21,6 @@ from bench.stations.station import load_station
 from drivers.device_hold import FOLDER_VARIABLE
 from simulators.config import bench_config
 
-THREE = "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, {name: below, tilt_deg: -3}]"
 AT_POSE = {"recording": 1, "slewing": 2}
 CONFIG = {
     "ports": "pty",
@@ -42,7 +41,7 @@ def bench(tmp_path, monkeypatch):
             text = text.replace(f"sim:{name}", world.endpoints[name])
         text = text.replace(SIMULATION % "", "")
         station.write_text(text)
-        yield world, station, write_sequence(tmp_path / "sequence.yaml", THREE)
+        yield world, station, write_sequence(tmp_path / "sequence.yaml", THREE_NAMED)
 
 
 def see_that_it_is_safe(station):

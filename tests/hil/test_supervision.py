@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-from quick_runs import write_sequence, write_station
-from running import PATIENCE_S, entering, journal, results, start
+from quick_runs import THREE_NAMED, write_sequence, write_station
+from running import PATIENCE_S, entering, journal, results, start, wait_for
 from servers import WebServer, serving
 from station_texts import PLAIN
 
@@ -29,19 +29,10 @@ name: Night
 jobs:
   - {name: cam, sequence: %s, station: %s, seed: 7, attempts: 3}
 """
-THREE = "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, {name: below, tilt_deg: -3}]"
 
 
 def children(pid):
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def wait_until(process, run, reached, seen=0):
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(reached, journal(run)[seen:])):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -50,7 +41,7 @@ def night(tmp_path):
     with serving(WebServer()) as server:
         hook = f"\nmessages: {{webhooks: [{{url: '{server.url}'}}]}}\n"
         station = write_station(tmp_path / "station.yaml", hook)
-        sequence = write_sequence(tmp_path / "sequence.yaml", THREE)
+        sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED)
         (tmp_path / "queue.yaml").write_text(QUEUE % (sequence, station))
         yield tmp_path / "queue.yaml", tmp_path / "night", server
 
@@ -65,7 +56,7 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     run, seen = folder / "runs" / "cam-001", 0
     try:
         for number in (signal.SIGKILL, signal.SIGSTOP):
-            wait_until(process, run, entering("recording", 2), seen)
+            wait_for(process, run, entering("recording", 2), seen)
             seen = len(journal(run))
             (worker,) = children(process.pid)
             os.kill(worker, number)
@@ -96,7 +87,7 @@ def test_a_worker_whose_supervisor_is_killed_continues_reports_it_and_is_found_a
     queue, folder, server = night
     process = start("batch", queue, "-o", folder, home=tmp_path / "home")
     run = folder / "runs" / "cam-001"
-    wait_until(process, run, entering("recording", 1))
+    wait_for(process, run, entering("recording", 1))
     process.kill()
     process.communicate()
     again = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")

@@ -62,6 +62,15 @@ def end_when(process: subprocess.Popen[str], folder: Path, reached, number=signa
     return process.communicate(timeout=PATIENCE_S)[1]
 
 
+def wait_for(process: subprocess.Popen[str], folder: Path, reached, seen: int = 0) -> None:
+    """Wait until the journal shows, after so many lines, what is waited for; the process must live on."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(map(reached, journal(folder)[seen:])):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline, journal(folder)
+        time.sleep(0.005)
+
+
 def entering(state: str, pose: int | None = None):
     return lambda line: (
         line["event"] == "entering" and line["state"] == state and line.get("pose") in {pose, None}
