@@ -8,7 +8,7 @@ import pytest
 from certificate_sample import sample_results
 
 from bench.certificate.run_facts import further_of
-from bench.report.calibration_tables import _VERDICTS, checks
+from bench.report.calibration_tables import checks
 from bench.report.html import ReportData, render_report
 from bench.report.run_tables import boresight_rows
 from bench.report.text import angle
@@ -18,8 +18,11 @@ from calib.studies.gimbal_verdict import VerdictKind
 from tests.support.printed_text import printed_text
 
 
-def test_every_verdict_has_a_heading():
-    assert set(_VERDICTS) == set(get_args(VerdictKind))
+@pytest.mark.parametrize("verdict", get_args(VerdictKind))
+def test_every_verdict_has_a_heading(data, verdict):
+    gimbal = dict(data.results["gimbal"]) | {"verdict": verdict, "says": ["What was found."]}
+    (heading,) = [name for name, said in checks({"gimbal": gimbal}) if said == "What was found."]
+    assert heading.startswith("Gimbal: ")
 
 
 def test_the_verdict_and_its_sentences_are_printed(data):

@@ -4,7 +4,7 @@ from bench.records.events import Event
 from bench.records.history import History, apply_entry
 from bench.records.journal import Entry
 from bench.run.heartbeat import REPEAT_S, WINDOW_S, BusyWatch
-from bench.run.status import _ENTRY_TEXTS
+from bench.run.status import line_text
 
 
 class LateClock:
@@ -45,8 +45,8 @@ def test_a_computer_that_is_late_for_half_of_the_time_is_too_busy():
     assert [event for event, _ in lines] == [Event.COMPUTER_BUSY]
     data = lines[0][1]
     assert (data["late_s"], data["window_s"]) == (5.0, 10.0)
-    text = _ENTRY_TEXTS[Event.COMPUTER_BUSY](data)
-    assert text.startswith("this computer is too busy: it was 5.0 s late in 10 s (load 19.5)")
+    text = line_text(Entry(1, "2026-03-01T12:02:06.000000Z", 1.0, Event.COMPUTER_BUSY, data, "", ""))
+    assert text.startswith("12:02:06 UTC  this computer is too busy: it was 5.0 s late in 10 s (load 19.5)")
 
 
 def test_it_is_said_again_after_a_minute():
