@@ -18,9 +18,7 @@ from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
-from tests.hil.direct_stages import (
-    FAMILIES as RIGS,
-)
+from tests.hil.direct_stages import FAMILIES as RIGS
 from tests.hil.direct_stages import (
     K10CR1_COUNTS_PER_DEG,
     PRM1Z8_COUNTS_PER_DEG,
