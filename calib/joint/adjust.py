@@ -23,7 +23,7 @@ from calib.joint.layout import POSE_PLACES, RIM, Layout
 from calib.joint.marginal import Problem
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
-from calib.model.beam import discs_and_motion
+from calib.model.beam import visible_discs
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -34,8 +34,10 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 ROUNDS = 40
-#: A pupil is moved by hand if the logarithm of the odds exceeds this: positive evidence (Kass and Raftery, 1995).
-_WANDERS = 1.0
+#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
+_WANDERS = 0.012
+#: A wander counts if it is more than this share of the discs' uncertainty; discs that are known worse would be noise.
+_SEEN = 1.0 / 3.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 3.0
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
@@ -132,14 +134,22 @@ def rims_and_pupils(
 
     Returns: Discs, none if the rim is nowhere in view; and (n, 2) places as turns, or None.
     """
-    found = discs_and_motion(views, poses)
-    if found is None:
+    discs = tuple(visible_discs(views, poses))
+    if not discs:
         return (), None
-    discs, motion = found
-    if motion.wander_odds < _WANDERS:
-        return tuple(discs), None
-    middles = np.array([discs[v].centre_mm for v in np.unique(poses, return_index=True)[1]])
-    return tuple(discs), _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm
+    first = [discs[v] for v in np.unique(poses, return_index=True)[1]]
+    middles = np.array([disc.centre_mm for disc in first])
+    aside = middles - np.array([disc.expected_mm for disc in first])
+    wander = _rms(aside - aside.mean(axis=0))
+    sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in first]))
+    if wander < max(_WANDERS * r_mm, _SEEN * sigma):
+        return discs, None
+    return discs, _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm
+
+
+def _rms(vectors: Array) -> float:
+    """Return the RMS length of (n, 2) vectors."""
+    return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:

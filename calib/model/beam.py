@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, view_homography
-from calib.model.rim_fit import Disc, DiscMotion, fit_rims_and_motion
+from calib.model.rim_fit import Disc, fit_rims
 from calib.model.star_rim import rims_of_stars
 from calib.view import RimPoints, View
 
@@ -23,41 +23,36 @@ Array = NDArray[np.float64]
 _FEWEST_POINTS = 3
 
 
-def visible_discs(views: Sequence[View]) -> list[Disc]:
-    """Fit the discs of all views, as `discs_and_motion`; none if the rim is nowhere in view."""
-    found = discs_and_motion(views, np.arange(len(views)))
-    return found[0] if found else []
-
-
-def discs_and_motion(views: Sequence[View], poses: NDArray[np.int64]) -> tuple[list[Disc], DiscMotion] | None:
-    """Fit the discs of all views, and how they move with the look of the camera.
+def visible_discs(views: Sequence[View], poses: NDArray[np.int64] | None = None) -> list[Disc]:
+    """Fit the discs of all views.
 
     If the images of all views were searched for the rim, and one of them shows it, the discs are fitted to the rims
     found; otherwise to the stars.
 
-    poses: (V,) pose of each view; the views of a pose have one disc and count as one.
-    Returns: One disc for each view, in their order, and their motion; None if the rim is nowhere in view.
+    poses: (V,) pose of each view; the views of a pose have one disc and count as one. None if all differ.
+    Returns: One for each view, in their order; none if the rim is nowhere in view.
     Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
     """
     rims = [view.rim for view in views if view.rim is not None]
     if len(rims) < len(views) or all(len(rim.points_mm) < _FEWEST_POINTS for rim in rims):
         rims = rims_of_stars(views)
     if sum(len(rim.points_mm) for rim in rims) < _FEWEST_POINTS:
-        return None
-    members = [np.flatnonzero(poses == pose) for pose in range(int(poses.max()) + 1)]
+        return []
+    own = np.arange(len(views)) if poses is None else poses
+    members = [np.flatnonzero(own == pose) for pose in range(int(own.max()) + 1)]
     looks = np.array([_look_mm(view) for view in views])
     stars = np.concatenate([view.target_mm for view in views])
     middle = stars.mean(axis=0)
     reach = float(np.linalg.norm(stars - middle, axis=1).max())
-    discs, motion = fit_rims_and_motion(
+    discs = fit_rims(
         [_merged([rims[v] for v in of]) for of in members],
         np.array([looks[of].mean(axis=0) for of in members]),
         middle,
         reach,
     )
     if not any(disc.rim_visible for disc in discs):
-        return None
-    return [discs[pose] for pose in poses], motion
+        return []
+    return [discs[pose] for pose in own]
 
 
 def _merged(rims: Sequence[RimPoints]) -> RimPoints:

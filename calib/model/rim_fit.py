@@ -65,8 +65,6 @@ _LEAST_WEIGHT = 1e-6
 _CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
 #: The rim counts as visible if the 1-sigma of the disc's centre is at most this share of its radius.
 _VISIBLE_RIM_SIGMA = 0.15
-#: Of the scatters of the centres, so many are those of a pupil that follows the turn.
-_STEADY_SCATTERS = 2
 #: Smallest 1-sigma of a point, mm: neighbouring points share errors of the map.
 _POINT_FLOOR_MM = 0.03
 #: Largest number of bright points of a view that take part.
@@ -90,6 +88,7 @@ class Disc:
     # 1-sigma of the centre along the worse axis, mm, by the points of this view alone, if the edge were a
     # circle of about the radius of the other views. It tells how much of the rim is in view.
     own_sigma_mm: float
+    expected_mm: Array  # (2,) float64, mm, centre by the motion that all discs have in common
 
     @property
     def rim_visible(self) -> bool:
@@ -106,8 +105,6 @@ class DiscMotion:
     # (4, 4) float64, covariance of the entries of the matrix, row by row. Errors that the discs have in
     # common, such as those of the radius, are included.
     covariance: Array
-    # Logarithm of the odds that the discs scatter about this motion, as the discs of a mount that is moved by hand do.
-    wander_odds: float
 
 
 class _Posterior(NamedTuple):
@@ -169,12 +166,9 @@ def fit_rims_and_motion(
         _scatters(reach_mm, *shares)
         for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
     ]
-    odds = 0.0
     for round_ in range(_FINAL_ROUNDS):
         evidence = evidence_of(points, weights, means)
         whole = with_sites(evidence, bright, sites, means)
-        if round_ < 2:  # later, scatters that are excluded no longer take part
-            odds = _wander_odds(_in_pieces(whole, np.array(grid), common).log_likelihood)
         found, own, likely = _averaged(evidence, whole, reach_mm, common, grid)
         step = found.mean - means
         means = means + _STEP * step
@@ -182,25 +176,13 @@ def fit_rims_and_motion(
             break
         grid = likely if round_ > 0 else grid
     discs = []
+    expected = common.designs[:, :2] @ found.shared + middle_mm
     for i, rim in enumerate(rims):
         covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
         centre, radius = found.mean[i, :2] + middle_mm, abs(float(found.mean[i, 2]))
-        discs.append(Disc(centre, radius, covariance, float(own[i])))
+        discs.append(Disc(centre, radius, covariance, float(own[i]), expected[i]))
     motion = slice(2, 6)
-    matrix = found.shared[motion].reshape(2, 2)
-    return discs, DiscMotion(matrix, found.shared_covariance[motion, motion], odds)
-
-
-def _wander_odds(log_likelihood: Array) -> float:
-    """Return the logarithm of the odds of large scatters of the centres.
-
-    log_likelihood: Of the whole grid of scatters; that of the centres comes first.
-    """
-    by_centre = np.logaddexp.reduce(log_likelihood.reshape(len(_CENTRE_SCATTERS), -1), axis=1)
-    small, large = by_centre[:_STEADY_SCATTERS], by_centre[_STEADY_SCATTERS:]
-    return float(
-        np.logaddexp.reduce(large) - np.log(len(large)) - np.logaddexp.reduce(small) + np.log(len(small))
-    )
+    return discs, DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
 
 
 def _start(
