@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
     """Return the printed brightness at one point, for code that numba compiles.
 

@@ -14,10 +14,10 @@ from numba import njit
 from calib.adjustment.product_kernels import add_columns, add_pinhole, gather
 from calib.adjustment.star_kernels import CENTRE_AT, LENS_AT, RADIUS_AT, SKEW_AT, project
 from calib.adjustment.star_kernels import CHUNK as _CHUNK
-from calib.compiled import KERNEL
+from calib.compiled import INNER, INNER_WITH_ARRAYS, KERNEL
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _bend(x: Any, y: Any, state: Any, fisheye: bool, bent: Any, by_normalised: Any, radial: Any) -> None:
     """Distort M normalised points (x, y): Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006).
 
@@ -56,7 +56,7 @@ def _bend(x: Any, y: Any, state: Any, fisheye: bool, bent: Any, by_normalised: A
         radial[0, k], radial[1, k], radial[2, k] = r2 * inverse, r2, -factor
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _write_lens(
     column: Any, at: int, x: Any, y: Any, state: Any, fisheye: bool, bent: Any, radial: Any
 ) -> None:
@@ -85,7 +85,7 @@ def _write_lens(
     _skewed(column, state)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _write_radial(factor: Any, power: int, below: bool, radial: Any) -> None:
     """Write by how much of (x, y) a radial coefficient moves M points, as `_bend` says; ``below`` the fraction line."""
     for k in range(len(factor)):
@@ -98,7 +98,7 @@ def _write_radial(factor: Any, power: int, below: bool, radial: Any) -> None:
             factor[k] *= radial[2, k]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _skewed(column: Any, state: Any) -> None:
     """Add to derivatives (2, M) of the column u what the skew makes of those of the row v (own, by the chain rule)."""
     share = state[SKEW_AT] / state[1]
@@ -107,7 +107,7 @@ def _skewed(column: Any, state: Any) -> None:
             column[0, k] += share * column[1, k]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _write_geometry(
     p: Any, x: Any, y: Any, by_normalised: Any, rotation: Any, state: Any, turned: Any, moved: Any
 ) -> None:
@@ -133,7 +133,7 @@ def _write_geometry(
             moved[2, axis, k] = -(az * u + bz * v + cz * w)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _write_centre(column: Any, at: int, moved: Any, count: int) -> None:
     """Write the derivatives (2, M) by the shared centre, in place ``at`` of the state.
 
@@ -146,7 +146,7 @@ def _write_centre(column: Any, at: int, moved: Any, count: int) -> None:
             column[axis, k] = sign * along[k]
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _dense(places: Any, local: int) -> tuple[Any, int]:
     """Return which of the G shared and L local parameters need a row of derivatives, and how many are shared ones."""
     dense, count = np.empty(len(places) + local, np.int64), 0

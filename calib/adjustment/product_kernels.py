@@ -12,13 +12,13 @@ from typing import Any
 from numba import njit
 
 from calib.adjustment.star_kernels import LENS_AT
-from calib.compiled import KERNEL
+from calib.compiled import INNER
 
 #: Sums may be reordered, so that they run in parallel.
 _REORDERED = {"reassoc", "contract", "nsz"}
 
 
-@njit(**KERNEL, fastmath=_REORDERED)
+@njit(**INNER, fastmath=_REORDERED)
 def add_pinhole(
     bent: Any, gradient: Any, curvature: Any, first: int, count: int, normal: Any, right: Any
 ) -> None:
@@ -66,7 +66,7 @@ def add_pinhole(
     right[3] += f
 
 
-@njit(**KERNEL, fastmath=_REORDERED)
+@njit(**INNER, fastmath=_REORDERED)
 def add_columns(
     columns: Any,
     bent: Any,
@@ -111,7 +111,7 @@ def add_columns(
         _add_two(columns, weighted, count, i, normal)
 
 
-@njit(**KERNEL, fastmath=_REORDERED)
+@njit(**INNER, fastmath=_REORDERED)
 def _add_two(columns: Any, weighted: Any, count: int, i: int, normal: Any) -> None:
     """Add the products of the rows ``i`` and ``i + 1`` with all columns up to them, two by two: fewer loads."""
     last = min(i + 1, len(columns) - 1)
@@ -134,7 +134,7 @@ def _add_two(columns: Any, weighted: Any, count: int, i: int, normal: Any) -> No
                 normal[last, other] += s
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def gather(
     places: Any, dense: Any, pinhole: Any, by_pinhole: Any, own: Any, scores: Any, normal: Any, right: Any
 ) -> None:

@@ -13,7 +13,7 @@ from numba import njit
 
 from calib.adjustment.equation_kernels import view_equations
 from calib.adjustment.star_kernels import residuals_px, robust_cost, robust_curvature, whiten
-from calib.compiled import KERNEL
+from calib.compiled import INNER, INNER_WITH_ARRAYS, KERNEL
 
 #: The search stops when the damping exceeds this.
 MAX_DAMPING = 1e12
@@ -24,7 +24,7 @@ FIRST_DAMPING = 1e-6
 _TINY = float(np.finfo(float).tiny)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _pivot(matrix: Any, i: int) -> int:
     """Return the row from ``i`` on with the largest element in column ``i``."""
     best = i
@@ -34,7 +34,7 @@ def _pivot(matrix: Any, i: int) -> int:
     return best
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def solve_in_place(matrix: Any, right: Any) -> bool:
     """Solve matrix x = right in place, by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013).
 
@@ -67,7 +67,7 @@ def solve_in_place(matrix: Any, right: Any) -> bool:
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _turn(rotation: Any, vector: Any, out: Any) -> None:
     """Write exp([t]x) R for a rotation vector t (Rodrigues' formula; Diebel, 2006)."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -85,7 +85,7 @@ def _turn(rotation: Any, vector: Any, out: Any) -> None:
         out[2, j] = w + a * (x * v - y * u) + b * (z * along - square * w)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _eliminate(
     normal: Any, right: Any, damping: float, block: Any, solved: Any, information: Any, score: Any
 ) -> bool:
@@ -115,7 +115,7 @@ def _eliminate(
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> bool:
     """Compute the damped step of all parameters; False if the equations are singular.
 
@@ -151,7 +151,7 @@ def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> b
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _decrement(right: Any, shared: Any, local: Any) -> float:
     """Return gradient times step, which is twice the predicted reduction of the cost."""
     total, count = 0.0, len(shared)
@@ -163,7 +163,7 @@ def _decrement(right: Any, shared: Any, local: Any) -> float:
     return total
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _move(
     state: Any,
     rotations: Any,
@@ -186,7 +186,7 @@ def _move(
             new_offsets[i, a - 3] = offsets[i, a - 3] + local[i, a]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _keep(
     state: Any, rotations: Any, offsets: Any, new_state: Any, new_rotations: Any, new_offsets: Any
 ) -> None:

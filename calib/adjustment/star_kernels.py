@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 
 #: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, the skew, and the
 #: centre (x, y, r).
@@ -29,7 +29,7 @@ _TINY = float(np.finfo(float).tiny)
 _HUBER, _CAUCHY = LOSSES["huber"], LOSSES["cauchy"]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def project(
     target: Any,
     rotation: Any,
@@ -71,7 +71,7 @@ def project(
         v[k] = y[k] * inverse
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _distort(x: Any, y: Any, state: Any, fisheye: bool) -> None:
     """Distort normalised points in place: Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006)."""
     k = state[LENS_AT:SKEW_AT]
@@ -202,7 +202,7 @@ def robust_curvature(
             at += size
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _slopes(rx: Any, ry: Any, loss: int, limit: float, across: Any, excess: Any) -> None:
     """Write the curvatures across M residuals e, and what the curvatures along them exceed these by, over e^2."""
     count = len(rx)
@@ -223,7 +223,7 @@ def _slopes(rx: Any, ry: Any, loss: int, limit: float, across: Any, excess: Any)
         excess[:count] = 0.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _pulled(
     residuals: Any,
     factors: Any,

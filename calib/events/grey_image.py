@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 from calib.errors import InputMismatch
 
 #: Share of the pixels that may be clipped at each end of the grey scale.
@@ -84,19 +84,19 @@ def _quantile(keys: Any, counts: Any, n: int, share: float) -> float:
     return float(other - apart * (1.0 - part) if part >= 0.5 else one + apart * part)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _ordered(key: Any) -> Any:
     """Return the bits of a float32 as a number that grows with its value (Terdiman, 2000)."""
     return ~key if key >> np.uint32(31) else key | np.uint32(0x80000000)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _bits(key: Any) -> Any:
     """Return the bits of the float32 that `_ordered` turned into a number."""
     return key & np.uint32(0x7FFFFFFF) if key >> np.uint32(31) else ~key
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _only_value(keys: Any, upper: Any) -> Any:
     """Return the bits of the only value with some upper 16 bits; -1 if there are several, or none."""
     at = 0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 
 #: Smallest numbers on the diagonals of the local fits: of the constant, and of all other terms (Hoerl and Kennard,
 #: 1970). They matter for neighbours on one line only.
@@ -20,7 +20,7 @@ RIDGE_CONSTANT, RIDGE_OTHERS = 1e-9, 1e-3
 AFFINE, QUADRATIC = 3, 6
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _insert(which: Any, squares: Any, found: int, star: int, square: float) -> None:
     """Insert a star into the ``found`` nearest so far, nearest first; the lower index first if equally near."""
     at = min(found, len(which) - 1)
@@ -79,7 +79,7 @@ def one_sidedness(points: Any, which: Any, spacing: float, out: Any) -> None:
         out[i] = np.sqrt(x * x + y * y) / (count * spacing)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _terms(x: float, y: float, row: Any) -> None:
     """Write the terms of a local map at (x, y): 1, x, y, and x^2, x y, y^2 if there is room."""
     row[0], row[1], row[2] = 1.0, x, y
@@ -87,7 +87,7 @@ def _terms(x: float, y: float, row: Any) -> None:
         row[3], row[4], row[5] = x * x, x * y, y * y
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _solve(matrix: Any, right: Any) -> None:
     """Solve matrix x = right in place for a positive definite matrix, by Cholesky (Golub and Van Loan, 2013)."""
     n = len(right)
@@ -145,7 +145,7 @@ def plain_deviations(points: Any, which: Any, spacing: float, off: Any, terms: i
         out[i] = np.sqrt((x * x + y * y) / (1.0 + max(answer[0], 0.0)))
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _root(parents: Any, i: int) -> int:
     """Return the first member of a set, and shorten the way to it (Tarjan, 1975)."""
     while parents[i] != i:

@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, INNER_WITH_ARRAYS, KERNEL
 from calib.stars.local_map import LocalMap
 from calib.stars.symmetry_kernels import SYMMETRY_UNKNOWNS, normal_equations
 
@@ -88,7 +88,7 @@ def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
     return np.column_stack([u[upper], v[upper]])
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
     """Solve the normal equations in place; return whether the image determines every unknown; a flat one does not.
 
@@ -114,7 +114,7 @@ def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _substitute(factor: Any, right: Any, step: Any) -> None:
     """Solve a system by its Cholesky factor: forward, then back substitution (Golub and Van Loan, 2013)."""
     for k in range(SYMMETRY_UNKNOWNS):
@@ -128,7 +128,7 @@ def _substitute(factor: Any, right: Any, step: Any) -> None:
         step[k] /= factor[k, k]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _clearly_regular(scaled: Any, factor: Any) -> bool:
     """Return whether the condition of a symmetric matrix with unit diagonal is below 1e10 for sure.
 
@@ -154,7 +154,7 @@ def _clearly_regular(scaled: Any, factor: Any) -> bool:
     return bool(smallest > n * 1e-10)
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _solve_by_eigenvalues(matrix: Any, right: Any, solution: Any) -> bool:
     """Solve a symmetric system by Jacobi's rotations (Golub and Van Loan, 2013); the matrix is overwritten.
 
@@ -189,7 +189,7 @@ def _solve_by_eigenvalues(matrix: Any, right: Any, solution: Any) -> bool:
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _rotate(matrix: Any, vectors: Any, p: int, q: int) -> None:
     """Make element (p, q) of a symmetric matrix zero by a rotation, which the columns of ``vectors`` follow."""
     if matrix[p, q] == 0.0:
@@ -208,7 +208,7 @@ def _rotate(matrix: Any, vectors: Any, p: int, q: int) -> None:
         matrix[p, k], matrix[q, k] = cosine * one - sine * other, sine * one + cosine * other
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _store_information(normal: Any, information: Any) -> None:
     """Store the (2, 2) information of the centre after elimination of the slopes, the last unknown first (Gauss)."""
     left = np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
@@ -225,7 +225,7 @@ def _store_information(normal: Any, information: Any) -> None:
             information[q, m] = left[q, m]
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _used_samples(samples: Any, used_to: Any) -> Any:
     """Return the samples, (2, M) float32, that lie in the used part of a star's cell."""
     return samples[:, (np.abs(samples[0]) <= used_to[0]) & (np.abs(samples[1]) <= used_to[1])]

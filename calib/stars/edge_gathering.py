@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.local_map import LocalMap
 from calib.stars.open_sides import cell_reach
@@ -147,7 +147,7 @@ def _gather(
         _store_by_edge(space, n, nearest, pixels, counts, k * edges, found)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _limits(used_to: Any, to: Any, bend: Any) -> tuple[float, float]:
     """Return how far the used part of a cell reaches by the linear map alone, pitches.
 
@@ -161,7 +161,7 @@ def _limits(used_to: Any, to: Any, bend: Any) -> tuple[float, float]:
     )
 
 
-@njit(**KERNEL, fastmath=_WITHOUT_NAN)
+@njit(**INNER, fastmath=_WITHOUT_NAN)
 def _place_row(
     dx: float,
     dy: float,
@@ -208,7 +208,7 @@ def _place_row(
         sample[i], places[i] = row * side + column, first + np.int32(i)
 
 
-@njit(**KERNEL, fastmath=_WITHOUT_NAN)
+@njit(**INNER, fastmath=_WITHOUT_NAN)
 def _read_samples(taus: Any, side: int, n: int, space: _Space) -> None:
     """Read the four samples of the edge map around each of the first ``n`` pixels; ``taus`` are its rows."""
     tau, rise, lower, lower_rise, sample = space.tau, space.rise, space.lower, space.lower_rise, space.sample
@@ -220,7 +220,7 @@ def _read_samples(taus: Any, side: int, n: int, space: _Space) -> None:
         lower[m], lower_rise[m] = taus[k + row], taus[k + row + one] - taus[k + row]
 
 
-@njit(**KERNEL, fastmath=_WITHOUT_NAN)
+@njit(**INNER, fastmath=_WITHOUT_NAN)
 def _interpolate(to: Any, used_to: Any, edge_map: EdgeMap, n: int, space: _Space) -> None:
     """Interpolate tau and its derivatives at the first ``n`` pixels, and mark those that are not used.
 
@@ -244,7 +244,7 @@ def _interpolate(to: Any, used_to: Any, edge_map: EdgeMap, n: int, space: _Space
         sample[i] = sample[i] if near else np.int32(-1)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _columns(dy: float, to: Any, limits: Any, left: float, right: float) -> tuple[float, float]:
     """Return the first and the last place in a row, px from the centre, at which the linear map is within limits.
 
@@ -257,7 +257,7 @@ def _columns(dy: float, to: Any, limits: Any, left: float, right: float) -> tupl
     return left, right
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _store_by_edge(
     space: _Space, n: int, nearest: Any, pixels: Any, counts: Any, group: int, found: EdgePixels
 ) -> None:

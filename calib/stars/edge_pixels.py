@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 from calib.stars.edge_gathering import EdgePixels
 
 #: Width of the bins of tau, px.
@@ -162,7 +162,7 @@ def edge_scores(
     return score, fisher
 
 
-@njit(**KERNEL, fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"})
+@njit(**INNER, fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"})
 def _add_edge(
     pixels: EdgePixels,
     begin: int,

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, INNER_WITH_ARRAYS, KERNEL
 from calib.stars.template import MIN_COVERED, StarTemplate
 
 #: Standard deviation, as a share of the brightness, up to which an image counts as flat: single precision is right to
@@ -38,7 +38,7 @@ class _Places(NamedTuple):
     expected: NDArray[np.float32]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _find_places(
     guess: Any, linear: Any, template: StarTemplate, width: int, places: _Places
 ) -> tuple[int, int, int, int]:
@@ -56,7 +56,7 @@ def _find_places(
     return left, right, top, bottom
 
 
-@njit(**KERNEL, fastmath={"reassoc", "contract", "nsz"})
+@njit(**INNER, fastmath={"reassoc", "contract", "nsz"})
 def _sums_at(pixels: Any, width: Any, shift: Any, level: Any, places: _Places) -> tuple[float, float, float]:
     """Return the sums of the values at the samples, of their squares, and of their products with the template.
 
@@ -78,7 +78,7 @@ def _sums_at(pixels: Any, width: Any, shift: Any, level: Any, places: _Places) -
     return float(total), float(squares), float(product)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _correlation_inside(
     pixels: Any, width: int, shift: int, level: Any, balance: float, places: _Places
 ) -> float:
@@ -97,7 +97,7 @@ def _correlation_inside(
     return (product - mean * balance) / n / np.sqrt(variance) if variance > flat else 0.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _correlation_partly(image: Any, across: int, below: int, places: _Places) -> float:
     """Return the correlation of samples of which some lie outside of the image; nan if too many of them do.
 
@@ -154,7 +154,7 @@ def search_stars(
     return best, score
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _search_star(
     image: Any,
     guess: Any,

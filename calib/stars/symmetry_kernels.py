@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, KERNEL
 
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
@@ -130,7 +130,7 @@ def normal_equations(
     return squares / along.size
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _copy_inside(
     width: int, height: int, centre: Any, linear: Any, quadratic: Any, samples: Any, space: Any
 ) -> int:
@@ -148,7 +148,7 @@ def _copy_inside(
     return n
 
 
-@njit(**KERNEL, fastmath=_IN_PARALLEL)
+@njit(**INNER, fastmath=_IN_PARALLEL)
 def _sums_inside(
     pixels: Any,
     width: int,

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
+from calib.compiled import INNER, INNER_WITH_ARRAYS, KERNEL
 
 #: Radii at which a star's segments are compared with the image, pitches. Further inside, segments may merge.
 TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
@@ -150,7 +150,7 @@ def learnt_contrasts(
     return slopes
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _sample(image: Any, x: float, y: float) -> float:
     """Return the bilinear value of the image at a point; nan outside.
 
@@ -165,7 +165,7 @@ def _sample(image: Any, x: float, y: float) -> float:
     return (1.0 - b) * top + b * bottom
 
 
-@njit(**KERNEL)
+@njit(**INNER_WITH_ARRAYS)
 def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> Any:
     """Return the (S,) bilinear values of the image at the samples of a star at (x, y); nan outside."""
     offsets = template.offsets
@@ -178,7 +178,7 @@ def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -
     return seen
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _correlation(seen: Any, template: StarTemplate) -> float:
     """Return the correlation coefficient of what was seen with a star; nan if too much of it lies outside.
 

@@ -13,10 +13,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-JIT: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False, "no_cfunc_wrapper": True}
+_DECODER: Final[dict[str, Any]] = {"nogil": True, "_nrt": False, "no_cfunc_wrapper": True}
+JIT: Final[dict[str, Any]] = {"cache": True, **_DECODER}
 """How the decoder's loops are compiled: without reference counts of arrays (``_nrt``). The loops allocate no arrays,
 and counting references took most of the time of the rarer words.
 """
+INNER: Final[dict[str, Any]] = {"no_cpython_wrapper": True, **_DECODER}
+"""The same of a function that only loops call: a call from Python would crash the process."""
 
 MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some microseconds (11 were seen); a much larger step means missing words."""
@@ -109,7 +112,7 @@ def new_state(width: int, height: int) -> NDArray[np.int64]:
     return state
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _time_high(state: Any, high: int, gaps: Any) -> StopReason:
     """Advance the clock. A step of more than one is a gap; a step back by at least 2048 is a wrap."""
     old = state[S.HIGH]
@@ -132,7 +135,7 @@ def _time_high(state: Any, high: int, gaps: Any) -> StopReason:
     return StopReason.NONE
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _time_low(state: Any, low: int) -> StopReason:
     """Set the lower part of the clock."""
     if state[S.HIGH] < 0:
@@ -148,7 +151,7 @@ def _time_low(state: Any, low: int) -> StopReason:
     return StopReason.NONE
 
 
-@njit(**JIT, forceinline=True)
+@njit(**INNER, forceinline=True)
 def one_tick_later(idle_us: int) -> int:
     """Return for how long only TIME_HIGH words have come, after one more.
 
@@ -159,7 +162,7 @@ def one_tick_later(idle_us: int) -> int:
     return idle_us + _TICK_US if 0 <= idle_us < _TICK_US * _MAX_TICKS else -1
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _rate_controller(state: Any, kind: int, payload: int) -> None:
     """Add an OTHERS word, or a part of its payload, to the counters of the rate controller.
 
@@ -197,7 +200,7 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
             state[S.LOST] += max(state[S.REPORTED] - state[S.ARRIVED], 0)
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
     """Store a trigger edge."""
     if state[S.T] < 0:
@@ -213,7 +216,7 @@ def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
     return StopReason.NONE
 
 
-@njit(**JIT)
+@njit(**INNER)
 def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> StopReason:
     """Take a word that holds no event, with every check.
 

@@ -35,7 +35,7 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3_control_words import JIT, S, StopReason, one_tick_later, take_control_word
+from drivers.camera.evt3_control_words import INNER, JIT, S, StopReason, one_tick_later, take_control_word
 
 MARGIN: Final = 32
 """Room that the arrays need beyond the last event: three vectors are written at once."""
@@ -78,7 +78,7 @@ def add_events(events: Any, n: int, image: Any) -> None:
         image[p[k], y[k], x[k]] += 1
 
 
-@njit(**JIT, forceinline=True)
+@njit(**INNER, forceinline=True)
 def _write_times_and_rows(events: Any, begin: Any, end: Any, t: int, y: int) -> Any:
     """Write what the events from ``begin`` to ``end`` have in common; return ``end``."""
     t_out, _, y_out, _ = events
@@ -89,7 +89,7 @@ def _write_times_and_rows(events: Any, begin: Any, end: Any, t: int, y: int) -> 
     return end
 
 
-@njit(**JIT, forceinline=True)
+@njit(**INNER, forceinline=True)
 def _write_columns(events: Any, n: Any, x: int, p: int, bits: Any, bytes_: int) -> Any:
     """Write an event for each bit set, lowest first; return the index after the last. 8 places a byte are touched."""
     _, x_out, _, p_out = events
@@ -103,7 +103,7 @@ def _write_columns(events: Any, n: Any, x: int, p: int, bits: Any, bytes_: int) 
     return n
 
 
-@njit(**JIT, forceinline=True)
+@njit(**INNER, forceinline=True)
 def _vector(words: Any, i: Any, base: int, width: int) -> tuple[Any, int, Any]:
     """Return the bits of the vectors at word i, the number of their columns, and of their words.
 
@@ -120,7 +120,7 @@ def _vector(words: Any, i: Any, base: int, width: int) -> tuple[Any, int, Any]:
     return bits, 12, _ONE
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _take_usual(words: Any, start: int, state: Any, room: int, events: Any) -> int:
     """Take usual words from ``start`` on; return the index of the first that is none, or for which there is no room.
 
@@ -173,7 +173,7 @@ def _take_usual(words: Any, start: int, state: Any, room: int, events: Any) -> i
     return result
 
 
-@njit(**JIT)
+@njit(**INNER)
 def _take_rare(word: int, state: Any, gaps: Any, edges: Any) -> StopReason:
     """Take a word that is none of the usual ones, or not as expected."""
     kind, payload = word >> 12, word & 0xFFF

@@ -97,7 +97,7 @@ def test_parts_that_no_process_has_compiled_are_named(tmp_path):
     assert missing_parts(PARTS, environ) == PARTS
     version = f"py{sys.version_info.major}{sys.version_info.minor}"
     (tmp_path / "stars_1").mkdir()
-    (tmp_path / "stars_1" / f"edge_pixels._add_edge-162.{version}.nbi").touch()
+    (tmp_path / "stars_1" / f"edge_pixels.edge_scores-162.{version}.nbi").touch()
     assert missing_parts(PARTS, environ) == ("adjustment",)
     assert missing_parts(("stars",), environ) == ()
 

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from inner_loops import from_python
 
-from calib.stars.centring import _clearly_regular, _find_step, _store_information
+from calib.stars import centring
+
+clearly_regular, find_step = from_python(centring._clearly_regular), from_python(centring._find_step)
+store_information = from_python(centring._store_information)
 
 
 def test_a_matrix_that_is_clearly_regular_has_a_small_condition():
@@ -16,13 +20,13 @@ def test_a_matrix_that_is_clearly_regular_has_a_small_condition():
         scale = np.sqrt(np.diag(matrix))
         scaled = matrix / scale[:, None] / scale[None, :]
         factor = np.zeros((6, 6))
-        verdicts.append(_clearly_regular(scaled, factor))
+        verdicts.append(clearly_regular(scaled, factor))
         if verdicts[-1]:
             assert np.linalg.cond(scaled) < 1e10
             np.testing.assert_allclose(factor @ factor.T, scaled, atol=1e-14)
     assert verdicts[0]
     assert not verdicts[-1]
-    assert not _clearly_regular(np.ones((6, 6)), factor)
+    assert not clearly_regular(np.ones((6, 6)), factor)
 
 
 @pytest.mark.parametrize("smallest", [1e-2, 1e-11])
@@ -33,14 +37,14 @@ def test_the_step_solves_the_equations(smallest):
     units = np.array([1.0, 1.0, 100.0, 100.0, 7.0, 7.0])
     matrix = np.diag(units) @ q @ np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest]) @ q.T @ np.diag(units)
     solution, step = random.normal(size=6), np.empty(6)
-    assert _find_step(matrix, matrix @ solution, np.zeros((6, 6)), step)
+    assert find_step(matrix, matrix @ solution, np.zeros((6, 6)), step)
     np.testing.assert_allclose(matrix @ step, matrix @ solution, rtol=1e-9, atol=1e-6)
     information = np.empty((2, 2))
-    _store_information(matrix, information)
+    store_information(matrix, information)
     np.testing.assert_allclose(information, np.linalg.inv(np.linalg.inv(matrix)[:2, :2]), rtol=1e-4)
 
 
 def test_a_flat_image_determines_no_step():
     step = np.empty(6)
-    assert not _find_step(np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), step)
-    assert not _find_step(np.ones((6, 6)), np.zeros(6), np.zeros((6, 6)), step)
+    assert not find_step(np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), step)
+    assert not find_step(np.ones((6, 6)), np.zeros(6), np.zeros((6, 6)), step)
