@@ -73,9 +73,11 @@ def amendments(root):
         yield "reportAmendedSubstituted and previousReport name two certificates"
     if replaced == text(root, f"{CORE}/dcc:uniqueIdentifier"):
         yield "the certificate replaces itself"
-    for one in find(root, "//*[dcc:procedure='SHA-256']/dcc:value"):
-        if not re.fullmatch("[0-9a-f]{64}", one.text):
-            yield f"{one.text} is not a hash by SHA-256"
+    for one in find(root, "//dcc:previousReport | //dcc:certificate | //dcc:linkedReport"):
+        if text(one, "dcc:procedure") != "SHA-256" or not re.fullmatch(
+            "[0-9a-f]{64}", text(one, "dcc:value")
+        ):
+            yield f"line {one.sourceline}: this is not a hash by SHA-256"
 
 
 def references(root):
