@@ -1,6 +1,7 @@
 """The certificate as PDF: the same bytes, text as data, every number and text, characters that fonts do not have."""
 
 import dataclasses
+import hashlib
 import os
 import re
 import subprocess
@@ -130,6 +131,12 @@ class TestWhatAnAssessorLooksFor:
             "SEALED; not a certificate until authorised by Dr. Grace Hopper, Head of laboratory (key SHA256:"
         )
         assert text in " ".join(texts_of(opening_of(small_certificate())))
+
+    def test_each_attached_file_is_listed_with_its_hash(self):
+        text = words(full_certificate())
+        for name, data in ATTACHED.items():
+            assert name in text
+            assert hashlib.sha256(data).hexdigest() in text
 
     def test_end_mark_and_number(self):
         data = pdf.document(small_certificate(), [], {})
