@@ -162,19 +162,23 @@ def fit_rims_and_motion(
     bright = [rim.lit_mm[:: 1 + len(rim.lit_mm) // _MOST_BRIGHT] - middle_mm for rim in rims]
     sigmas = [np.hypot(rim.sigmas_mm, _POINT_FLOOR_MM) for rim in rims]
     weights, sites, means = _start(points, bright, sigmas, reach_mm, common)
-    grid = [
-        _scatters(reach_mm, *shares)
-        for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
-    ]
+    grid = np.array(
+        [
+            _scatters(reach_mm, *shares)
+            for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
+        ]
+    )
     for round_ in range(_FINAL_ROUNDS):
         evidence = evidence_of(points, weights, means)
         whole = with_sites(evidence, bright, sites, means)
-        found, own, likely = _averaged(evidence, whole, reach_mm, common, grid)
+        found, shares = _averaged(whole, common, grid)
         step = found.mean - means
         means = means + _STEP * step
         if np.abs(step[:, :2]).max() < _FINAL_SETTLED_MM:
             break
-        grid = likely if round_ > 0 else grid
+        if round_ > 0:
+            grid, shares = grid[shares > _LEAST_WEIGHT], shares[shares > _LEAST_WEIGHT]
+    own = _own_sigmas(evidence, grid[:, 2], shares, reach_mm)
     discs = []
     expected = common.designs[:, :2] @ found.shared + middle_mm
     for i, rim in enumerate(rims):
@@ -283,15 +287,11 @@ def _in_pieces(evidence: Evidence, scatters: Array, common: _Common) -> _Posteri
     return _Posterior(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
-def _averaged(
-    points_only: Evidence, evidence: Evidence, reach_mm: float, common: _Common, grid: Sequence[Array]
-) -> tuple[_Posterior, Array, list[Array]]:
-    """Average the posterior over a grid of scatters.
+def _averaged(evidence: Evidence, common: _Common, scatters: Array) -> tuple[_Posterior, Array]:
+    """Average the posterior over (G, P) scatters; return also their (G,) weights.
 
-    Return also the (V,) sigmas of the views' own centres, mm, and the scatters that are not excluded. The likelihood
-    enters by a power below 1 (SafeBayes; Grünwald and van Ommen, 2017), because views are not independent.
+    The likelihood enters by a power below 1 (SafeBayes; Grünwald and van Ommen, 2017): views are not independent.
     """
-    scatters = np.array(grid)
     every = _in_pieces(evidence, scatters, common)
     preference = _SCATTER_POWER * np.log(scatters[:, [0, 2, 3]]).sum(axis=1)
     logs = _LIKELIHOOD_POWER * every.log_likelihood + preference
@@ -301,11 +301,7 @@ def _averaged(
     share = weights[kept] / weights[kept].sum()
     mean, covariance = _mixed(share, every.mean[kept], every.covariance[kept])
     shared, shared_covariance = _mixed(share, every.shared[kept], every.shared_covariance[kept])
-    own = np.zeros(len(mean))
-    for w, one in zip(share, scatters[kept], strict=True):
-        own += w * _own_variance(points_only, one, reach_mm)
-    found = _Posterior(mean, covariance, shared, shared_covariance, logs.max())
-    return found, np.sqrt(own), [s for s, w in zip(grid, weights, strict=True) if w > _LEAST_WEIGHT]
+    return _Posterior(mean, covariance, shared, shared_covariance, logs.max()), weights
 
 
 def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
@@ -316,10 +312,17 @@ def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Arr
     return mean, within + np.einsum("w,w...i,w...j->...ij", weights, off, off)
 
 
-def _own_variance(evidence: Evidence, scatters: Array, reach_mm: float) -> Array:
-    """Return the (V,) variances of the centres, mm^2, of circles located by each view alone."""
-    loose = scatters**-2.0
-    loose[3:] = (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0
+def _own_sigmas(evidence: Evidence, radius_scatters: Array, weights: Array, reach_mm: float) -> Array:
+    """Return the (V,) sigmas of the centres, mm, of circles located by each view alone.
+
+    radius_scatters: (G,) mm, with their (G,) weights.
+    """
+    loose = np.full(UNKNOWNS, (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0)
     loose[:2] = (2.0 * reach_mm) ** -2.0
-    covariance = np.linalg.inv(evidence.information + np.diag(loose))
-    return np.asarray(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1])
+    variance = np.zeros(len(evidence.product))
+    for scatter in np.unique(radius_scatters):
+        loose[2] = scatter**-2.0
+        covariance = np.linalg.inv(evidence.information + np.diag(loose))
+        largest = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
+        variance += weights[radius_scatters == scatter].sum() * largest
+    return np.sqrt(variance / weights.sum())
