@@ -27,6 +27,8 @@ BLUE, RED = POSE_COLOURS[0], "#c0271d"
 _MOST_DOTS_WITH_TEXT = 150
 MANY = 200
 """With more runs, bars are paler and the dots are not joined."""
+_ROUNDING = 1e-12
+"""Values that differ by less than this share are equal."""
 _BAND, _BAR, _PALE_BAR = 0.09, 0.44, 0.18
 """Opacities of the band between the limits, of bars, and of bars of many runs."""
 
@@ -122,9 +124,10 @@ class _Chart:
 def _wider(
     values: Sequence[float], share: float, least: float, ticks: Sequence[tuple[float, str]] | None = None
 ) -> Scale:
-    """Return a scale that is wider than values by a share of their range; by the least if all are equal."""
+    """Return a scale that is wider than values by a share of their range; by the least if they are equal."""
     low, high = min(values), max(values)
-    margin = share * (high - low) or least
+    equal = high - low <= _ROUNDING * max(abs(low), abs(high))
+    margin = least if equal else share * (high - low)
     return Scale(low - margin, high + margin, ticks=ticks)
 
 

@@ -134,14 +134,15 @@ def rims_and_pupils(
 
     Returns: Discs, none if the rim is nowhere in view; and (n, 2) places as turns, or None.
     """
-    discs = tuple(visible_discs(views, poses))
-    if not discs:
+    first = np.unique(poses, return_index=True)[1]  # repeats of a pose show the same rim
+    of_poses = visible_discs([views[v] for v in first])
+    if not of_poses:
         return (), None
-    first = [discs[v] for v in np.unique(poses, return_index=True)[1]]
-    middles = np.array([disc.centre_mm for disc in first])
-    aside = middles - np.array([disc.expected_mm for disc in first])
+    discs = tuple(of_poses[pose] for pose in poses)
+    middles = np.array([disc.centre_mm for disc in of_poses])
+    aside = middles - np.array([disc.expected_mm for disc in of_poses])
     wander = _rms(aside - aside.mean(axis=0))
-    sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in first]))
+    sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in of_poses]))
     if wander < max(_WANDERS * r_mm, _SEEN * sigma):
         return discs, None
     return discs, _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm

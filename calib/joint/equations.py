@@ -31,8 +31,8 @@ _BEYOND = 1.05
 #: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
 _RIM_NOISE_POWER = 12
 _RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
-#: No residual counts as longer than this when c is looked for, sigmas.
-_LONGEST = 30.0
+#: No residual counts as longer than this when c is looked for, sigmas of its noise: one gross error would decide.
+_LONGEST = 10.0
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
 _LIMIT_SIGMAS = 3.5
 #: Smallest scale of the weights, sigmas: points without any noise all count.
@@ -289,11 +289,11 @@ class Bench:
         if not self.discs:
             return 0.0
         lengths = self.whitened(state)
-        scaled = np.minimum(np.concatenate(lengths) / robust_sigma(lengths), _LONGEST) ** 2
+        scaled = (np.concatenate(lengths) / robust_sigma(lengths)) ** 2
         costs = []
         for size in _RIM_NOISES:
             own = np.concatenate([one.precision(size) for one in self.stars])
-            costs.append(float(own @ scaled) - 2.0 * float(np.log(own).sum()))
+            costs.append(float(np.minimum(own * scaled, _LONGEST**2).sum()) - 2.0 * float(np.log(own).sum()))
         return float(_RIM_NOISES[np.argmin(costs)])
 
     def _shares(self, found: Sequence[_ViewEquations]) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.model.homography import apply_homography, view_homography
 from calib.model.rim_fit import Disc, fit_rims
 from calib.model.star_rim import rims_of_stars
-from calib.view import RimPoints, View
+from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -23,13 +23,12 @@ Array = NDArray[np.float64]
 _FEWEST_POINTS = 3
 
 
-def visible_discs(views: Sequence[View], poses: NDArray[np.int64] | None = None) -> list[Disc]:
-    """Fit the discs of all views.
+def visible_discs(views: Sequence[View]) -> list[Disc]:
+    """Fit the discs of views of different poses.
 
     If the images of all views were searched for the rim, and one of them shows it, the discs are fitted to the rims
     found; otherwise to the stars.
 
-    poses: (V,) pose of each view; the views of a pose have one disc and count as one. None if all differ.
     Returns: One for each view, in their order; none if the rim is nowhere in view.
     Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
     """
@@ -38,31 +37,12 @@ def visible_discs(views: Sequence[View], poses: NDArray[np.int64] | None = None)
         rims = rims_of_stars(views)
     if sum(len(rim.points_mm) for rim in rims) < _FEWEST_POINTS:
         return []
-    own = np.arange(len(views)) if poses is None else poses
-    members = [np.flatnonzero(own == pose) for pose in range(int(own.max()) + 1)]
     looks = np.array([_look_mm(view) for view in views])
     stars = np.concatenate([view.target_mm for view in views])
     middle = stars.mean(axis=0)
     reach = float(np.linalg.norm(stars - middle, axis=1).max())
-    discs = fit_rims(
-        [_merged([rims[v] for v in of]) for of in members],
-        np.array([looks[of].mean(axis=0) for of in members]),
-        middle,
-        reach,
-    )
-    if not any(disc.rim_visible for disc in discs):
-        return []
-    return [discs[pose] for pose in own]
-
-
-def _merged(rims: Sequence[RimPoints]) -> RimPoints:
-    """Return the rims of the views of a pose as one: many of them say no more than one."""
-    return RimPoints(
-        np.concatenate([rim.points_mm for rim in rims]),
-        np.sqrt(len(rims)) * np.concatenate([rim.sigmas_mm for rim in rims]),
-        rims[0].lit_mm,
-        max(rim.level_sigma_mm for rim in rims),
-    )
+    discs = fit_rims(rims, looks, middle, reach)
+    return discs if any(disc.rim_visible for disc in discs) else []
 
 
 def _look_mm(view: View) -> Array:

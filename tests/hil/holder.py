@@ -40,7 +40,7 @@ OPENED: dict[str, Callable[[str], Stage]] = {
         address,
         [TextAxis(name="pan", address="P", counts_per_deg=800.0, limits=LIMITS)],
         read_stage_protocol(find_description("flir_ptu", None)).value.for_driver(),
-        baudrate=57_600,
+        baudrate=9600,
         clock=CLOCK,
     ),
     "thorlabs": lambda address: ThorlabsStage.open(

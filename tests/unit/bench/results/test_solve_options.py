@@ -131,5 +131,6 @@ def test_a_stated_bow_and_distortion_bound_the_radial_term():
     bounded, options, _ = solved(flat, model="auto")
     free, _, _ = solved(unknown, model="auto")
     assert options.radial_sigma == pytest.approx(2.1e-4, rel=0.02)
-    assert bounded.sigma["fx"] < 0.85 * free.sigma["fx"]
+    # What the rim of the beam does to the stars is not bounded by it.
+    assert bounded.sigma["fx"] < 0.95 * free.sigma["fx"]
     assert forecast_bench(flat.plan).radial_sigma == options.radial_sigma

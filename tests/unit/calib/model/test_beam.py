@@ -102,13 +102,3 @@ def test_other_views_locate_a_disc_whose_rim_is_out_of_view(partly_seen):
         np.linalg.norm([d.centre_mm for d in together] - truth, axis=1),
     )
     assert off[1].max() < min(2.5, off[0].min())
-
-
-def test_copies_of_a_view_change_nothing(partly_seen):
-    views, _ = partly_seen
-    once = visible_discs(views)
-    again = visible_discs([*views, *views], np.tile(np.arange(len(views)), 2))
-    for disc, copies in zip(once, zip(again[: len(views)], again[len(views) :], strict=True), strict=True):
-        for copy in copies:
-            np.testing.assert_allclose(copy.centre_mm, disc.centre_mm, atol=0.005)
-            np.testing.assert_allclose(copy.covariance_mm2, disc.covariance_mm2, atol=0.005)
