@@ -20,7 +20,7 @@ def view_of(target, pixels):
 
 @pytest.mark.parametrize("stars", [4, 5, 40])
 def test_exact_points_give_the_homography_back_with_determinant_one(stars):
-    target = RNG.uniform(0, 60, (stars, 2))
+    target = np.random.default_rng(stars).uniform(0, 60, (stars, 2))
     h = view_homography(view_of(target, apply_homography(TRUE, target)))
     assert np.linalg.det(h) == pytest.approx(1.0)
     assert np.allclose(h / h[2, 2], TRUE, rtol=1e-9)
