@@ -288,7 +288,7 @@ def _in_pieces(evidence: Evidence, scatters: Array, common: _Common) -> _Posteri
 
 
 def _averaged(evidence: Evidence, common: _Common, scatters: Array) -> tuple[_Posterior, Array]:
-    """Average the posterior over (G, P) scatters; return also their (G,) weights.
+    """Return the posterior averaged over (G, P) scatters, and the (G,) weight of each.
 
     The likelihood enters by a power below 1 (SafeBayes; Grünwald and van Ommen, 2017): views are not independent.
     """

@@ -29,6 +29,7 @@ _MARGIN = 6
 #: A node that differs from so many of its four neighbours is an error of finding stars, not a rim.
 _ERROR = 3
 _NEIGHBOURS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+#: Nodes are amid the stars if, along each of these directions, some star lies farther out.
 _DIRECTIONS = np.column_stack([np.cos(np.linspace(0.0, 6.2, 72)), np.sin(np.linspace(0.0, 6.2, 72))])
 _OUT_OF_FRAME, _NOT_PRINTED, _ABSENT, _PRESENT = range(4)
 

@@ -91,7 +91,7 @@ def test_another_date_in_the_head_is_told(checked):
 
 @pytest.mark.parametrize(("date", "told"), [("2026-03-02 02:02:05", 0), ("2026-03-02 03:32:05", 1)])
 def test_a_date_that_a_time_zone_explains_is_not_told(checked, date, told):
-    """Zones reach 14 h from UTC; the journal says 12:02:06 UTC."""
+    """Local time differs from UTC by 14 h at most. The journal says 12:02:06 UTC."""
     head = HEAD.replace("2026-03-01 13:02:05", date)
     assert len(checked(head.encode() + EVENTS).remarks) == told
 
