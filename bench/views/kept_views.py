@@ -182,7 +182,6 @@ DETECTOR_SOURCES = (
     "calib/model/homography.py",
     "calib/model/local_consistency.py",
     "calib/model/median.py",
-    "calib/model/neighbour_kernels.py",
     "calib/boards",
     "calib/events",
     "calib/stars",

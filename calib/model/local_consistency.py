@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
-from calib.model import neighbour_kernels
 from calib.model.median import median
-from calib.model.neighbour_kernels import AFFINE, QUADRATIC, RIDGE_CONSTANT, RIDGE_OTHERS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -24,8 +26,13 @@ MIN_STARS = 8
 #: A star contradicts its neighbours beyond this many robust standard deviations per axis, and beyond this many pixels.
 LIMIT_SIGMAS = 8.0
 LIMIT_PX = 0.5
+#: Smallest numbers on the diagonals of the local fits: of the constant, and of all other terms (Hoerl and Kennard,
+#: 1970). They matter for neighbours on one line only.
+_RIDGE_CONSTANT, _RIDGE_OTHERS = 1e-9, 1e-3
 #: Number of neighbours that predict a star; on a lattice they lie within about two pitches.
 _NEIGHBOURS = 14
+#: On a lattice, so many more neighbours may be as far as the last one; of equals, the first ones count.
+_EQUALLY_FAR = 8
 #: Neighbours that differ by more than this share of their distance do not belong to one patch. Stars are compared with
 #: neighbours within `_BESIDE` times the spacing of the stars.
 _PATCH_SHARE = 0.5
@@ -60,19 +67,21 @@ class Nearest:
     @cached_property
     def one_sidedness(self) -> Array:
         """(N,) float64 distance of the neighbours' mean from the star, in spacings: 0 inside, about 1 at the rim."""
-        found = np.empty(len(self.target))
-        neighbour_kernels.one_sidedness(self.target, self.which, self.spacing, found)
-        return found
+        mean = (self.target[self.which] - self.target[:, None]).mean(axis=1)
+        return np.hypot(mean[:, 0], mean[:, 1]) / self.spacing
 
-    def design(self, stars: NDArray[np.int64]) -> Array:
-        """Return the terms of local affine maps about some stars.
+    def design(self, stars: Any, *, quadratic: bool = False) -> Array:
+        """Return the terms of local maps about some stars.
 
-        stars: (M,) indices of the stars.
-        Returns: (M, K, 3): 1 and the position of the neighbour from the star, in spacings.
+        stars: (M,) indices of the stars, or a slice.
+        Returns: (M, K, 3): 1 and the position (x, y) of the neighbour from the star, in spacings; (M, K, 6) with
+          x^2, x y and y^2.
         """
-        near = self.which[stars]
-        offsets = (self.target[near] - self.target[stars, None]) / self.spacing
-        return np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
+        x, y = np.moveaxis(
+            (self.target[self.which[stars]] - self.target[stars][:, None]) / self.spacing, 2, 0
+        )
+        terms = [np.ones_like(x), x, y]
+        return np.stack([*terms, x * x, x * y, y * y] if quadratic else terms, axis=2)
 
 
 def nearest_stars(target: Array) -> Nearest:
@@ -85,10 +94,13 @@ def nearest_stars(target: Array) -> Nearest:
 
 def _nearest(target: Array, most: int) -> Nearest:
     """Return at most so many neighbours of each star."""
-    shape = (len(target), min(most, len(target) - 1))
-    which, distance = np.empty(shape, np.int64), np.empty(shape)
-    target = np.ascontiguousarray(target, np.float64)
-    neighbour_kernels.nearest(target, np.argsort(target[:, 0], kind="stable"), which, distance)
+    target, count = np.ascontiguousarray(target, np.float64), min(most, len(target) - 1)
+    _, which = KDTree(target).query(target, k=min(count + 1 + _EQUALLY_FAR, len(target)))
+    offsets = target[which] - target[:, None]
+    squares = (offsets * offsets).sum(axis=2)
+    squares[which == np.arange(len(target))[:, None]] = np.inf
+    order = np.lexsort((which, squares), axis=1)[:, :count]
+    which, distance = (np.take_along_axis(each, order, axis=1) for each in (which, np.sqrt(squares)))
     spacing = max(median(distance[:, 0]), np.finfo(float).tiny)
     return Nearest(target, which, distance, spacing)
 
@@ -116,22 +128,13 @@ def contradicts_neighbours(
     """
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
-    off = np.ascontiguousarray(points - mapped)
+    off = points - mapped
     nearest = nearest or nearest_stars(target)
-    apart = neighbour_kernels.outside_the_largest_patch(
-        np.ascontiguousarray(mapped),
-        off,
-        nearest.which,
-        nearest.distance,
-        np.arange(len(off)),
-        _BESIDE * nearest.spacing,
-        _PATCH_SHARE,
-        _ORDERED_SHARE,
-    )
+    apart = _outside_the_largest_patch(mapped, off, nearest)
     wrong = apart.copy()
     wider = 1.0 if sigmas is None else np.maximum(sigmas / np.quantile(sigmas, _BEST_STARS), 1.0)
     least = LIMIT_PX * (1.0 + _RIM_FACTOR * nearest.one_sidedness) * wider
-    plain = _plain_deviations(nearest, off, AFFINE)
+    plain = _plain_deviations(nearest, off)
     suspects = np.flatnonzero(wrong | ~(plain <= least))
     if len(suspects) > _MANY * len(off):
         suspects = np.arange(len(off))
@@ -164,7 +167,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     """
     if len(target) < MIN_STARS:
         return float("nan")
-    deviations = _plain_deviations(nearest or nearest_stars(target), points - mapped, QUADRATIC)
+    deviations = _plain_deviations(nearest or nearest_stars(target), points - mapped, quadratic=True)
     return median(deviations) / _RAYLEIGH_MEDIAN
 
 
@@ -176,13 +179,34 @@ def local_spacing(target: Array) -> float:
     return _nearest(target, 1).spacing
 
 
-def _plain_deviations(nearest: Nearest, off: Array, terms: int) -> Array:
+def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> Bools:
+    """Return which stars belong to a patch beside the largest one that does not agree with it.
+
+    Patches are the connected components of the graph of agreeing neighbours. If hardly any neighbours agree, as with
+    random ids, all stars that contradict most of their neighbours are returned instead. Own rule.
+
+    mapped, off: (N, 2) mapped positions, and what the stars are off them, px.
+    """
+    which = nearest.which
+    beside = nearest.distance <= _BESIDE * nearest.spacing
+    apart = np.linalg.norm(mapped[:, None] - mapped[which], axis=2)
+    agree = beside & (np.linalg.norm(off[:, None] - off[which], axis=2) <= _PATCH_SHARE * apart)
+    if agree.sum() < _ORDERED_SHARE * beside.sum():
+        return np.asarray(2 * agree.sum(axis=1) < beside.sum(axis=1))
+    star, neighbour = np.nonzero(agree)[0], which[agree]
+    graph = coo_array((np.ones(len(star)), (star, neighbour)), shape=(len(off), len(off)))
+    _, patch = connected_components(graph, directed=False)
+    largest = patch == np.argmax(np.bincount(patch))
+    touched = beside & (largest[:, None] != largest[which])
+    here = np.broadcast_to(np.arange(len(off))[:, None], which.shape)
+    return np.isin(patch, patch[np.where(largest[:, None], which, here)[touched]])
+
+
+def _plain_deviations(nearest: Nearest, off: Array, *, quadratic: bool = False) -> Array:
     """Return (N,) distances between stars and least squares predictions, in units of equal variance."""
-    deviations = np.empty(len(off))
-    neighbour_kernels.plain_deviations(
-        nearest.target, nearest.which, nearest.spacing, np.ascontiguousarray(off), terms, deviations
-    )
-    return deviations
+    design = nearest.design(slice(None), quadratic=quadratic)
+    solution, leverage = _solve(design, off[nearest.which], np.ones(nearest.which.shape))
+    return np.asarray(np.linalg.norm(off - solution[:, 0], axis=1) / np.sqrt(1.0 + leverage))
 
 
 def _robust_deviations(
@@ -216,7 +240,7 @@ def _solve(design: Array, values: Array, weights: Array) -> tuple[Array, Array]:
     Normal equations with a small ridge on all but the constants, for neighbours on one line (Hoerl and Kennard, 1970).
     """
     weighted = design * weights[:, :, None]
-    ridge = np.diag([RIDGE_CONSTANT] + [RIDGE_OTHERS] * (design.shape[2] - 1))
+    ridge = np.diag([_RIDGE_CONSTANT] + [_RIDGE_OTHERS] * (design.shape[2] - 1))
     inverse = np.linalg.inv(np.swapaxes(weighted, 1, 2) @ design + ridge)
     return inverse @ (np.swapaxes(weighted, 1, 2) @ values), np.maximum(inverse[:, 0, 0], 0.0)
 
