@@ -15,7 +15,7 @@ from calib.compiled import INNER, KERNEL
 
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
-#: Least share of a cell's samples that must lie in the image.
+#: Least share of the used samples of a cell that must lie in the image.
 MIN_COVERED = 0.8
 #: Sums may be reordered, so that they run in parallel. Only for loops that meet no nan.
 _IN_PARALLEL = {"reassoc", "contract", "nsz", "nnan", "ninf", "arcp"}
@@ -23,7 +23,7 @@ _ONE, _HALF, _SIXTH = np.float32(1.0), np.float32(0.5), np.float32(1.0 / 6.0)
 _TWO, _THREE, _FOUR = np.float32(2.0), np.float32(3.0), np.float32(4.0)
 
 
-@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
+@njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
     """Return the cubic B-spline at the four pixels around a point that lies ``a`` px beyond the second one.
 
@@ -38,7 +38,7 @@ def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
     )
 
 
-@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
+@njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
     """Return the derivatives of `_spline_weights`, 1/px.
 
@@ -48,7 +48,7 @@ def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
     return (-_HALF * b * b, a * (_THREE * _HALF * a - _TWO), b * (_TWO - _THREE * _HALF * b), _HALF * a * a)
 
 
-@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
+@njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _along_row(pixels: Any, at: Any, weights: Any, slopes: Any) -> tuple[Any, Any]:
     """Return the spline along four pixels of a row, from number ``at`` on, and its derivative.
 
@@ -61,7 +61,7 @@ def _along_row(pixels: Any, at: Any, weights: Any, slopes: Any) -> tuple[Any, An
     return across, slope
 
 
-@njit(**KERNEL, fastmath=_IN_PARALLEL, inline="always")
+@njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any, Any]:
     """Return an image, as a cubic B-spline of its pixels, and its derivatives along x and y, all float32.
 
@@ -89,63 +89,90 @@ def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any,
 def normal_equations(
     pixels: Any,
     width: int,
-    centre: Any,
+    centres: Any,
     linear: Any,
     quadratic: Any,
     samples: Any,
+    used_to: Any,
     slopes: Any,
     space: Any,
     normal: Any,
     right: Any,
-) -> float:
-    """Compute J^T J and J^T r of the symmetry residuals in place; return the mean of r^2, nan if too few are inside.
+    mean_square: Any,
+) -> None:
+    """Compute J^T J, J^T r and the mean of r^2 of the symmetry residuals of N stars in place.
 
     Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of `calib.stars.centring`
     gives the equations.
 
     pixels: (H W,) float32, rows of the smoothed image, one after the other.
-    centre: (2,) float64, px, current centre.
-    linear, quadratic: (2, 2) px per pitch and (2, 3) px per square pitch, local map of the star.
+    centres: (N, 2) float64, px, current centres.
+    linear, quadratic: (N, 2, 2) px per pitch and (N, 2, 3) px per square pitch, local maps.
     samples: (2, M) float32, pitches, offsets along the columns and along the rows, one of each pair.
-    slopes: (4,) float64, current relative slope g, 1/pitch, and absolute slope b, brightness/pitch.
-    space: (2, M) float32, space for the samples that lie in the image.
-    normal, right: (6, 6) and (6,) float64, filled in.
-    Returns: Mean square of the residuals, brightness^2.
+    used_to: (N, 2) float64, pitches, how far from its centre each star's cell is used.
+    slopes: (N, 4) float64, current relative slope g, 1/pitch, and absolute slope b, brightness/pitch.
+    space: (2, M) float32, space for the samples that are used and lie in the image.
+    normal, right: (N, 6, 6) and (N, 6) float64, filled in.
+    mean_square: (N,) float64, filled in, brightness^2; nan if too few samples lie in the image.
     """
-    reach = np.abs(samples).max() if samples.size else 0.0
-    inside, most = True, 0.0
-    for k, last in ((0, width - 2), (1, pixels.size // width - 2)):
-        far = np.abs(linear[k]).sum() * reach + np.abs(quadratic[k]).sum() * reach * reach + 1e-6
-        inside &= centre[k] - far >= 1.0 and centre[k] + far < last
-        most = max(most, far)
-    along, down = samples[0], samples[1]
-    if not inside:
-        n = _copy_inside(width, pixels.size // width, centre, linear, quadratic, samples, space)
-        along, down = space[0, :n], space[1, :n]
-    if along.size < MIN_COVERED * samples.shape[1] or along.size == 0:
-        return np.nan
-    squares = _sums_inside(
-        pixels, width, centre, int(most) + 2, linear, quadratic, along, down, slopes, normal, right
-    )
-    return squares / along.size
+    height, count, reach = pixels.size // width, samples.shape[1], 0.0
+    for i in range(count):
+        reach = max(reach, abs(samples[0, i]), abs(samples[1, i]))
+    for star in range(len(centres)):
+        x, y, a, b = centres[star, 0], centres[star, 1], linear[star], quadratic[star]
+        far_x = (abs(a[0, 0]) + abs(a[0, 1])) * reach + 1e-6
+        far_x += (abs(b[0, 0]) + abs(b[0, 1]) + abs(b[0, 2])) * reach * reach
+        far_y = (abs(a[1, 0]) + abs(a[1, 1])) * reach + 1e-6
+        far_y += (abs(b[1, 0]) + abs(b[1, 1]) + abs(b[1, 2])) * reach * reach
+        inside = x - far_x >= 1.0 and x + far_x < width - 2 and y - far_y >= 1.0 and y + far_y < height - 2
+        if inside and min(used_to[star, 0], used_to[star, 1]) >= reach:
+            n = used = count
+            places = samples
+        else:
+            n, used = _copy_inside(width, height, centres[star], a, b, samples, used_to[star], space)
+            places = space
+        mean_square[star] = np.nan
+        if n > 0 and n >= MIN_COVERED * used:
+            far = int(max(far_x, far_y)) + 2
+            squares = _sums_inside(
+                pixels, width, centres[star], far, a, b, places, n, slopes[star], normal[star], right[star]
+            )
+            mean_square[star] = squares / n
 
 
 @njit(**INNER)
 def _copy_inside(
-    width: int, height: int, centre: Any, linear: Any, quadratic: Any, samples: Any, space: Any
-) -> int:
-    """Copy the samples whose two points lie more than a pixel inside of the image; return their number."""
-    n = 0
+    width: int,
+    height: int,
+    centre: Any,
+    linear: Any,
+    quadratic: Any,
+    samples: Any,
+    used_to: Any,
+    space: Any,
+) -> tuple[Any, Any]:
+    """Copy the used samples whose two points lie more than a pixel inside of the image.
+
+    Returns: Their number, and the number of used samples.
+    """
+    n = used = np.int64(0)
+    x, y, u_to, v_to = centre[0], centre[1], used_to[0], used_to[1]
+    a00, a01, a10, a11 = linear[0, 0], linear[0, 1], linear[1, 0], linear[1, 1]
+    x_uu, x_uv, x_vv = quadratic[0, 0], quadratic[0, 1], quadratic[0, 2]
+    y_uu, y_uv, y_vv = quadratic[1, 0], quadratic[1, 1], quadratic[1, 2]
     for i in range(samples.shape[1]):
         u, v = samples[0, i], samples[1, i]
-        ax, ay = linear[0, 0] * u + linear[0, 1] * v, linear[1, 0] * u + linear[1, 1] * v
-        mx = centre[0] + quadratic[0, 0] * u * u + quadratic[0, 1] * u * v + quadratic[0, 2] * v * v
-        my = centre[1] + quadratic[1, 0] * u * u + quadratic[1, 1] * u * v + quadratic[1, 2] * v * v
+        ax, ay = abs(a00 * u + a01 * v), abs(a10 * u + a11 * v)
+        mx = x + x_uu * u * u + x_uv * u * v + x_vv * v * v
+        my = y + y_uu * u * u + y_uv * u * v + y_vv * v * v
         space[0, n], space[1, n] = u, v
         # To a thousandth of a pixel, since the sums are made in single precision. Added as 0 or 1, without a branch.
-        in_columns = (mx - abs(ax) >= 1.001) & (mx + abs(ax) < width - 2.001)
-        n += int(in_columns & (my - abs(ay) >= 1.001) & (my + abs(ay) < height - 2.001))
-    return n
+        in_cell = np.int64((abs(u) <= u_to) & (abs(v) <= v_to))
+        in_columns = np.int64((mx - ax >= 1.001) & (mx + ax < width - 2.001))
+        in_rows = np.int64((my - ay >= 1.001) & (my + ay < height - 2.001))
+        used += in_cell
+        n += in_cell & in_columns & in_rows
+    return n, used
 
 
 @njit(**INNER, fastmath=_IN_PARALLEL)
@@ -156,13 +183,13 @@ def _sums_inside(
     far: int,
     linear: Any,
     quadratic: Any,
-    along: Any,
-    down: Any,
+    samples: Any,
+    count: int,
     slopes: Any,
     normal: Any,
     right: Any,
 ) -> float:
-    """Compute J^T J and J^T r in place for samples that all lie in the image; return the sum of r^2.
+    """Compute J^T J and J^T r in place for the first samples, which all lie in the image; return the sum of r^2.
 
     Residuals: Schöps et al. (2020), as in `normal_equations`. Every sum is a variable of its own, and so is every
     number of the map: arrays could share memory, and the loop would not run over several samples at once. Places are
@@ -175,17 +202,13 @@ def _sums_inside(
     a10, a11 = np.float32(linear[1, 0]), np.float32(linear[1, 1])
     x_uu, x_uv, x_vv = np.float32(quadratic[0, 0]), np.float32(quadratic[0, 1]), np.float32(quadratic[0, 2])
     y_uu, y_uv, y_vv = np.float32(quadratic[1, 0]), np.float32(quadratic[1, 1]), np.float32(quadratic[1, 2])
-    g_u, g_v, b_u, b_v = (
-        np.float32(slopes[0]),
-        np.float32(slopes[1]),
-        np.float32(slopes[2]),
-        np.float32(slopes[3]),
-    )
+    g_u, g_v = np.float32(slopes[0]), np.float32(slopes[1])
+    b_u, b_v = np.float32(slopes[2]), np.float32(slopes[3])
     zero = np.float32(0.0)
     n00 = n10 = n11 = n20 = n21 = n22 = n30 = n31 = n32 = n33 = n40 = n41 = n42 = n43 = n44 = zero
     n50 = n51 = n52 = n53 = n54 = n55 = r0 = r1 = r2 = r3 = r4 = r5 = squares = zero
-    for i in range(along.size):
-        u, v = along[i], down[i]
+    for i in range(count):
+        u, v = samples[0, i], samples[1, i]
         ax, ay = a00 * u + a01 * v, a10 * u + a11 * v
         mx = x + x_uu * u * u + x_uv * u * v + x_vv * v * v
         my = y + y_uu * u * u + y_uv * u * v + y_vv * v * v

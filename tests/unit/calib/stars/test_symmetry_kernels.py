@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from calib.stars.centring import symmetry_samples
-from calib.stars.symmetry_kernels import SYMMETRY_UNKNOWNS, normal_equations
+from calib.stars.symmetry_kernels import normal_equations
 
 random = np.random.default_rng(5)
 IMAGE = random.normal(100.0, 30.0, (60, 70)).astype(np.float32)
@@ -15,11 +15,12 @@ SAMPLES = np.ascontiguousarray(symmetry_samples(20.0).T).astype(np.float32)
 SLOPES = np.array([0.02, -0.03, 0.4, 0.1])
 
 
-def equations(centre):
-    normal, right = np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS)), np.empty(SYMMETRY_UNKNOWNS)
-    space = np.empty(SAMPLES.shape, np.float32)
-    arguments = (np.array(centre), LINEAR, QUADRATIC, SAMPLES, SLOPES, space, normal, right)
-    return normal_equations(IMAGE.ravel(), IMAGE.shape[1], *arguments), normal, right
+def equations(centre, used_to=0.5):
+    """Return the mean square, J^T J and J^T r of the loop."""
+    normal, right, square = np.zeros((1, 6, 6)), np.zeros((1, 6)), np.empty(1)
+    star = np.array([centre]), LINEAR[None], QUADRATIC[None], SAMPLES, np.full((1, 2), used_to), SLOPES[None]
+    normal_equations(IMAGE.ravel(), IMAGE.shape[1], *star, np.empty_like(SAMPLES), normal, right, square)
+    return square[0], normal[0], right[0]
 
 
 def spline(x, y):
@@ -33,9 +34,10 @@ def spline(x, y):
     return at(x, y), *along
 
 
-def expected_equations(centre):
+def expected_equations(centre, used_to=0.5):
     """Return the mean square, J^T J and J^T r by the equations at the head of `calib.stars.centring`."""
-    u, v = SAMPLES.astype(float)
+    used = np.abs(SAMPLES).max(axis=0) <= used_to
+    u, v = SAMPLES[:, used].astype(float)
     a = LINEAR @ [u, v]
     middle = np.array(centre)[:, None] + QUADRATIC @ [u * u, u * v, v * v]
     last = np.array(IMAGE.shape[::-1])[:, None] - 2
@@ -53,9 +55,10 @@ def expected_equations(centre):
 @pytest.mark.parametrize(
     "centre", [(35.3, 29.7), (35.0, 29.0), (12.2, 29.4), (57.4, 29.4), (35.1, 46.3), (35.1, 13.0)]
 )
-def test_equations_are_those_of_scipy(centre):
-    square, normal, right = equations(centre)
-    expected_square, expected_normal, expected_right = expected_equations(centre)
+@pytest.mark.parametrize("used_to", [0.5, 0.3])
+def test_equations_are_those_of_scipy(centre, used_to):
+    square, normal, right = equations(centre, used_to)
+    expected_square, expected_normal, expected_right = expected_equations(centre, used_to)
     assert square == pytest.approx(expected_square, rel=1e-4)
     size = np.sqrt(np.diag(expected_normal))
     np.testing.assert_allclose(
