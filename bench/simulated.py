@@ -60,7 +60,7 @@ class SimulatedBench:
         ]
         command += ["--seed", str(seed), "--until-eof"]
         # A session of its own: Ctrl-C at the terminal must reach the run alone, which then makes the devices safe.
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -96,7 +96,7 @@ class SimulatedBench:
             follow_clock(address, lived_s)
 
     def _first_line(self) -> str:
-        stdout = self._process.stdout
+        stdout = self.process.stdout
         assert stdout is not None
         lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         # A thread waits, because not every system can wait for a pipe with a time limit.
@@ -109,7 +109,7 @@ class SimulatedBench:
 
     def _last_log_line(self) -> str:
         try:
-            self._process.wait(timeout=2.0)
+            self.process.wait(timeout=2.0)
         except subprocess.TimeoutExpired:
             return ""
         self._log.flush()
@@ -120,7 +120,7 @@ class SimulatedBench:
     @property
     def alive(self) -> bool:
         """Whether the process still runs."""
-        return self._process.poll() is None
+        return self.process.poll() is None
 
     def order(self, line: str) -> str:
         """Order a fault of a simulated device (docs/simulated-bench.md).
@@ -128,7 +128,7 @@ class SimulatedBench:
         line: The order, as words or as JSON.
         Raises SimulationError: When the process has ended.
         """
-        stdin, stdout = self._process.stdin, self._process.stdout
+        stdin, stdout = self.process.stdin, self.process.stdout
         assert stdin is not None
         assert stdout is not None
         with self._ordering:  # an answer belongs to the order before it
@@ -166,15 +166,15 @@ class SimulatedBench:
         """End the process and remove its files and ports."""
         for address in self.endpoints.values():
             follow_no_clock(address)
-        if self._process.stdin is not None:
-            self._process.stdin.close()
+        if self.process.stdin is not None:
+            self.process.stdin.close()
         try:
-            self._process.wait(timeout=5.0)
+            self.process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+            self.process.kill()
+            self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
         self._log.close()
         self._folder.cleanup()
 

@@ -72,7 +72,7 @@ except ImportError:  # Windows
 _LOST = (serial.SerialException, OSError, _termios_error)
 _NO_SERIAL_PORT = (ValueError, NotImplementedError)
 """Exceptions of pyserial for settings that a port, or a system, does not have."""
-_SYSTEM = os.name
+SYSTEM = os.name
 _SLICE_S = 0.05
 """Longest single read of the port, in seconds. A new value for an open port would write its line settings again."""
 _WRITE_S = 2.0
@@ -200,7 +200,7 @@ def _open(address: str, baudrate: int, stopbits: int, rtscts: bool) -> Any:
             exclusive=True,  # flock, before pyserial touches a line setting
             # On POSIX this makes pyserial leave DTR alone, and turns no flow control on. On Windows it is flow control:
             # nothing would be sent to a device that does not raise DSR.
-            dsrdtr=_SYSTEM == "posix",
+            dsrdtr=SYSTEM == "posix",
             do_not_open=True,
         )
     except _NO_SERIAL_PORT as error:

@@ -34,7 +34,7 @@ from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts
 from drivers.errors import DriverError
 
-_MEMORY = Path("/dev/shm")  # noqa: S108 - only a folder of our own in it is used
+MEMORY = Path("/dev/shm")  # noqa: S108 - only a folder of our own in it is used
 _ROOM = 500_000_000
 _NAME = re.compile(r"starbench-align-(\d+)-\w+")
 
@@ -45,8 +45,8 @@ def make_slice_folder() -> Path:
     Returns: The new folder. In memory, if half a gigabyte is free there: hours of slices would wear out a
       disk.
     """
-    in_memory = _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _ROOM
-    parent = _MEMORY if in_memory else Path(tempfile.gettempdir())
+    in_memory = MEMORY.is_dir() and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > _ROOM
+    parent = MEMORY if in_memory else Path(tempfile.gettempdir())
     _remove_left_behind(parent)
     return Path(tempfile.mkdtemp(prefix=f"starbench-align-{os.getpid()}-", dir=parent))
 
@@ -172,7 +172,7 @@ MOVING_PERIODS = 0.6
 """Length of a slice while the stage turns, periods: it holds one edge of the light at least."""
 _STALE_S = 0.4
 """Age of a slice from which it is recorded again while it waits to be measured, s."""
-_SHORTEST_S = 0.1
+SHORTEST_S = 0.1
 """Shortest time from one slice to the next, s: more pictures show no more."""
 _EARLY_S = 0.02
 
@@ -338,7 +338,7 @@ class LiveLoop:
         with self._wake:
             while not (self._closing or self._tasks):
                 now_s = time.monotonic()
-                due_s = last_s + _SHORTEST_S
+                due_s = last_s + SHORTEST_S
                 if self._waiting is not None:
                     due_s = max(due_s, self._waiting.time_s + _STALE_S)
                 elif self._began_s is not None:

@@ -122,7 +122,7 @@ def _local_runs(path: Path) -> list[str]:
 
 def _remote_runs(url: str) -> list[str]:
     with _remote_errors(url):
-        system, root = _file_system(url)
+        system, root = file_system(url)
         if system.exists(f"{root}/{JOURNAL}"):
             return [url]
         listed = system.ls(root, detail=True)
@@ -139,7 +139,7 @@ def _remote_runs(url: str) -> list[str]:
 
 
 def _copy(url: str, to: Path, captures: Iterable[str], only: Collection[str] | None) -> None:
-    system, root = _file_system(url)
+    system, root = file_system(url)
     names = []
     for one in system.ls(root, detail=True):
         name = posixpath.basename(one["name"].rstrip("/"))
@@ -163,7 +163,7 @@ def _side_by_side(system: Any, request: Callable[..., Any], calls: Sequence[tupl
         return list(pool.map(lambda arguments: request(*arguments), calls))
 
 
-def _file_system(url: str) -> tuple[Any, str]:
+def file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and its path there. Listings are asked for anew each time."""
     try:
         from fsspec.core import url_to_fs

@@ -379,10 +379,10 @@ def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory
         from bench.certificate.dcc_signature import signer_of_files
 
         sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
-    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), partial(_verify, again=again), sign)
+    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again), sign)
 
 
-def _verify(folder: Path, *, again: bool) -> Verification:
+def verify_sealed(folder: Path, *, again: bool) -> Verification:
     """Verify a folder as the command `verify` does."""
     from bench.commands.verify import derivations
     from bench.evidence.verify import verify_folder

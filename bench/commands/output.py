@@ -117,7 +117,7 @@ def print_error(error: Exception, arguments: Sequence[str]) -> int:
     """
     if isinstance(error, DocumentFaults):
         error = ScriptError([str(fault) for fault in error.faults])
-    failure = _failure_of(error)
+    failure = failure_of(error)
     if "--json" in arguments:
         faults = {"faults": error.faults} if isinstance(error, ScriptError) else {}
         print_json({"error": {**error_object(failure), **faults}})
@@ -135,7 +135,8 @@ def error_object(failure: Failure) -> dict[str, str]:
     return {"kind": failure.kind, "message": failure.message, **failure.to_dict()}
 
 
-def _failure_of(error: Exception) -> Failure:
+def failure_of(error: Exception) -> Failure:
+    """Return what is told of an error, with its remedy."""
     if isinstance(error, FORESEEN):
         failure = Failure.of(error)
         return replace(failure, remedy=f"{failure.remedy}{_home_hint(error)}")

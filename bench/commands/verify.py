@@ -254,9 +254,9 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
         return _in_turn(folder, derivations_of(folder, again=again))
 
     return {
-        "run": [_check_ledger, of_folder, _check_authorisation],
-        "results": [of_folder, _check_authorisation],
-        "certificate": [*_checks_of_certificate(trust, again=again), _check_authorisation],
+        "run": [_check_ledger, of_folder, check_authorisation],
+        "results": [of_folder, check_authorisation],
+        "certificate": [*_checks_of_certificate(trust, again=again), check_authorisation],
     }
 
 
@@ -278,7 +278,7 @@ def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
         "run": [_check_ledger],
     }
     found = _in_turn(folder, of_kind.get(kind, []))
-    found.add(_check_authorisation(folder))
+    found.add(check_authorisation(folder))
     return found
 
 
@@ -299,7 +299,7 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
     return [_check_certificate, *([of_run] if again else [])]
 
 
-def _check_authorisation(folder: Path) -> Findings:
+def check_authorisation(folder: Path) -> Findings:
     """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
     from bench.evidence.authorisation import compare_authorisation, known_authorisations
     from bench.evidence.findings import Findings

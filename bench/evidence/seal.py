@@ -401,7 +401,7 @@ def add_beside(folder: Path, name: str, data: bytes) -> None:
         with _writable(folder):
             (folder / f".{name}{TEMPORARY}").unlink(missing_ok=True)
             try:
-                _write_and_link(path, data)
+                write_and_link(path, data)
             except FileExistsError as error:
                 raise EvidenceError(
                     f"There is a file {name} already; it is never replaced.",
@@ -421,14 +421,14 @@ def _writable(folder: Path) -> Iterator[None]:
         folder.chmod(_FOLDER_MODE)
 
 
-def _write_and_link(path: Path, data: bytes) -> None:
+def write_and_link(path: Path, data: bytes) -> None:
     """Write a file without a name, and give it its name. Raises FileExistsError and other OSErrors."""
     try:
         descriptor = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, _MODE)
     except (AttributeError, OSError) as error:
         if isinstance(error, OSError) and error.errno not in _NO_TMPFILE:
             raise
-        _write_and_rename(path, data)
+        write_and_rename(path, data)
         return
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -441,7 +441,8 @@ def _write_and_link(path: Path, data: bytes) -> None:
         os.close(folder)
 
 
-def _write_and_rename(path: Path, data: bytes) -> None:
+def write_and_rename(path: Path, data: bytes) -> None:
+    """Write a file under another name, sync it, and give it its name."""
     part = path.with_name(f".{path.name}{TEMPORARY}")
     descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
     try:

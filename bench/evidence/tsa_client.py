@@ -19,7 +19,7 @@ from bench import __version__
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.timestamp import read_reply, stamp_library
 
-_WAIT_S = 20.0
+WAIT_S = 20.0
 _MOST_BYTES = 1 << 20
 _REPLY_TYPE = "application/timestamp-reply"
 
@@ -81,7 +81,7 @@ def ask_authority(url: str, request: Request) -> bytes:
     try:
         reply = _post(url, request.data)
     except (OSError, http.client.HTTPException, ValueError) as error:
-        why = f"no answer within {_WAIT_S:.0f} s" if isinstance(error, TimeoutError) else str(error)
+        why = f"no answer within {WAIT_S:.0f} s" if isinstance(error, TimeoutError) else str(error)
         raise EvidenceError(
             f"The time stamping authority cannot be asked: {why or type(error).__name__}.",
             where=url,
@@ -101,9 +101,9 @@ def _post(url: str, data: bytes) -> bytes:
     parts = urlsplit(url)
     host = str(parts.hostname)
     connection = (
-        http.client.HTTPSConnection(host, parts.port, timeout=_WAIT_S, context=ssl.create_default_context())
+        http.client.HTTPSConnection(host, parts.port, timeout=WAIT_S, context=ssl.create_default_context())
         if parts.scheme == "https"
-        else http.client.HTTPConnection(host, parts.port, timeout=_WAIT_S)
+        else http.client.HTTPConnection(host, parts.port, timeout=WAIT_S)
     )
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     headers = {"Content-Type": "application/timestamp-query", "User-Agent": f"starbench/{__version__}"}
@@ -139,7 +139,7 @@ def _deadline(connection: socket.socket) -> Iterator[Callable[[], bool]]:
         with suppress(OSError):
             connection.shutdown(socket.SHUT_RDWR)
 
-    timer = threading.Timer(_WAIT_S, end)
+    timer = threading.Timer(WAIT_S, end)
     timer.daemon = True
     timer.start()
     try:

@@ -145,7 +145,7 @@ def make_coverage(request: Mapping[str, Any]) -> Answer:
       pose, grid and number of stars).
     Returns: ``counts``, row by row; no bytes.
     """
-    target = _job(request["folder"]).target
+    target = job_of_run(request["folder"]).target
     nodes = target.node_of(target.ids).astype(float)
     tag = np.array(target.tag_centre_mm) / target.pitch_mm
     nodes = nodes[np.argsort(np.linalg.norm(nodes - tag, axis=1), kind="stable")]
@@ -179,7 +179,7 @@ def make_forecast(request: Mapping[str, Any]) -> Answer:
     from calib.model.budget_row import WORST_CORNER
     from calib.studies.planning import forecast
 
-    plan = _job(request["folder"]).plan
+    plan = job_of_run(request["folder"]).plan
     poses = [{f"{axis}_deg": deg for axis, deg in pose.angles_deg.items()} for pose in plan.poses]
     try:
         limited = forecast(forecast_bench(plan), poses[: int(request["poses"])]).limited
@@ -211,7 +211,7 @@ def _solved_picture(path: Path, name: str) -> Answer | None:
 
 
 def _measured_picture(folder: Path, request: Mapping[str, Any]) -> Answer:
-    job = _job(str(folder))
+    job = job_of_run(str(folder))
     step = job.record_step(int(request["pose"]))
     grid = request.get("expected_grid")
     found = job.camera_kind.measure(
@@ -237,7 +237,8 @@ def _given_grid(grid: Any, _image_size: tuple[int, int]) -> Array:
 
 
 @lru_cache(maxsize=_JOBS_KEPT)
-def _job(folder: str) -> Job:
+def job_of_run(folder: str) -> Job:
+    """Return the task of a run; the last ones are kept."""
     from bench.plan.job import Job
 
     return Job.from_run_folder(Path(folder))

@@ -209,7 +209,7 @@ class Journal:
         Raises StorageError: When the line cannot be written; it is then not in the journal. After a failed
           sync the journal accepts no more lines, because the contents of the disk are unknown.
         """
-        return self._put(event, data, synced=True)
+        return self.put(event, data, synced=True)
 
     def append_unsynced(self, event: str, **data: Any) -> Entry:
         """Write one line without syncing it; the next ``append`` syncs both.
@@ -219,7 +219,7 @@ class Journal:
         event, data: As for ``append``.
         Raises ValueError, StorageError: As ``append``.
         """
-        return self._put(event, data, synced=False)
+        return self.put(event, data, synced=False)
 
     def close(self) -> None:
         """Close the file. Further lines are refused."""
@@ -247,7 +247,8 @@ class Journal:
         self._clock_offset_s = offset_s
         return jump_s
 
-    def _put(self, event: str, data: Mapping[str, Any], *, synced: bool) -> Entry:
+    def put(self, event: str, data: Mapping[str, Any], *, synced: bool) -> Entry:
+        """Write a line, after one that tells of a jump of the clock if there was one."""
         with self._lock:
             now, mono_s = self._utc_now(), self._monotonic()
             jump_s = self._clock_jump_s(now, mono_s)

@@ -170,7 +170,7 @@ def append_to_anchor(path: Path, mark: LedgerMark) -> None:
             is_new = not path.exists()
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644)
             try:
-                _drop_torn_line(descriptor)
+                drop_torn_line(descriptor)
                 write_all(descriptor, mark.to_line())
                 os.fsync(descriptor)
             finally:
@@ -181,7 +181,7 @@ def append_to_anchor(path: Path, mark: LedgerMark) -> None:
     _in_time(append, path)
 
 
-def _drop_torn_line(descriptor: int) -> None:
+def drop_torn_line(descriptor: int) -> None:
     """Remove what a power cut has left of a line at the end of a second place."""
     size = os.fstat(descriptor).st_size
     back = min(size, 4096)

@@ -49,7 +49,7 @@ QUARANTINE = "quarantine"
 MANIFEST = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
 _RESERVE = ".reserve"
-_RESERVE_BYTES = 256 * 1024
+RESERVE_BYTES = 256 * 1024
 PART = ".part"
 """Ending of a file that is not complete yet."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -86,7 +86,7 @@ class RunFolder:
         lock = lock_folder(path)
         try:
             _refuse_occupied(path)
-            _refuse_full(path, bytes_needed + _RESERVE_BYTES)
+            _refuse_full(path, bytes_needed + RESERVE_BYTES)
             make_folder(path / CAPTURES)
             _keep_reserve(path)
         except BaseException:
@@ -300,7 +300,7 @@ def _refuse_full(path: Path, bytes_needed: int) -> None:
 
 def _keep_reserve(path: Path) -> None:
     # Random bytes: a file system that compresses, or stores holes, would not reserve space for zeros.
-    write_atomic(path / _RESERVE, os.urandom(_RESERVE_BYTES))
+    write_atomic(path / _RESERVE, os.urandom(RESERVE_BYTES))
 
 
 # Recovery of a run folder after a crash: what is complete and named in the journal stays, the rest is set

@@ -77,7 +77,7 @@ class VirtualStage:
     def __init__(self, limits: Mapping[str, AxisLimits], clock: BenchClock) -> None:
         self.limits = limits
         self._clock = clock
-        self._at_deg: dict[str, float] | None = None
+        self.at_deg: dict[str, float] | None = None  # None without a reference
 
     @property
     def axes(self) -> Sequence[str]:
@@ -90,13 +90,13 @@ class VirtualStage:
 
     def is_homed(self) -> bool:
         """See `Stage.is_homed`."""
-        return self._at_deg is not None
+        return self.at_deg is not None
 
     def home(self) -> None:
         """See `Stage.home`. Takes the time of a move over the whole range."""
         ranges = {name: limit.highest_deg - limit.lowest_deg for name, limit in self.limits.items()}
         self._clock.sleep(self._travel_s(ranges) + HOMING_EXTRA_S)
-        self._at_deg = dict.fromkeys(self.limits, 0.0)
+        self.at_deg = dict.fromkeys(self.limits, 0.0)
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
         """Move the axes; takes the time of a real move.
@@ -111,7 +111,7 @@ class VirtualStage:
             if not limit.lowest_deg <= angle <= limit.highest_deg:
                 raise OutsideLimits(f"{angle:g} deg is outside its limits; nothing moved.", where=name)
         self._clock.sleep(self.move_duration_s(at_deg, target_deg) + MOVE_EXTRA_S)
-        self._at_deg = {**at_deg, **target_deg}
+        self.at_deg = {**at_deg, **target_deg}
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
         """See `Stage.move_duration_s`. The time of the slowest axis."""
@@ -123,9 +123,9 @@ class VirtualStage:
         Returns: Angle by axis, degrees.
         Raises NotHomed: If the stage is not homed.
         """
-        if self._at_deg is None:
+        if self.at_deg is None:
             raise NotHomed("The virtual stage is not homed.", where="stage", remedy="Home it first.")
-        return dict(self._at_deg)
+        return dict(self.at_deg)
 
     def encoder_deg(self) -> Mapping[str, float]:
         """See `Stage.encoder_deg`. There are no encoders."""
@@ -158,7 +158,7 @@ class VirtualLight:
     def __init__(self, clock: BenchClock) -> None:
         self._clock = clock
         self._settings = LightSettings()
-        self._on = False
+        self.lit = False
 
     def identify(self) -> LightIdentity:
         """See `Light.identify`."""
@@ -176,16 +176,16 @@ class VirtualLight:
     def on(self) -> None:
         """See `Light.on`."""
         self._clock.sleep(LIGHT_ON_S)
-        self._on = True
+        self.lit = True
 
     def off(self) -> None:
         """See `Light.off`."""
         self._clock.sleep(LIGHT_OFF_S)
-        self._on = False
+        self.lit = False
 
     def is_on(self) -> bool:
         """See `Light.is_on`."""
-        return self._on
+        return self.lit
 
     def faults(self) -> Sequence[str]:
         """See `Light.faults`. There are none."""

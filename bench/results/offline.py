@@ -263,7 +263,7 @@ def read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSour
             "There is no usable view.",
             remedy=_first(skipped) or "Give run folders, captures, images or point files.",
         )
-    return _distinct(_one_size(views, [source.sized for source in used])), used, skipped
+    return _distinct(views_of_one_size(views, [source.sized for source in used])), used, skipped
 
 
 def _first(skipped: Sequence[str]) -> str:
@@ -272,7 +272,7 @@ def _first(skipped: Sequence[str]) -> str:
     return " ".join(skipped[:_MOST_NAMES]) + (f" And {more} more files." if more > 0 else "")
 
 
-def _one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
+def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
     """Give all views one image size; if no view has a known size, the largest of the point files.
 
     Raises BenchError: When sizes differ, for example of portrait and landscape images: these are not the

@@ -347,7 +347,7 @@ def run_software(station: Station) -> dict[str, str]:
     Returns: `software`, and the version of each package of a plug-in and of each optional library that the
       station uses.
     """
-    brought = {plugin.distribution: plugin.version for plugin in _used(station)}
+    brought = {plugin.distribution: plugin.version for plugin in used_plugins(station)}
     library = _LIBRARIES.get(_driver(station.camera))
     return _joined({**brought, **_versions([library] if library is not None else [])})
 
@@ -367,7 +367,7 @@ def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
       turntable"]``; empty if the station uses none.
     """
     found: dict[str, list[str]] = {}
-    for plugin in _used(station):
+    for plugin in used_plugins(station):
         found.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
     return {"plugins": found} if found else {}
 
@@ -395,7 +395,8 @@ def plugins_missing(started: Mapping[str, Any]) -> list[str]:
     return [package for package in plugins_stated(started) if package not in here]
 
 
-def _used(station: Station) -> Iterator[Plugin]:
+def used_plugins(station: Station) -> Iterator[Plugin]:
+    """List the plug-ins that the sections of a station name."""
     for kind in GROUPS:
         section = type(getattr(station, kind))
         for plugin in plugins(kind):

@@ -155,7 +155,7 @@ def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any
     }
 
 
-def _refuse_truncated(path: Path) -> None:
+def refuse_truncated(path: Path) -> None:
     """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal."""
     from drivers.camera.raw_file import RawFile
 
@@ -175,7 +175,7 @@ def _refuse_truncated(path: Path) -> None:
 
 
 def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
-    _refuse_truncated(path)
+    refuse_truncated(path)
     kind, frequency_hz = job.camera_kind, job.frequency_hz(step)
     return _view(kind.measure(path, step, frequency_hz, job.target, expected_grid, motion=False), path)
 
@@ -195,7 +195,7 @@ def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             where=str(path),
             remedy=f"Convert it first: starbench convert {path.name} {path.stem}-evt3.raw",
         )
-    _refuse_truncated(path)
+    refuse_truncated(path)
     moving = MovingRecording(path, choices.reconstruct_hz, choices.pictures_at_s)
     for number, at_s in enumerate(moving.at_s):
         name = f"{path.stem}-at-{at_s:.3f}s"
@@ -260,7 +260,7 @@ def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
 def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
     from bench.views.measure import measure, recorded_image
 
-    _refuse_truncated(path)
+    refuse_truncated(path)
     if choices.board is not None:
         image = recorded_image(path, choices.image).image
         return _detected_board(image, choices.board, path)
@@ -295,7 +295,7 @@ def picture_of(path: Path) -> NDArray[Any]:
             remedy=f"Known file extensions are {', '.join(sorted(RECORDINGS | PHOTOGRAPHS))}; `starbench convert`"
             " writes RAW files from event files of others.",
         )
-    _refuse_truncated(path)
+    refuse_truncated(path)
     return recorded_image(path).image
 
 
@@ -311,7 +311,7 @@ def _photograph(path: Path) -> NDArray[Any]:
 
     try:
         require_bounded_images(path)
-        _refuse_truncated_jpeg(path)
+        refuse_truncated_jpeg(path)
         return mean_frame(path)
     except RecordingFileError as error:
         raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
@@ -334,7 +334,7 @@ def _detected_board(image: NDArray[Any], board: Board, path: Path) -> View:
     return detect_board(image, board, name=path.stem)
 
 
-def _refuse_truncated_jpeg(path: Path) -> None:
+def refuse_truncated_jpeg(path: Path) -> None:
     """Refuse a JPEG without its end marker, because OpenCV fills the missing part with grey."""
     if path.suffix.lower() not in _JPEG:
         return

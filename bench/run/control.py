@@ -115,7 +115,7 @@ class CommandInbox:
         clock: BenchClock,
         round_tasks: Sequence[Callable[[], None]] = (),
     ) -> None:
-        self._inbox = _inbox_of(folder)
+        self._inbox = inbox_of(folder)
         self._log = log
         self._poses = poses
         self._clock = clock
@@ -182,7 +182,8 @@ class CommandInbox:
             self._clock.request_stop(f"abort by {command.by}")
 
 
-def _inbox_of(folder: Path) -> Inbox[Command]:
+def inbox_of(folder: Path) -> Inbox[Command]:
+    """Return the inbox of a run's commands, which ignores what else stands in its folder."""
     return Inbox(folder / CONTROL, Command, _MAX_BYTES, ignored=frozenset({HEARTBEAT, LAST_VIEW}))
 
 
@@ -207,7 +208,7 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
       is then withdrawn.
     Raises StorageError: If the command cannot be written.
     """
-    inbox = _inbox_of(folder)
+    inbox = inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
         raise RunFolderError(
             "No process works on this run.",

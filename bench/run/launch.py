@@ -295,7 +295,7 @@ def start_run(
                 **plugins_of_run(job.station),
                 ledger=place,
             )
-            return ending(_run_and_seal(job, folder, journal, launch, key, ledger_lines(place)))
+            return ending(run_and_seal(job, folder, journal, launch, key, ledger_lines(place)))
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
@@ -314,7 +314,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
         ) as journal,
     ):
-        job, history = _job_of(folder.path, journal.entries)
+        job, history = job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)
         key = _key(launch)
         ledger = ledger_of(launch.clock)
@@ -322,7 +322,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         with ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
                 archive_crash(folder)
-                return ending(_seal_finished(folder, journal, key))
+                return ending(seal_finished(folder, journal, key))
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place != history.ledger else {}
             journal.append(
@@ -332,7 +332,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             # After the journal: a process that dies in between neither loses the crash nor counts it twice.
             archive_crash(folder)
             lines = [*ledger_lines(place), *intentions(job, history, crash)]
-            return ending(_run_and_seal(job, folder, journal, launch, key, lines))
+            return ending(run_and_seal(job, folder, journal, launch, key, lines))
 
 
 def read_intentions(folder_path: Path) -> list[str]:
@@ -341,11 +341,11 @@ def read_intentions(folder_path: Path) -> list[str]:
     Raises RunFolderError, JournalBroken, ScriptError: As for `resume_run`.
     """
     require_resumable(folder_path)
-    job, history = _job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
+    job, history = job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
     return intentions(job, history, read_crash(folder_path))
 
 
-def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
+def job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
     """Return the task of a run, from the files that it was begun with, and its history."""
     history = replay(entries)
     if not history.started:
@@ -373,9 +373,10 @@ def default_folder(plan: Plan, now: datetime) -> Path:
     return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"
 
 
-def _run_and_seal(
+def run_and_seal(
     job: Job, folder: RunFolder, journal: Journal, launch: Launch, key: BenchKey, first_lines: Iterable[str]
 ) -> RunEnd:
+    """Do the work of a run, and seal its folder if it finished."""
     clock = launch.clock
     wire_log = WireLogFile(folder.path / WIRE_LOG)
     progress = Progress(clock.monotonic, job.plan.duration_s, job.plan.most_poses, launch.stream)
@@ -430,7 +431,7 @@ def _key(launch: Launch) -> BenchKey:
     return usable_key(home_folder(), launch.clock.utc_now(), ask_passphrase=launch.ask_passphrase)
 
 
-def _seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
+def seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
     """Seal a run that was interrupted between its last journal line and its seal."""
     journal.close()
     remove_inbox(folder.path)

@@ -183,7 +183,7 @@ async def _cancelled(tasks: set[asyncio.Future[Any]]) -> None:
 
 ASSETS = Path(__file__).parent / "assets"
 _MOST_BYTES = 16_384
-_BODY_S = 10.0
+BODY_S = 10.0
 _WHOLE_NUMBER = re.compile(r"[0-9]{1,15}")
 _NOT_FOUND, _CONFLICT, _INVALID = 404, 409, 400
 
@@ -216,7 +216,7 @@ async def read_object(request: Request) -> dict[str, Any]:
     """
     body = b""
     try:
-        async with asyncio.timeout(_BODY_S):
+        async with asyncio.timeout(BODY_S):
             async for part in request.stream():
                 body += part
                 if len(body) > _MOST_BYTES:

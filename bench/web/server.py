@@ -32,7 +32,7 @@ from bench.web.pages import CLOSING
 LOOPBACK = "127.0.0.1"
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _CLOSE_S = 2
-_HEAD_S = 10.0
+HEAD_S = 10.0
 _BACKLOG = 128
 
 
@@ -153,7 +153,7 @@ class _Protocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""
         super().connection_made(transport)
-        self._late = self.loop.call_later(_HEAD_S, transport.close)
+        self._late = self.loop.call_later(HEAD_S, transport.close)
 
     def data_received(self, data: bytes) -> None:
         """Take a part of a request."""
@@ -163,7 +163,7 @@ class _Protocol(H11Protocol):
             self._late.cancel()
             self._late = None
         elif not working and self._late is None:
-            self._late = self.loop.call_later(_HEAD_S, self.transport.close)
+            self._late = self.loop.call_later(HEAD_S, self.transport.close)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the wait."""

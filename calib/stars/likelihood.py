@@ -126,7 +126,7 @@ def refine_by_likelihood(
             step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
             unknowns += np.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
         if number == OVERDISPERSION_ROUND:
-            overdispersion = _overdispersion(score, fisher)
+            overdispersion = overdispersion_of_edges(score, fisher)
     light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
     covariances = np.linalg.inv(normal)[:, :2, :2]
     return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information)
@@ -287,7 +287,7 @@ def _most_informative_blur(information: _InformationByBlur, start_px: float | No
     return float(np.exp(steps[k] + shift * EDGE_WIDTH_STEP))
 
 
-def _overdispersion(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[np.float64]:
+def overdispersion_of_edges(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return by how much the scores of each edge scatter more than the Fisher information says, (edges,).
 
     The variance components are estimated by their moments (MINQUE; Rao 1971). Let H be the sum of all F_e. After the

@@ -59,7 +59,7 @@ def find_tag(
             return None
         reduced |= scale < 1.0
         found = []
-        for corners, tag in _read_tags(variant, scale, target.tag_family):
+        for corners, tag in read_tags(variant, scale, target.tag_family):
             seen = target if tag == target.tag_id else replace(target, tag_id=tag)
             detection = _verified(variant, scale, corners, seen)
             if detection is not None and seen is target:
@@ -96,7 +96,7 @@ def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], f
     yield np.asarray(cv2.GaussianBlur(cv2.medianBlur(picture, 5), (0, 0), 2.5), np.uint8), 1.0
 
 
-def _read_tags(
+def read_tags(
     picture: NDArray[np.uint8], scale: float, family: str
 ) -> Iterator[tuple[NDArray[np.float64], int]]:
     """Yield the (4, 2) corners, px of the full image, and the number of each tag of the family."""

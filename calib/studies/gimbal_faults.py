@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 FaultKind = Literal["slip", "pose", "squareness"]
 
 #: Probability of a false alarm, for all faults that are tried.
-_FALSE_ALARMS = 1e-4
+FALSE_ALARMS = 1e-4
 #: A rival of another kind within this difference of the criterion cannot be excluded (Raftery, 1995: strong).
 _UNDECIDED = 6.0
 _ROUNDS = 3
@@ -69,7 +69,7 @@ def search_faults(
             break
         tried = [(_test(seen, current, other, number), kind, at, other) for kind, at, other, number in
                  _alternatives(seen, current, axes)]  # fmt: skip
-        tried = [each for each in tried if each[0] < _FALSE_ALARMS]
+        tried = [each for each in tried if each[0] < FALSE_ALARMS]
         if not tried:
             hidden = _hiding_pose(seen, current, axes)
             if hidden is None:
@@ -139,7 +139,7 @@ def _hiding_pose(
         values = np.insert(fit.values, len(fit.model.free) + len(fit.model.slips), 0.0)
         both = seen.explain(extended, kept[others], fit, values)
         probability = _test(seen, current, both, len(pairs))
-        if probability < _FALSE_ALARMS and (best is None or both.criterion < best[0].criterion):
+        if probability < FALSE_ALARMS and (best is None or both.criterion < best[0].criterion):
             best = both, pose, probability
     if best is None:
         return None
@@ -210,7 +210,7 @@ def _described(
         read = fit.camera_from_head @ gone.heads(fit.values)[0][0] @ fit.base_from_target
         cosine = 0.5 * (np.trace(seen.rotations[pose] @ read.T) - 1.0)
         size = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        sigma = _sigma_of_pose(seen, null, at[1], other.metric.excess)
+        sigma = sigma_of_pose(seen, null, at[1], other.metric.excess)
     else:
         place = len(fit.model.free) + len(fit.model.slips) - (kind == "slip")
         row = fit.estimator(other.metric)[6 + place]
@@ -222,7 +222,7 @@ def _described(
     return GimbalFault(kind, axis, pose, float(np.rad2deg(size)), float(np.rad2deg(sigma)), probability)
 
 
-def _sigma_of_pose(seen: SeenRotations, null: Explanation, place: int, excess: float) -> float:
+def sigma_of_pose(seen: SeenRotations, null: Explanation, place: int, excess: float) -> float:
     """Return the 1-sigma, rad, of a pose against the other poses, in its least certain direction.
 
     It is that of the conditional normal distribution (Rao, 1973). An error that the pose shares with the others, as

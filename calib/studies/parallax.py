@@ -174,11 +174,11 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
             where="parallax test",
             remedy="Turn the camera farther to both sides along both axes, until the rim is in view.",
         )
-    off, sigma = _mean_of_axes(-walk, covariance)
+    off, sigma = mean_of_axes(-walk, covariance)
     return PupilWalk(walk, covariance, off, sigma, len(views), without)
 
 
-def _mean_of_axes(off: Array, covariance: Array) -> tuple[float, float]:
+def mean_of_axes(off: Array, covariance: Array) -> tuple[float, float]:
     """Return the mean of the (2,) values of x and y, and its 1-sigma; it covers both if they differ significantly.
 
     The weights give the least variance among those from 0 to 1. Without this limit, strongly correlated errors would

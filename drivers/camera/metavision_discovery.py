@@ -27,7 +27,7 @@ _LISTENING = threading.RLock()
 _OLD_FIRMWARE: Final = re.compile(r"serial\s*(\S+)\s*is using an old firmware")
 """OpenEB 5.1.1, ``tz_libusb_board_command.cpp``: written once for each camera in a process, for firmware below 3.8."""
 
-_old: set[str] = set()
+refused_firmware: set[str] = set()
 
 
 @contextmanager
@@ -55,14 +55,14 @@ def listening() -> Iterator[list[str]]:
             heard.seek(0)
             said = heard.read()
             words.append(said.decode(errors="replace"))
-            _old.update(_OLD_FIRMWARE.findall(words[0]))
+            refused_firmware.update(_OLD_FIRMWARE.findall(words[0]))
             with suppress(OSError):
                 os.write(_STDERR, said)
 
 
 def cameras_with_old_firmware() -> frozenset[str]:
     """Return the serial numbers of the cameras that the maker's software refused for their firmware."""
-    return frozenset(_old)
+    return frozenset(refused_firmware)
 
 
 OLDEST_FIRMWARE: Final = "3.8"

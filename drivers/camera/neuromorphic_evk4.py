@@ -244,7 +244,7 @@ class NeuromorphicEvk4:
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()
         camera = self.identify()
-        stream = _Stream(self._device, self._lost)
+        stream = PacketStream(self._device, self._lost)
         recorded = record_words(
             stream,
             path,
@@ -294,7 +294,7 @@ class NeuromorphicEvk4:
         )
 
 
-class _Stream:
+class PacketStream:
     """Raw packets from the moment of ``start`` on, beginning with a TIME_HIGH word."""
 
     def __init__(self, device: Any, lost: Callable[[Exception], CameraLost]) -> None:
@@ -307,12 +307,14 @@ class _Stream:
         self.losses: list[str] = []
 
     def start(self) -> None:
+        """Drop what the device has kept so far."""
         try:
             self._device.clear_backlog(0)
         except RuntimeError as error:
             raise self._lost(error) from error
 
     def next_words(self) -> bytes | None:
+        """Return the whole words of the next packet; None if it has none."""
         try:
             status, packet = next(self._device)
         except StopIteration:

@@ -204,7 +204,7 @@ _LONGEST_REPLY = 100
 """Most lines of one reply."""
 _HALTING_ALARMS = frozenset({1, 2})
 """Alarms of a limit: after them the firmware waits in a loop that serves nothing but a reset."""
-_WAKE_SILENCES = 8
+WAKE_SILENCES = 8
 """How often the line may be silent for ``quiet_s`` after a reset until the welcome message."""
 _WAKE_RESETS = 4
 """The firmware pauses for 0.5 s after an alarm, and then forgets a reset that came meanwhile; so it is sent again."""
@@ -286,7 +286,7 @@ class GrblController(Link):
             for _ in range(_WAKE_RESETS):
                 self.write(RESET)
                 silences = 0
-                while self.restarts == restarts and silences < _WAKE_SILENCES:
+                while self.restarts == restarts and silences < WAKE_SILENCES:
                     silences += not self.receive(self.quiet_s)
                     while self._next_line() is not None:
                         silences += 1  # a board that babbles is no board that has restarted

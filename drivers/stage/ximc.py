@@ -30,7 +30,7 @@ from drivers.stage.watched import (
 from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Settings, Status
 from drivers.wire_log import WireLog
 
-_REPLY_S = 1.0
+REPLY_S = 1.0
 _MARKER_S = 0.5
 
 S = TypeVar("S", bound=Settings)
@@ -94,7 +94,7 @@ class XimcController(Link):
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
 
         request = ximc_protocol.request(command, data)
-        self.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=urgent)
+        self.exchange(request, read_reply, deadline_s=REPLY_S, urgent=urgent)
 
     def move(self, count: int) -> None:
         """Start a move; the command is sent once.
@@ -166,7 +166,7 @@ class XimcController(Link):
         return repeat(lambda: self._query_once(command, layout))
 
     def _query_once(
-        self, command: str, layout: struct.Struct, *, deadline_s: float = _REPLY_S, urgent: bool = False
+        self, command: str, layout: struct.Struct, *, deadline_s: float = REPLY_S, urgent: bool = False
     ) -> bytes:
         def read_reply(reader: ReplyReader) -> bytes:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)

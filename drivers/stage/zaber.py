@@ -26,7 +26,7 @@ from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_mov
 from drivers.stage.zaber_protocol import Reply, Unsolicited
 from drivers.wire_log import WireLog
 
-_REPLY_S = 1.0
+REPLY_S = 1.0
 """Longest wait for a reply, in seconds. A reply takes some ms; the rest is for a busy computer."""
 _MARKER_S = 0.5
 
@@ -151,10 +151,10 @@ class ZaberChain(Link):
                     waiting_for.discard(reply.device)
 
         request = zaber_protocol.request(0, 0, message_id, "stop")
-        self.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=True)
+        self.exchange(request, read_reply, deadline_s=REPLY_S, urgent=True)
 
     def _ask_once(
-        self, device: int, axis: int, words: str, *, deadline_s: float = _REPLY_S, urgent: bool = False
+        self, device: int, axis: int, words: str, *, deadline_s: float = REPLY_S, urgent: bool = False
     ) -> Reply:
         message_id = next(self._ids)
 

@@ -154,6 +154,11 @@ class SimulatedEvk4:
             connection.join()
         self.time_base.power_up()
 
+    @property
+    def has_host(self) -> bool:
+        """Whether a host is connected."""
+        return self._connection is not None and self._connection.is_open()
+
     def report_fault(self, message: str) -> None:
         """Send a fault notification to the connected host; without a host, do nothing."""
         connection = self._connection
@@ -167,7 +172,7 @@ class SimulatedEvk4:
                 continue
             link, _ = self._listener.accept()
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if self._connection is not None and self._connection.is_open():
+            if self.has_host:
                 with suppress(_HostGone):
                     _send(link, b"N", _json({"event": "fault", "message": "Another host holds the camera."}))
                 link.close()

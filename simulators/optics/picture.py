@@ -184,7 +184,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     light, rho = _light(
         plane_points(rays, projection),
         Light(disc, truth.collimator.rim, optics.gradient_x, optics.gradient_y),
-        0.0 if optics.psf_rim_px > 0.0 else _even_radius(disc, truth.collimator.rim),
+        0.0 if optics.psf_rim_px > 0.0 else even_radius(disc, truth.collimator.rim),
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
     )
@@ -196,7 +196,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     return np.asarray(image + np.float32(optics.stray), np.float32)
 
 
-def _even_radius(disc: Disc, rim: float) -> float:
+def even_radius(disc: Disc, rim: float) -> float:
     """Return a distance from the disc's centre, mm, that is inside the rim in every direction."""
     return max(
         0.0, disc.radius * (1.0 - rim) * (1.0 - float(np.hypot(disc.edge[::2], disc.edge[1::2]).sum())) - 1e-6

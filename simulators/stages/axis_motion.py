@@ -104,7 +104,7 @@ class Axis:
         self._homing = False
         self._homing_sets_counter = True
         self._referenced = False
-        self._armed: MotionFault | None = None
+        self.armed: MotionFault | None = None  # The fault of a motion to come
         self._false_idle_replies = 0
         self.stuck_busy = False
         self._event: MotionEvent | None = None
@@ -225,7 +225,7 @@ class Axis:
     # ------------------------------------------------------------------ faults
     def arm(self, fault: MotionFault | None) -> None:
         """Arm a fault for a motion to come; it replaces an armed one."""
-        self._armed = fault
+        self.armed = fault
 
     def report_false_idle(self, times: int) -> None:
         """Let the controller report idle although the axis moves."""
@@ -274,10 +274,10 @@ class Axis:
         shifted = [(station + lost, speed) for station, speed in stations]
         self.motor = MotorTrajectory.through(t_s, begin, velocity, shifted, acceleration)
         self._event = None
-        if self._armed is not None and self._armed.skip > 0:
-            self._armed = replace(self._armed, skip=self._armed.skip - 1)
-        elif self._armed is not None:
-            fault, self._armed = self._armed, None
+        if self.armed is not None and self.armed.skip > 0:
+            self.armed = replace(self.armed, skip=self.armed.skip - 1)
+        elif self.armed is not None:
+            fault, self.armed = self.armed, None
             self._apply_fault(fault)
         self._stop_at_end_stops()
         self.pointing = self._follow_motor(load, offset)

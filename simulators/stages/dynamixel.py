@@ -262,9 +262,9 @@ class DynamixelServo(Unit):
     # ------------------------------------------------------------------ events outside the protocol
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         del axis
-        self._shut_down(_ENCODER if event.kind == "twist" else _OVERLOAD, t_s)
+        self.shut_down(_ENCODER if event.kind == "twist" else _OVERLOAD, t_s)
 
-    def _shut_down(self, error: int, t_s: float) -> None:
+    def shut_down(self, error: int, t_s: float) -> None:
         """Note a hardware error, and switch the torque off if the setting says so."""
         self._errors |= error
         if self._values[63] & error or error == _ENCODER:

@@ -87,7 +87,7 @@ def test_the_maker_s_client_reads_and_writes_two_servos_at_once(client, bus) -> 
 def test_an_overloaded_servo_tells_the_maker_s_client(client, bus) -> None:
     packets, port = client
     packets.write1ByteTxRx(port, 2, 64, 1)
-    bus.servos[2]._shut_down(0x20, time.monotonic())
+    bus.servos[2].shut_down(0x20, time.monotonic())
     value, result, error = packets.read1ByteTxRx(port, 2, 70)
     assert (value, result, error & 0x80) == (0x20, SUCCESS, 0x80)
     assert packets.read1ByteTxRx(port, 2, 64)[0] == 0

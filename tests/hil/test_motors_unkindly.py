@@ -153,7 +153,7 @@ def test_an_overload_is_told_in_words_and_homing_restarts_that_servo_only(gimbal
     stage = gimbal.open()
     stage.home()
     stage.move_to({"tilt": 5.0})
-    gimbal.bus.servos[1]._shut_down(0x20, gimbal.clock.now_s)
+    gimbal.bus.servos[1].shut_down(0x20, gimbal.clock.now_s)
     with pytest.raises(MoveFailed, match=r"overload.*switched its torque off") as caught:
         stage.move_to({"pan": 9.0})
     assert "home the stage" in caught.value.remedy
@@ -168,7 +168,9 @@ def test_an_overload_is_told_in_words_and_homing_restarts_that_servo_only(gimbal
 def test_a_fault_that_a_restart_does_not_clear_is_told(gimbal) -> None:
     stage = gimbal.open()
     stage.home()
-    gimbal.bus.servos[2]._errors = 0x01  # the voltage is not among the reasons to shut down: the torque is on
+    gimbal.bus.servos[2].shut_down(
+        0x01, gimbal.clock.now_s
+    )  # the voltage is not among the reasons to shut down: the torque is on
     with pytest.raises(MoveFailed, match="supply voltage out of range"):
         stage.home()
     assert gimbal.table(2)[64] == 1
@@ -231,9 +233,10 @@ def test_a_stop_of_servos_is_confirmed_though_messages_are_lost(gimbal, lost) ->
 def test_a_silent_servo_does_not_delay_the_stop_of_the_other(gimbal) -> None:
     stage = gimbal.open()
     stage.home()
-    stage._bus.move(2, stage._bus.read_state(2).position + 150)
+    goal = int.from_bytes(gimbal.table(2)[132:136], "little") + 150
+    gimbal.bus.servos[2].write(116, goal.to_bytes(4, "little"), gimbal.clock.now_s)
     gimbal.clock.sleep(0.2)
-    gimbal.bus.servos[1]._powered = False
+    gimbal.bus.servos[1].emergency_stop(gimbal.clock.now_s)
     began_s = gimbal.clock.now_s
     with pytest.raises(ReplyError):
         stage.stop()

@@ -8,7 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from simulators.cameras import evk4
 from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.pixels import sensor_stream
+from simulators.pixels.event_filters import EventFilters
 from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
 from simulators.world.world import AxisMotion, LightState, World
 from tests.hil.evk4_host import FLICKER, SMALL, Host, bench
@@ -61,7 +64,7 @@ def began_us(words):
 def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
     with Host(camera) as host:
         assert [began_us(host.record(frames)) for frames in (60, 1, 52)] == [0, 204_800, 307_200]
-    while camera._connection.is_open():
+    while camera.has_host:
         time.sleep(0.01)
     with Host(camera) as host:  # another one, the same camera
         assert began_us(host.record(1)) == 512_000
@@ -118,7 +121,28 @@ def test_the_time_of_a_stream_changes_only_the_upper_bits_of_its_clock(clock_us)
     np.testing.assert_array_equal(words >> 12, first >> 12)
 
 
-def test_an_independent_decoder_reads_the_same_events(camera, tmp_path):
+def listen_to_edges(monkeypatch, edges):
+    """Note the edges of the light, each time with the time at which its period began, microseconds."""
+    monkeypatch.setattr(
+        sensor_stream,
+        "sync_edges",
+        lambda light, began_us, *span: (
+            edges.append((began_us, sync_edges(light, began_us, *span))) or edges[-1][1]
+        ),
+    )
+
+
+def taken_by(stream, taken, *, frames):
+    """Note the sensor's events of some frames, before the camera's filters."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            EventFilters, "apply", lambda _filters, events: (taken.append(events), (events, events.t))[1]
+        )
+        for _ in range(frames):
+            stream.next_frame()
+
+
+def test_an_independent_decoder_reads_the_same_events(camera, tmp_path, monkeypatch):
     evt3 = pytest.importorskip("evt3", reason="the independent decoder evt3 is not installed")
     with Host(camera) as host:
         words = host.record(17)
@@ -127,14 +151,14 @@ def test_an_independent_decoder_reads_the_same_events(camera, tmp_path):
     path.write_bytes(header + words)
     events, triggers = evt3.decode_file_with_triggers(str(path))
 
-    world = bench()
-    stream = SensorStream(world, CameraState(trigger_in=True), {})
     sensor, edges = [], []
-    for k in range(17):
-        edges.append(sync_edges(FLICKER, stream._period_starts_us, k * FRAME_US, (k + 1) * FRAME_US))
-        sensor.append(stream._sensor.run((k + 1) * FRAME_US))
-    for name, k in (("t", 0), ("x", 1), ("y", 2), ("p", 3)):
-        np.testing.assert_array_equal(getattr(events, name), np.concatenate([s[k] for s in sensor]))
+    listen_to_edges(monkeypatch, edges)
+    taken_by(SensorStream(bench(), CameraState(trigger_in=True), {}), sensor, frames=17)
+    edges = [found for _, found in edges]
+    for name in ("t", "x", "y", "p"):
+        np.testing.assert_array_equal(
+            getattr(events, name), np.concatenate([getattr(one, name) for one in sensor])
+        )
     np.testing.assert_array_equal(triggers.timestamp, np.concatenate([e[0] for e in edges]))
     np.testing.assert_array_equal(triggers.value, np.concatenate([e[1] for e in edges]))
     assert len(events.t) > 10_000
@@ -151,17 +175,19 @@ def test_triggers_stand_at_the_edges_of_the_light():
     assert len(rising) == len(falling) == 6
 
 
-def test_the_light_stays_one_clock_over_recordings():
+def test_the_light_stays_one_clock_over_recordings(monkeypatch):
     """The phase drawn for a recording is the light's own phase at the moment the sensor starts."""
     now = [3.1]
     world = World(SMALL, clock=lambda: now[0])
     world.set_light(LightState(output=True, sync=True, origin_s=0.123))
-    counts = {}
+    counts, edges = {}, []
+    listen_to_edges(monkeypatch, edges)
     for moment in (3.1, 3.107, 17.4):
         now[0] = moment
-        stream = SensorStream(world, CameraState(), counts)
+        stream = SensorStream(world, CameraState(trigger_in=True), counts)
+        stream.next_frame()
         assert 0.0 <= stream.start_s - moment <= 1.0 / 60.0 + 1e-9
-        phase = -stream._period_starts_us / world.light(moment).period_us
+        phase = -edges[-1][0] / world.light(moment).period_us
         turns = (stream.start_s - 0.123) * 60.0 - phase
         assert math.isclose(turns, round(turns), abs_tol=1e-6)
 
@@ -173,10 +199,8 @@ def test_a_moving_axis_smears_the_stars():
         world.set_light(FLICKER, since_s=0.0)
         world.set_axis("pan", motion, since_s=0.0)
         stream = SensorStream(world, CameraState(), {})
-        stream._filters.apply = lambda events: (taken.append(events), (events, events.t))[1]
         taken = []
-        for _ in range(17):
-            stream.next_frame()
+        taken_by(stream, taken, frames=17)
         counts = np.zeros((2, 180, 320))
         for k, events in enumerate(taken[1:]):
             np.add.at(counts[k // 8], (events.y, events.x), 1.0)
@@ -184,8 +208,9 @@ def test_a_moving_axis_smears_the_stars():
 
     resting, _ = fired(AxisMotion.resting(0.1, 640))
     again, _ = fired(AxisMotion(lambda _t: 0.1, math.inf, 640))
-    slewing, stream = fired(AxisMotion(lambda t: 0.1 + 20.0 * (t - 10.0), math.inf, 640))
-    assert stream._angles["pan"] == pytest.approx(0.1 + 20.0 * (stream.covered_s - 2e-3 - 10.0), abs=1e-9)
+    asked_s = []
+    slewing, stream = fired(AxisMotion(lambda t: asked_s.append(t) or 0.1 + 20.0 * (t - 10.0), math.inf, 640))
+    assert asked_s[-1] == pytest.approx(stream.covered_s - 2e-3, abs=1e-9)  # the middle of the last frame
     assert again == pytest.approx(resting, abs=0.06)
     assert slewing < resting - 0.3  # the stars are elsewhere by then
 
@@ -206,9 +231,7 @@ def test_switching_the_light_off_ends_events_and_triggers():
 def fired_in(stream, frames=9):
     """Return which pixels fired in a recording of some frames."""
     taken = []
-    stream._filters.apply = lambda events: (taken.append(events), (events, events.t))[1]
-    for _ in range(frames):
-        stream.next_frame()
+    taken_by(stream, taken, frames=frames)
     fired = np.zeros((180, 320))
     for events in taken:
         fired[events.y, events.x] = 1.0
@@ -230,22 +253,22 @@ def test_previews_show_what_recordings_show_and_leave_these_unchanged():
     np.testing.assert_array_equal(fired_in(SensorStream(world, camera, {})), plain)
 
 
-def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn():
+def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn(monkeypatch):
     now = [10.0]
     world = World(SMALL, clock=lambda: now[0])
     world.set_light(FLICKER, since_s=0.0)
-    camera = CameraState()
+    camera, edges = CameraState(trigger_in=True), []
+    listen_to_edges(monkeypatch, edges)
     preview = SensorStream(world, camera, {}, preview=True)
     before = fired_in(preview)
     now[0] = 12.345
     world.set_axis("pan", AxisMotion.resting(0.5, 3200), since_s=0.0)
     assert preview.go_on(camera, preview.clock_us)
     assert 0.0 <= preview.covered_s - now[0] <= 1.0 / 60.0 + 1e-9
-    turns = world.light(now[0]).phase_at(preview.covered_s) - (
-        (preview._now_us - preview._period_starts_us) / FLICKER.period_us
-    )
-    assert math.isclose(turns, round(turns), abs_tol=1e-6)
     after = fired_in(preview)
+    began_s = preview.start_s + 1e-6 * edges[-1][0]
+    turns = world.light(now[0]).phase_at(began_s)
+    assert math.isclose(turns, round(turns), abs_tol=1e-6)
     there = fired_in(SensorStream(world, camera, {}))
     assert np.corrcoef(after.ravel(), there.ravel())[0, 1] > 0.9
     assert np.corrcoef(after.ravel(), before.ravel())[0, 1] < 0.7
@@ -261,7 +284,12 @@ def test_a_preview_cannot_go_on_under_another_light_or_with_other_settings():
     assert not preview.go_on(camera, preview.clock_us)
 
 
-def test_previews_over_the_wire_go_on_with_the_same_sensor(camera):
+def test_previews_over_the_wire_go_on_with_the_same_sensor(camera, monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        evk4, "SensorStream", lambda *given, **more: made.append(more) or SensorStream(*given, **more)
+    )
+
     def preview(host):
         host.words = []
         assert host.ask("start", preview=True)["ok"]
@@ -273,8 +301,7 @@ def test_previews_over_the_wire_go_on_with_the_same_sensor(camera):
     with Host(camera) as host:
         host.record(4)
         first = preview(host)
-        stream = camera._connection._preview
         second = preview(host)
-        assert camera._connection._preview is stream
+        assert sum(more.get("preview", False) for more in made) == 1
         assert second >= first + 9 * FRAME_US
         assert not host.ask("start", preview="yes")["ok"]

@@ -15,7 +15,7 @@ from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.grbl import GrblAxis, GrblController
-from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, parse_block
+from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, Planner, parse_block
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -329,7 +329,7 @@ def test_a_reset_within_half_a_second_of_an_alarm_is_lost(homed: Board):
 def test_homing_that_finds_no_switch_is_an_alarm_an_ok_and_a_restart(homed: Board, monkeypatch):
     homed.say("G0 X-21")
     homed.wait()
-    monkeypatch.setattr(homed.device._planner, "homed", lambda _now: False)
+    monkeypatch.setattr(Planner, "homed", lambda _self, _now: False)
     homed.say("$H")
     assert homed.wait() == "ALARM:9\r\nok\r\n" + BANNER + LOCKED
     assert homed.report()[0] == "Alarm"

@@ -63,11 +63,11 @@ def see_that_it_is_safe(station):
 
 @contextmanager
 def stopped(world):
-    os.kill(world._process.pid, signal.SIGSTOP)
+    os.kill(world.process.pid, signal.SIGSTOP)
     try:
         yield
     finally:
-        os.kill(world._process.pid, signal.SIGCONT)
+        os.kill(world.process.pid, signal.SIGCONT)
 
 
 @pytest.mark.slow

@@ -184,10 +184,12 @@ class FakeDevices:
         self.closed = True
 
 
-def fake_session(devices=None, station="simulated"):
-    """Return a session with fakes, not open yet, and the fakes."""
+def fake_session(devices=None, station="simulated", opener=None):
+    """Return a session with fakes, not open yet, and the fakes; ``opener`` takes the place of what opens them."""
     devices = devices or FakeDevices()
-    return Session(load_station(str(station)), opener=lambda *_: devices, make_meter=MeterHere), devices
+    return Session(
+        load_station(str(station)), opener=opener or (lambda *_: devices), make_meter=MeterHere
+    ), devices
 
 
 def wait_until(condition, timeout_s=5.0):

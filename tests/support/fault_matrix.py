@@ -65,7 +65,7 @@ class _Mortal(Journal):
 
     scene = None
 
-    def _put(self, event, data, *, synced):
+    def put(self, event, data, *, synced):
         if self.scene.dead:
             raise Died
         disk = self.scene.disk
@@ -74,7 +74,7 @@ class _Mortal(Journal):
                 disk()
             except OSError as error:
                 raise StorageError(str(error), where=str(self.path)) from error
-        return super()._put(event, data, synced=synced)
+        return super().put(event, data, synced=synced)
 
 
 def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) -> Cell:

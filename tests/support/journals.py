@@ -65,13 +65,13 @@ class MadeRun:
     def record(self, pose: int, *, attempt: int = 1, accepted: bool = True, stars: int = 200) -> None:
         """Write what a run writes at one pose."""
         with self.path.open("ab") as stream:
-            stream.writelines(self._pose_lines(pose, attempt, accepted, stars))
+            stream.writelines(self.pose_lines(pose, attempt, accepted, stars))
 
     def record_all(self) -> MadeRun:
         """Write all poses, quickly."""
         with self.path.open("ab") as stream:
             for pose in range(1, self.poses + 1):
-                stream.writelines(self._pose_lines(pose, 1, True, 200))
+                stream.writelines(self.pose_lines(pose, 1, True, 200))
         return self
 
     def end(self, how: str = "finished", why: str = "", **more: Any) -> MadeRun:
@@ -91,7 +91,7 @@ class MadeRun:
         yield self.line("devices", camera=camera, stage=[], light={}, camera_settings={})
         yield self.line("left_off", state="preflight")
 
-    def _pose_lines(self, pose: int, attempt: int, accepted: bool, stars: int) -> Iterator[bytes]:
+    def pose_lines(self, pose: int, attempt: int, accepted: bool, stars: int) -> Iterator[bytes]:
         step, name, at = 2 * pose, f"pose {pose}", {"pose": pose, "pose_name": f"pose {pose}"}
         if attempt == 1:
             angles = {"pan": 0.01 * pose, "tilt": -0.01 * pose}

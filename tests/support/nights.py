@@ -58,10 +58,10 @@ class Workers:
         return end if isinstance(end, WorkerEnd) else WorkerEnd(end, "")
 
 
-def night(folder, queue, *ends, clock=None):
+def night(folder, queue, *ends, clock=None, say=lambda _: None):
     clock = clock or NightClock()
     workers = Workers(clock, *ends)
-    return Batch(folder, queue, clock, lambda _: None, workers), workers
+    return Batch(folder, queue, clock, say, workers), workers
 
 
 def begun(workers):

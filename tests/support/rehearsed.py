@@ -63,8 +63,8 @@ class Scene:
         self._happens("open")
         devices = VirtualDevices(job.station, seed=1, clock=self.clock)
         if self.opened:  # what has power keeps its reference and its light
-            devices.stage._at_deg = self.light_and_stage()[1]._at_deg
-            devices.light._on = self.light_and_stage()[0]._on
+            devices.stage.at_deg = self.light_and_stage()[1].at_deg
+            devices.light.lit = self.light_is_on()
         self.opened.append((devices.light, devices.stage))
         for name in ("stage", "light", "camera"):
             setattr(devices, name, Hooked(getattr(devices, name), name, self._happens))
@@ -79,7 +79,7 @@ class Scene:
 
     def light_is_on(self):
         """Asked of the light itself."""
-        return bool(self.opened) and self.light_and_stage()[0]._on
+        return bool(self.opened) and self.light_and_stage()[0].is_on()
 
     def events(self):
         return [(e.event, e.data) for e in read_journal(self.folder / "journal.jsonl")[0]]

@@ -75,7 +75,7 @@ def _die(scene):
 
 
 def _light_off(scene):
-    scene.light_and_stage()[0]._on = False
+    scene.light_and_stage()[0].lit = False
 
 
 def _moved(_scene):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError
-from bench.commands.output import _failure_of
+from bench.commands.output import failure_of
 from bench.run.interlocks import loss_text
 from calib.errors import CalibrationError
 from drivers.errors import DriverError, RecordingCorrupt
@@ -91,5 +91,5 @@ def test_the_place_of_bad_bytes_stands_within_the_sentence():
 
 
 def test_what_other_programs_say_is_quoted_without_its_full_stop():
-    assert _failure_of(OSError("No disk.")).what == "No disk."
-    assert _failure_of(ZeroDivisionError("division by zero.")).what.endswith("division by zero.")
+    assert failure_of(OSError("No disk.")).what == "No disk."
+    assert failure_of(ZeroDivisionError("division by zero.")).what.endswith("division by zero.")

@@ -46,7 +46,7 @@ from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 _AGAIN: Final = "Export it again from the RAW recording."
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
-_PIECE_EVENTS: Final = 500_000
+PIECE_EVENTS: Final = 500_000
 _NAMES: Final = ("t", "x", "y", "p")
 _TRIGGER_NAMES: Final = ("t", "value", "id")
 
@@ -214,11 +214,11 @@ def _even(parts: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
     for part in parts:
         kept.append(part)
         have += len(part)
-        if have >= _PIECE_EVENTS:
+        if have >= PIECE_EVENTS:
             joined = np.concatenate(kept)
-            for begin in range(0, have - _PIECE_EVENTS + 1, _PIECE_EVENTS):
-                yield joined[begin : begin + _PIECE_EVENTS]
-            rest = joined[have - have % _PIECE_EVENTS :]
+            for begin in range(0, have - PIECE_EVENTS + 1, PIECE_EVENTS):
+                yield joined[begin : begin + PIECE_EVENTS]
+            rest = joined[have - have % PIECE_EVENTS :]
             kept, have = [rest], len(rest)
     if have:
         yield np.concatenate(kept)

@@ -209,7 +209,7 @@ _PACKET: Final = "EventPacket"
 
 _HEADER: Final = "std_msgs/Header header\n"
 _EVENT: Final = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
-_DEFINITIONS: Final = {
+DEFINITIONS: Final = {
     "dvs_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
     "dvs_msgs/msg/EventArray": f"{_HEADER}uint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
     "prophesee_event_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
@@ -264,7 +264,7 @@ def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
             remedy="Install it: pip install 'starbench[formats]'",
         ) from error
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in _DEFINITIONS.items():
+    for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
     with AnyReader([path], default_typestore=store) as reader:
         yield reader, reader.deserialize

@@ -151,7 +151,7 @@ def _outliers(px: float) -> ChangeBench:
     return views(spoil)
 
 
-def _shifted(view: Seen) -> Seen:
+def shifted(view: Seen) -> Seen:
     """Every star has the name of its neighbour to the right."""
     ids, mm = printed_stars()
     column = np.round(view.mm[:, 0] / mm[1, 0]).astype(int)
@@ -248,7 +248,7 @@ _ATTACKS |= {
     "outliers 1 px": Attack(STARS, bench=_outliers(1.0)),
     "outliers 30 px": Attack(STARS, bench=_outliers(30.0)),
     "outliers 300 px": Attack(STARS, bench=_outliers(300.0)),
-    "ids of a view shifted": Attack("shift|" + STARS, bench=one_view(_shifted)),
+    "ids of a view shifted": Attack("shift|" + STARS, bench=one_view(shifted)),
     "a view twice": Attack("twice|same|duplicate|identical", bench=_duplicate),
     "half a pixel in all views": Attack(
         "origin|half", bench=views(lambda _, v: replace(v, px=v.px + 0.5)), seen=False

@@ -34,7 +34,7 @@ def draw(
     rng = np.random.default_rng((seed, 31))
     size, by_hand = float(rng.uniform(0.2, 1.2)), profile in ("S1", "S2")
     off = float(rng.normal(0, 3))
-    glass = _glass(rng, COLLIMATORS[profile], size)
+    glass = draw_glass(rng, COLLIMATORS[profile], size)
     if not by_hand:
         glass = replace(glass, disc_walk=(-off, -off))
     sigma_r, sigma_defocus = float(rng.uniform(0.03, 0.1)), max(0.002, 0.01 * size)
@@ -76,7 +76,7 @@ def draw(
     return _bench(drawn, stated, Camera(values, camera.family), float(np.exp(0.1 * own.normal())), facts)
 
 
-def _glass(rng: np.random.Generator, profile: CollimatorTruth, size: float) -> CollimatorTruth:
+def draw_glass(rng: np.random.Generator, profile: CollimatorTruth, size: float) -> CollimatorTruth:
     signs, shares = rng.choice([-1.0, 1.0], len(ERRORS)), rng.uniform(0.5, 1.5, len(ERRORS))
     changed = {
         name: float(size * getattr(profile, name) * s * a)

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import shutil
+import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,6 +29,14 @@ def synced(monkeypatch):
 
     monkeypatch.setattr(os, "fsync", fsync)
     return paths
+
+
+@pytest.fixture
+def children(monkeypatch):
+    """The processes that are started from here on."""
+    started, real = [], subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
+    return started
 
 
 @pytest.fixture(scope="session")

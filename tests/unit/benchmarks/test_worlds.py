@@ -155,7 +155,7 @@ def test_a_lens_of_its_own_form_is_known_by_its_coefficients_to_a_hundredth_of_a
 
 def test_the_products_world_draws_both_signs_of_each_error():
     glasses = [
-        product._glass(np.random.default_rng(seed), product.COLLIMATORS["like-bench"], 1.0)
+        product.draw_glass(np.random.default_rng(seed), product.COLLIMATORS["like-bench"], 1.0)
         for seed in range(20)
     ]
     for name in product.ERRORS:
@@ -211,7 +211,7 @@ def test_every_attack_changes_what_the_engine_gets_and_nothing_else():
 
 def test_shifted_ids_are_those_of_the_neighbours():
     view = polynomial.record(polynomial.draw_world(0), 0, NINE).views[4]
-    moved = attacks._shifted(view)
+    moved = attacks.shifted(view)
     kept = np.isin(view.px[:, 0], moved.px[:, 0])
     assert moved.mm == pytest.approx(view.mm[kept] + [geometry.PITCH_MM, 0.0])
     assert moved.mm == pytest.approx(calib.StarTarget().positions_mm(moved.ids))

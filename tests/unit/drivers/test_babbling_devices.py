@@ -40,7 +40,7 @@ class Babbler:
     "says", [b"\xf8" * 512, b"\xf8" * LONGEST_LINE + b"\n"], ids=["no end", "long lines"]
 )
 def test_a_stop_ends_within_its_deadlines_on_a_line_without_end(clock, says, monkeypatch) -> None:
-    monkeypatch.setattr(zaber, "_REPLY_S", 0.1)
+    monkeypatch.setattr(zaber, "REPLY_S", 0.1)
     port = Babbler(says)
     chain = ZaberChain(port, [1, 2], clock=clock)
     ended: list[BaseException] = []

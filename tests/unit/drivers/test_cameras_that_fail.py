@@ -83,7 +83,7 @@ def test_half_a_word_before_the_first_clock_word_shifts_nothing() -> None:
     ring = SimpleNamespace(dropped_packets=0, overflow_indices=None, system_time=0.0)
     packets = [b"", b"\x05\x00", b"\x03\x28\x05", b"\x00\x01\x80\x02\x60", b"\x05\x00\x03\x28"]
     device = iter([(SimpleNamespace(ring=ring), packet) for packet in packets])
-    stream = neuromorphic_evk4._Stream(device, lambda error: CameraLost(str(error)))
+    stream = neuromorphic_evk4.PacketStream(device, lambda error: CameraLost(str(error)))
     words = b"".join(filter(None, (stream.next_words() for _ in packets)))
     assert words == b"\x01\x80\x02\x60\x05\x00\x03\x28"
 

@@ -263,7 +263,7 @@ def test_a_board_that_is_mute_at_opening_is_reset(peer, clock) -> None:
 
 
 def test_a_board_that_stays_mute_is_told_with_every_cause(peer, clock, monkeypatch) -> None:
-    monkeypatch.setattr(grbl_controller, "_WAKE_SILENCES", 3)
+    monkeypatch.setattr(grbl_controller, "WAKE_SILENCES", 3)
     monkeypatch.setattr(peer, "write", lambda data: None)
     with pytest.raises(ReplyTimeout, match="a reset brings no welcome message") as caught:
         GrblStage(peer, axes(), clock=clock)

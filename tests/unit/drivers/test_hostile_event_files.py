@@ -273,7 +273,7 @@ def test_events_are_read_and_written_piece_by_piece(tmp_path, monkeypatch):
 
     from drivers.camera.formats import event_import
 
-    monkeypatch.setattr(event_import, "_PIECE_EVENTS", 700)
+    monkeypatch.setattr(event_import, "PIECE_EVENTS", 700)
     plain(tmp_path / "a.h5").close()
     with open_events(tmp_path / "a.h5") as source:
         assert [len(piece.t) for piece in source.pieces()] == [700, 700, 700, 700, 200]

@@ -49,7 +49,7 @@ class Recorder:
 def test_no_flow_control_is_on_whatever_the_system(monkeypatch, system, leaves_dtr_alone) -> None:
     """On Windows pyserial's ``dsrdtr`` makes each byte wait for DSR, which most USB adapters never raise."""
     recorder = Recorder()
-    monkeypatch.setattr(serial_port, "_SYSTEM", system)
+    monkeypatch.setattr(serial_port, "SYSTEM", system)
     monkeypatch.setattr(serial_port.serial, "serial_for_url", recorder)
     SerialPort("COM3", baudrate=9600)
     assert bool(recorder.settings.get("dsrdtr")) == leaves_dtr_alone

@@ -169,10 +169,10 @@ def bag(path, version, rows, kind):
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    from drivers.camera.formats.library_reader import _DEFINITIONS
+    from drivers.camera.formats.library_reader import DEFINITIONS
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    for name, text in _DEFINITIONS.items():
+    for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](sec=ORIGIN_US // 1_000_000, nanosec=0)

@@ -15,7 +15,7 @@ LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 
 
 def test_a_silent_controller_does_not_keep_the_others_moving(clock, monkeypatch) -> None:
-    monkeypatch.setattr(ximc, "_REPLY_S", 0.2)
+    monkeypatch.setattr(ximc, "REPLY_S", 0.2)
     peers = [XimcPeer(clock, 1, "a"), XimcPeer(clock, 2, "b")]
     axes = [
         XimcAxis(name=name, port="", serial="", steps_per_deg=80.0, limits=LIMITS) for name in ("pan", "tilt")

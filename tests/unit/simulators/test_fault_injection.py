@@ -274,10 +274,10 @@ def test_an_order_that_makes_no_sense_here_names_its_key(bench: Bench, text, whe
 @pytest.mark.parametrize("kind", ["stall", "limit", "restart", "stop_short", "slip", "creep"])
 def test_a_fault_of_a_motion_waits_for_it(bench: Bench, kind):
     fault_action(fault_order({"device": "tilt", "fault": kind, "skip": 2}), bench.parts)()
-    armed = bench.parts.axes["tilt"].axis._armed
+    armed = bench.parts.axes["tilt"].axis.armed
     assert armed is not None
     assert (armed.kind, armed.skip) == (kind, 2)
-    assert bench.parts.axes["pan"].axis._armed is None
+    assert bench.parts.axes["pan"].axis.armed is None
 
 
 @pytest.mark.parametrize("kind", [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from inner_loops import from_python
 
+from simulators.pixels import pixel_reset
 from simulators.pixels import square_tail as tail
 from simulators.pixels.pixel_noise import reset_error as inner_reset_error
 from simulators.pixels.pixel_reset import reset_row as inner_reset_row
@@ -23,13 +24,17 @@ WIDTH = 640
 
 @pytest.mark.parametrize("together", [4, WIDTH])
 @pytest.mark.parametrize("reset_noise", [0.0, 0.01])
-def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(together, reset_noise):
+def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(together, reset_noise, monkeypatch):
     noise = NoiseTruth(mismatch=0.0, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=reset_noise)
     sensor = Sensor(WIDTH, 1, noise=noise)
     # Lights that just reach an ON threshold of 25 % from the dark, and some that do not.
     scene = np.linspace(0.02776, 0.0278, WIDTH, dtype=np.float32)[None]
+    given, start_pixels = [], pixel_reset.start_pixels
+    monkeypatch.setattr(
+        pixel_reset, "start_pixels", lambda *parts: given.append(parts) or start_pixels(*parts)
+    )
     sensor.begin(scene, SQUARE, 0.0)
-    px, drive, ro, random = sensor._pixels, sensor._drive, sensor._readout, sensor._random
+    ((px, drive, ro, _, _, random),) = given
     gains = px.gains[0, :, GAINS]
     on_gain, off_gain = (gains & 0xFFFF) / 65536.0, (gains >> 16) / 65536.0
     worst, flat = 0.0, 0

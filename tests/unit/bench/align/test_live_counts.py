@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from bench.align.live_image import LiveSetting, count_slice, read_image, whole_periods
+from bench.align.live_image import LiveSetting, count_slice, measure_signal, read_image, whole_periods
 from bench.stations.station import load_station
+from calib.events.event_image import make_images
 from drivers.camera.raw_file import RawFile
 from simulators.pixels.evt3_writer import Evt3Writer
 from tests.support.live_slices import HEADER, bench, drive, seen, write_slice
@@ -44,11 +45,10 @@ def test_the_image_by_counts_is_that_of_the_events(tmp_path, waveform):
     path = write_slice(tmp_path / "slice.raw", seen(bench()), light=drive(waveform=waveform), periods=2)
     quick = read_image(path, SETTING, compare=False)
     raw = RawFile.open(path)
-    from bench.align.live_image import _images, measure_signal
-
     events, triggers = raw.read()
     signal = measure_signal(events, triggers, 1, 60.0)
-    exact = _images(events, (raw.width, raw.height), signal).best()
+    size, window_us = (raw.width, raw.height), (0.0, float(events.t[-1]) + 1.0)
+    exact = make_images(*events, size, signal.flicker, window_us=window_us).best()
     assert quick.kind == {"fired-per-edge": "fired-per-edge", "lock-in": "events-per-edge"}[exact.name]
     assert np.corrcoef(quick.values[::3, ::3].ravel(), exact.image[::3, ::3].ravel())[0, 1] > 0.97
     assert quick.signal.trigger_hz == pytest.approx(signal.trigger_hz)

@@ -7,7 +7,7 @@ import time
 
 import httpx
 import pytest
-from align_fakes import fake_session, wait_until
+from align_fakes import FakeDevices, fake_session, wait_until
 
 from bench.align import serve
 from bench.base.errors import ScriptError, UsageError
@@ -77,13 +77,11 @@ def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(monkeypat
 
 
 def test_a_busy_camera_is_named_and_the_page_stays(monkeypatch, capsys):
-    session, _ = fake_session()
-    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
-
     def opener(*_):
         raise CameraBusy("another program holds it.", where="camera", remedy="Close that program.")
 
-    session._opener = opener
+    session, _ = fake_session(opener=opener)
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     _interrupt_when(lambda: session.state()["devices"]["state"] == "failed")
     assert serve.align_on_page("simulated", token=None, open_browser=False) == 0
     out = capsys.readouterr().out
@@ -92,15 +90,9 @@ def test_a_busy_camera_is_named_and_the_page_stays(monkeypatch, capsys):
 
 
 def test_the_page_answers_while_the_devices_open(monkeypatch):
-    session, devices = fake_session()
-    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     release, answers = threading.Event(), []
-
-    def opener(*_):
-        release.wait(5)
-        return devices
-
-    session._opener = opener
+    session, _ = fake_session(opener=lambda *_: release.wait(5) and FakeDevices())
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     urls = []
     monkeypatch.setattr(serve, "announce_url", urls.append)
 

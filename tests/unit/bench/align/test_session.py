@@ -11,6 +11,7 @@ from bench.align import live_loop
 from bench.align.controls import StageControl
 from bench.align.live_figures import LiveFigures
 from bench.align.live_loop import with_signal_of
+from bench.align.meter import MeterHere
 from bench.base.errors import ControlRefused
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 
@@ -34,11 +35,19 @@ def test_opening_moves_nothing_and_switches_nothing_on(opened):
     assert devices.light.calls == []
 
 
-def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened):
+def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened, monkeypatch):
     session, devices = opened
-    assert session._setting().gates.max_event_rate_mev_s == 200.0
+    limits, measure = [], MeterHere.measure
+    monkeypatch.setattr(
+        MeterHere,
+        "measure",
+        lambda meter, part, setting: (
+            limits.append(setting.gates.max_event_rate_mev_s) or measure(meter, part, setting)
+        ),
+    )
+    wait_until(lambda: limits == [200.0])
     session.light(waveform="sine")
-    assert session._setting().gates.max_event_rate_mev_s == 500.0
+    wait_until(lambda: limits[-1] == 500.0)
     assert session.bench.stage.known_deg() == {"pan": 0.0, "tilt": 0.0}
     devices.stage.homed = False
     session.bench.stage.look()
@@ -317,17 +326,15 @@ def test_a_camera_that_was_lost_confirms_nothing():
 
 
 def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
-    devices = FakeDevices()
-    session, _ = fake_session(devices)
     answers = [CameraBusy("another program holds it.", where="camera", remedy="Close that program."), None]
 
     def opener(*_):
         error = answers.pop(0)
         if error:
             raise error
-        return devices
+        return FakeDevices()
 
-    session._opener = opener
+    session, _ = fake_session(opener=opener)
     failure = session.open()
     assert failure is not None
     assert failure.remedy == "Close that program."
@@ -356,7 +363,7 @@ def test_nothing_is_left_in_the_temporary_folder_after_a_fault(opened, tmp_path)
 
 def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
     monkeypatch.setattr(live_loop, "SIGNAL_EVERY_S", 0.5)
-    monkeypatch.setattr(live_loop, "_SHORTEST_S", 0.02)
+    monkeypatch.setattr(live_loop, "SHORTEST_S", 0.02)
     session, devices = opened
     lengths = []
     record = devices.camera.record

@@ -8,7 +8,7 @@ from bench.align import live_loop as slice_folder
 
 
 def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(slice_folder, "_MEMORY", tmp_path)
+    monkeypatch.setattr(slice_folder, "MEMORY", tmp_path)
     ended = subprocess.run(
         [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True, text=True
     )
@@ -26,6 +26,6 @@ def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, m
 
 
 def test_without_room_in_memory_the_folder_is_on_the_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr(slice_folder, "_MEMORY", tmp_path / "none")
+    monkeypatch.setattr(slice_folder, "MEMORY", tmp_path / "none")
     monkeypatch.setattr(slice_folder.tempfile, "gettempdir", lambda: str(tmp_path))
     assert slice_folder.make_slice_folder().parent == tmp_path

@@ -94,13 +94,12 @@ def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
     assert ended == ["a-001", "b-001", "c-001"]
 
 
-def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path, monkeypatch):
+def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path):
     jobs = queue(("a", ""), ("b", ""), ("c", ", times: 10"))
     with pytest.raises(KeyboardInterrupt):
         night(tmp_path, jobs, "finished", KeyboardInterrupt())[0].run()
-    batch, workers = night(tmp_path, jobs)
     said = []
-    monkeypatch.setattr(batch, "_say", lambda line: said.append((line, len(workers.begun))))
+    batch, workers = night(tmp_path, jobs, say=lambda line: said.append((line, len(workers.begun))))
     batch.run()
     fresh = ", ".join(f"c-00{n}" for n in range(1, 9))
     will_do = f"1 of 12 runs are done; to resume: b-001; to begin: {fresh} and 2 more."
@@ -251,8 +250,10 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     monkeypatch.setattr(
         "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
     )
-    batch, workers = night(tmp_path, top, clock=clock)
-    monkeypatch.setattr(batch, "_work", lambda *words: seen.append(words[0].key) or workers(*words))
+    workers = Workers(clock)
+    batch = Batch(
+        tmp_path, top, clock, lambda _: None, lambda *words: seen.append(words[0].key) or workers(*words)
+    )
     assert batch.run()["how"] == "finished"
     assert seen[:2] == ["wait for a-001", "make safe a-001"]
     assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]

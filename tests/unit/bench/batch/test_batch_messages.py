@@ -12,10 +12,12 @@ from bench.batch.batch import BatchMessages
 from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
+from bench.messaging.messages import channels_of
 from bench.messaging.outbox import Message, Outbox
 from bench.records.journal import Journal
 from bench.records.run_facts import Estimate
 from bench.results.trends import Trend, agreement
+from bench.stations.station import load_station
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"
@@ -60,8 +62,10 @@ def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messa
         key = journal.append("run_ended", how="failed", why="so").hash
     words = station(tmp_path)
     messages.add_recipients([words])
-    (courier,) = messages._couriers.values()
-    outbox.put(Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()), courier._channels)
+    outbox.put(
+        Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()),
+        channels_of(load_station(words).value.messages),
+    )
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
     assert told(outbox) == [("failure", "by itself")]
 

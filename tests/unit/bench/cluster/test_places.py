@@ -140,10 +140,10 @@ def test_the_small_files_of_a_run_are_read_side_by_side(memory_runs, run, monkey
     url, system = memory_runs
     place = Place(f"{url}/run1")
     slow = Slow(system, 3)
-    monkeypatch.setattr("bench.cluster.tasks._file_system", lambda _: (slow, "/bench/run1"))
+    monkeypatch.setattr("bench.cluster.tasks.file_system", lambda _: (slow, "/bench/run1"))
     assert list_recordings(place, TASK) == list_recordings(Place(str(run)), TASK)
     one_by_one = Slow(system, 1, async_impl=False)  # its threads may not share it
-    monkeypatch.setattr("bench.cluster.tasks._file_system", lambda _: (one_by_one, "/bench/run1"))
+    monkeypatch.setattr("bench.cluster.tasks.file_system", lambda _: (one_by_one, "/bench/run1"))
     with place.folder(only=["journal.jsonl", "plan.json"]) as copy:
         assert sorted(path.name for path in copy.iterdir()) == ["journal.jsonl", "plan.json"]
 
@@ -154,7 +154,7 @@ def test_folders_are_looked_into_side_by_side(memory_runs, monkeypatch):
     monkeypatch.setattr(
         real, "exists", lambda path: path != "/bench/journal.jsonl" and Slow.exists(real, path)
     )
-    monkeypatch.setattr("bench.cluster.tasks._file_system", lambda _: (real, "/bench"))
+    monkeypatch.setattr("bench.cluster.tasks.file_system", lambda _: (real, "/bench"))
     assert [place.base_name for place in find_places([url])] == [f"run{number}" for number in range(8)]
 
 

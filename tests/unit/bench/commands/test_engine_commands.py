@@ -277,7 +277,7 @@ def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, evk4_r
 
 def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
     from bench.records.journal import Journal
-    from bench.results.view_sources import _refuse_truncated
+    from bench.results.view_sources import refuse_truncated
     from drivers.errors import RecordingCorrupt
 
     path = tmp_path / "captures" / "pose-001-attempt-1.raw"
@@ -289,7 +289,7 @@ def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
         journal.append(
             "capture_stored", capture="captures/pose-001-attempt-1.raw", size=size, sha256="0" * 64
         )
-    _refuse_truncated(path)
+    refuse_truncated(path)
     path.write_bytes(path.read_bytes()[:-2])
     with pytest.raises(RecordingCorrupt, match=f"incomplete: {size} bytes were recorded"):
-        _refuse_truncated(path)
+        refuse_truncated(path)

@@ -84,7 +84,7 @@ def authorised(run, home, tmp_path, monkeypatch):
     from bench.commands import verify as verify_command
 
     monkeypatch.setattr(
-        verify_command, "derivations", lambda *_, **__: {"run": [verify_command._check_authorisation]}
+        verify_command, "derivations", lambda *_, **__: {"run": [verify_command.check_authorisation]}
     )
     path = make_key(tmp_path)
     call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")

@@ -43,9 +43,9 @@ def bench(tmp_path, monkeypatch):
     ledger = Ledger(tmp_path / "home", utc_now=lambda: LATER, monotonic=lambda: 0.0)
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch.object(certificate, "_verify", verified),
+        mock.patch.object(certificate, "verify_sealed", verified),
         mock.patch.object(certificate, "datetime", LaterClock),
-        mock.patch.object(certificate, "_ledger", return_value=ledger),
+        mock.patch("bench.records.ledger.bench_ledger", return_value=ledger),
         mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
     ):
         yield tmp_path
@@ -104,7 +104,7 @@ def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
 
 def test_a_certificate_that_was_complete_cannot_be_void(bench):
     with (
-        mock.patch.object(issue_module, "_enter", side_effect=BenchError("killed")),
+        mock.patch.object(issue_module, "enter_issued", side_effect=BenchError("killed")),
         pytest.raises(BenchError),
     ):
         run("issue", "run", "-c", "lab.yaml", "-o", "first")

@@ -212,7 +212,7 @@ def test_a_failure_leaves_the_folder_as_it_was(sealed_once, tmp_path, monkeypatc
     shutil.copytree(sealed_once, folder)
     before = modes(folder)
     if named:
-        monkeypatch.setattr(seal, "_write_and_link", seal._write_and_rename)
+        monkeypatch.setattr(seal, "write_and_link", seal.write_and_rename)
 
     def fail(*_, **__):
         raise OSError(28, "No space left on device")

@@ -17,7 +17,7 @@ from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
 from bench.evidence.sshsig import encode_public_key, is_valid, read_signature, sign
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
-from bench.run.launch import _seal_finished
+from bench.run.launch import seal_finished
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
@@ -283,6 +283,6 @@ def test_a_finished_run_without_results_is_sealed_when_it_is_taken_up_again(make
     with make_run(tmp_path / "run") as folder:
         (folder.path / "results.json").unlink()
         with Journal.open(folder.journal_path, **clocks) as journal:
-            end = _seal_finished(folder, journal, key)
+            end = seal_finished(folder, journal, key)
     assert (end.how, end.outcome) == ("finished", None)
     assert (tmp_path / "run" / "SHA256SUMS.sig").exists()

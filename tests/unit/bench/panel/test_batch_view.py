@@ -7,7 +7,7 @@ import json
 from journals import MadeRun
 
 from bench.panel import panel_app
-from bench.panel.panel_app import BatchView, _failures_first
+from bench.panel.panel_app import BatchView
 
 QUEUE = """\
 format: starbench/queue/1
@@ -49,12 +49,14 @@ def test_a_damaged_batch_says_so(tmp_path):
     assert "does not match its hash" in json.loads(BatchView(batch.folder).text()[0])["fault"]
 
 
-def test_failures_come_first_and_what_has_not_begun_last():
+def test_failures_come_first_and_what_has_not_begun_last(tmp_path, monkeypatch):
     items = [
         {"item": str(n), "how": how}
         for n, how in enumerate(("finished", "not begun", "died", "aborted", "failed"))
     ]
-    assert [item["how"] for item in _failures_first(items)] == [
+    monkeypatch.setattr(panel_app, "summarise", lambda *_: {"items": items})
+    shown = json.loads(BatchView(_batch(tmp_path).folder).text()[0])
+    assert [item["how"] for item in shown["items"]] == [
         "died",
         "failed",
         "finished",

@@ -12,7 +12,9 @@ import pytest
 from journals import MadeRun, at_work
 from pages import served
 
+from bench.base.clock import Aborted
 from bench.panel.panel_app import Panel, panel_app
+from bench.panel.run_model import JournalTail
 from bench.records.journal import read_journal
 from bench.web.guard import PageToken
 
@@ -158,15 +160,13 @@ def test_twenty_pages_read_the_journal_once(run, monkeypatch):
         try:
             for stream in streams:
                 stream.until(lambda m: m["head"]["accepted"] == 1)
-            assert len(panel._watcher._watches) == 1
-            model = next(iter(panel._watcher._watches.values())).model
-            reads = []
-            real = model.tail.read
-            monkeypatch.setattr(model.tail, "read", lambda: reads.append(1) or real())
+            reads, real = [], JournalTail.read
+            monkeypatch.setattr(JournalTail, "read", lambda tail: reads.append(tail) or real(tail))
             run.record(2)
             for stream in streams:
                 stream.until(lambda m: m["head"]["accepted"] == 2)
             assert len(reads) <= 4
+            assert len(set(reads)) == 1
         finally:
             for answer in answers:
                 answer.__exit__(None, None, None)
@@ -271,9 +271,10 @@ def test_an_abort_needs_two_steps(run, server):
         answer = _post(server, {"word": "abort", "by": "Ada"})
         assert answer.status_code == 400
         assert "must be confirmed" in answer.json()["error"]["what"]
-        assert clock._stop is None
+        clock.check()
         assert _post(server, {"word": "abort", "by": "Ada", "confirm": "abort"}).json()["taken"]
-        assert clock._stop == "abort by Ada"
+        with pytest.raises(Aborted, match="abort by Ada"):
+            clock.check()
 
 
 def test_a_question_is_answered(run, server):
@@ -334,12 +335,11 @@ def test_the_panel_writes_nothing_but_commands(run, server):
     assert {path: path.stat().st_mtime_ns for path in run.folder.rglob("*")} == before
 
 
-def test_no_thread_and_no_process_remains(run):
+def test_no_thread_and_no_process_remains(run, children):
     before = set(threading.enumerate())
     panel = Panel(run.folder.parent)
     with served(panel.app()) as server, streamed(server, "api/run/run7/events") as stream:
         stream.next()
     left = {thread for thread in set(threading.enumerate()) - before if thread.name == "journals"}
     assert not left
-    assert panel._helper._process is None
-    assert panel._background._process is None
+    assert all(child.poll() is not None for child in children)

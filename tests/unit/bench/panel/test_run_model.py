@@ -107,7 +107,7 @@ def test_the_head_counts(run):
 
 def test_the_verdict_of_a_recording_is_never_that_of_another_one(run):
     run.record(1)
-    lines = list(run._pose_lines(2, 1, True, 9))
+    lines = list(run.pose_lines(2, 1, True, 9))
     with run.path.open("ab") as stream:
         stream.writelines(lines[:5])  # stored, not checked yet
     last = _head(run)["last"]

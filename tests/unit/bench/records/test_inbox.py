@@ -82,9 +82,10 @@ def test_a_poller_calls_until_it_is_closed_and_passes_on_an_error_once():
     def fail():
         raise ValueError("broken")
 
-    failing = Poller(fail, errors.append, name="test", period_s=0.001)
+    told = threading.Event()
+    failing = Poller(fail, lambda error: (errors.append(error), told.set()), name="test", period_s=0.001)
     failing.start()
-    failing._thread.join(10)
+    assert told.wait(10)
     failing.close()
     assert [str(error) for error in errors] == ["broken"]
     assert len(calls) == count

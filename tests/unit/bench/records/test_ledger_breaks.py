@@ -218,7 +218,7 @@ def test_a_second_place_that_cannot_be_used_is_a_warning_and_stops_nothing(ledge
         anchor.unlink()
         anchor.mkdir()
     denied = PermissionError(13, "denied", str(anchor)) if spoil == "read-only" else None
-    with mock.patch("bench.records.ledger_marks._drop_torn_line", side_effect=denied):
+    with mock.patch("bench.records.ledger_marks.drop_torn_line", side_effect=denied):
         place = begin(ledger, strict=True)
     assert place["number"] == 2
     assert str(anchor) in " ".join(ledger.warnings)
@@ -228,7 +228,7 @@ def test_a_second_place_that_never_answers_is_a_warning(ledger, anchor):
     runs(ledger, 1, anchor=str(anchor))
     with (
         mock.patch("bench.records.ledger_marks.ANCHOR_PATIENCE_S", 0.05),
-        mock.patch("bench.records.ledger_marks._drop_torn_line", side_effect=lambda _: time.sleep(0.3)),
+        mock.patch("bench.records.ledger_marks.drop_torn_line", side_effect=lambda _: time.sleep(0.3)),
     ):
         begin(ledger)
     assert "does not answer" in " ".join(ledger.warnings)

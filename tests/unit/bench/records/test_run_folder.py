@@ -8,6 +8,7 @@ import subprocess
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -89,7 +90,7 @@ def test_no_permission_is_told(tmp_path, monkeypatch):
 
 
 def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
-    monkeypatch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(10**9, 10**9, 5_000_000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=5_000_000))
     with pytest.raises(StorageError, match=r"needs 80 MB, but the disk has only 5 MB left"):
         RunFolder.create(tmp_path / "run", bytes_needed=80_000_000)
 
@@ -350,7 +351,7 @@ def test_capture_entries_without_a_hash_are_refused(run, journal):
 
 
 def test_the_reserve_s_size_counts_as_needed(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_folder_module, "_RESERVE_BYTES", 10**15)
+    monkeypatch.setattr(run_folder_module, "RESERVE_BYTES", 10**15)
     with pytest.raises(StorageError, match="Make room"):
         RunFolder.create(tmp_path / "run")
 

@@ -53,7 +53,7 @@ def test_a_run_states_the_package_of_each_plugin_that_its_station_uses(brought, 
 def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkeypatch):
     monkeypatch.setattr(
         results_content,
-        "_used",
+        "used_plugins",
         lambda _: [Plugin("stage", "x", "program 6", None, distribution="program", version="6")],
     )
     assert run_software(station)["program"] == software()["program"]

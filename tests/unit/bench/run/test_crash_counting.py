@@ -28,14 +28,14 @@ def crashed(tmp_path, monkeypatch):
         journal.append(Event.ENTERING, state="slewing", pose=1)
     write_crash_log(tmp_path / "run", "Fatal Python error: Segmentation fault")
     job = SimpleNamespace(station=None)
-    monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (job, replay(entries)))
+    monkeypatch.setattr(launch, "job_of", lambda _folder, entries: (job, replay(entries)))
     monkeypatch.setattr(launch, "run_software", lambda _station: {})
     monkeypatch.setattr(launch, "intentions", lambda *_: [])
     monkeypatch.setattr(
         launch, "ledger_of", lambda _: SimpleNamespace(home=tmp_path / "home", end=lambda *_, **__: None)
     )
     monkeypatch.setattr(launch, "enter_in_ledger", lambda _ledger, _job, _folder, known: known)
-    monkeypatch.setattr(launch, "_run_and_seal", lambda *_, **__: SimpleNamespace(how="finished"))
+    monkeypatch.setattr(launch, "run_and_seal", lambda *_, **__: SimpleNamespace(how="finished"))
     return tmp_path / "run"
 
 

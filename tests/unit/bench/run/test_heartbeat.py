@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -34,12 +35,29 @@ class StandingClock(BenchClock):
         return self.quiet
 
 
+class Pulse(HeartbeatWriter):
+    """Heartbeats of work that entered its state long ago."""
+
+    def __init__(self, folder, monkeypatch):
+        self.ahead_s, self.bench_clock = 0.0, StandingClock()
+        times = SimpleNamespace(
+            monotonic=lambda: time.monotonic() + self.ahead_s, monotonic_ns=time.monotonic_ns
+        )
+        monkeypatch.setattr(heartbeat, "time", times)
+        super().__init__(folder, self.bench_clock)
+        self.ahead_s = 10_000.0
+
+    def since_long(self, state, quiet_s):
+        """Entered a state long ago; nothing has asked the clock for so long."""
+        self.entering(state)
+        self.ahead_s += 10_000.0
+        self.bench_clock.quiet = quiet_s
+
+
 @pytest.fixture
-def pulse(tmp_path):
+def pulse(tmp_path, monkeypatch):
     (tmp_path / CONTROL).mkdir()
-    pulse = HeartbeatWriter(tmp_path, StandingClock())
-    pulse._since_s -= 10_000.0  # the state was entered long ago
-    return pulse
+    return Pulse(tmp_path, monkeypatch)
 
 
 def moments(pulse, folder):
@@ -57,27 +75,27 @@ def test_heartbeats_are_written_while_the_work_waits_or_checks(pulse, tmp_path):
 
 @pytest.mark.parametrize("state", ["slewing", "recording", "homing", "aborting", "parking"])
 def test_no_heartbeat_is_written_for_a_driver_that_never_returns(pulse, tmp_path, state):
-    pulse._state, pulse._clock.quiet = state, 0.6
+    pulse.since_long(state, 0.6)
     assert not moments(pulse, tmp_path)
 
 
 @pytest.mark.parametrize("state", ["checking", "choosing", "solving", "reporting", "preflight", "holding"])
 def test_work_in_a_slow_state_may_take_long_but_not_for_ever(pulse, tmp_path, state):
-    pulse._state, pulse._clock.quiet = state, 500.0
+    pulse.since_long(state, 500.0)
     assert moments(pulse, tmp_path)
-    pulse._clock.quiet = 601.0
+    pulse.bench_clock.quiet = 601.0
     assert not moments(pulse, tmp_path)
 
 
 def test_the_stall_limit_begins_anew_with_each_state(pulse, tmp_path):
-    pulse._clock.quiet = 60.0  # a long calculation lies behind
+    pulse.bench_clock.quiet = 60.0  # a long calculation lies behind
     pulse.entering("parking")
     assert moments(pulse, tmp_path)
 
 
 @pytest.mark.parametrize(("letter", "given"), [("D", True), ("S", False), ("R", False)])
 def test_waiting_for_the_disk_is_not_a_stall(pulse, tmp_path, monkeypatch, letter, given):
-    pulse._state, pulse._clock.quiet = "recording", 30.0
+    pulse.since_long("recording", 30.0)
     stat = tmp_path / "12" / "task" / "12" / "stat"
     stat.parent.mkdir(parents=True)
     stat.write_text(f"12 (python (x)) {letter} 1 1 1")
@@ -97,13 +115,13 @@ def test_a_clock_is_inactive_only_while_nothing_waits_or_checks():
 
 def test_a_shielded_wait_reads_the_time_and_counts_as_activity():
     clock = BenchClock()
-    clock._asked_s -= 100.0
+    time.sleep(0.05)
     watcher = threading.Thread(target=clock.monotonic)  # not the work's own asking
     watcher.start()
     watcher.join()
-    assert clock.inactive_s() >= 100.0
+    assert clock.inactive_s() >= 0.05
     clock.monotonic()
-    assert clock.inactive_s() < 100.0
+    assert clock.inactive_s() < 0.05
 
 
 @pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4 5 6", b"\xff\xfe"])

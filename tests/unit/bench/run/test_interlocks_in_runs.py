@@ -8,6 +8,7 @@ from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.run.interlocks import Interlocks
+from bench.run.run_messages import HoldNotifier
 from bench.run.status import read_status, status_text
 
 
@@ -146,13 +147,16 @@ def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, 
                 sleep(clock, 601)
 
     def hook(name):
-        scene.runner._hold_notifier._notify = lambda *words: told.append(words)
         if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
             sensor.write_text("0")
         scene.runner.context.interlocks.check_door()
 
     scene.hook = hook
     monkeypatch.setattr(VirtualClock, "sleep", closing)
+    monkeypatch.setattr(
+        "bench.run.runner.HoldNotifier",
+        lambda clock, _notify: HoldNotifier(clock, lambda *words: told.append(words)),
+    )
     assert scene.run().how == "finished"
     assert len(scene.told(Event.INTERLOCK_RELEASED)) == 6
     assert [occasion for occasion, _, _ in told] == ["hold", "hold"]

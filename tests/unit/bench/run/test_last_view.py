@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from bench.run.control import _inbox_of
+from bench.run.control import inbox_of
 from bench.run.heartbeat import CONTROL, LAST_VIEW, leave_view, read_last_view
 from bench.views.measure import Measurement, StoredImage
 from calib.target import StarTarget
@@ -38,7 +38,7 @@ def test_a_picture_is_left_and_read_again(tmp_path):
 def test_it_is_no_command_and_stays_in_the_inbox(tmp_path):
     (tmp_path / CONTROL).mkdir()
     leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    _inbox_of(tmp_path).drain(lambda *_: pytest.fail("the picture was taken for a command"))
+    inbox_of(tmp_path).drain(lambda *_: pytest.fail("the picture was taken for a command"))
     assert (tmp_path / CONTROL / LAST_VIEW).exists()
 
 

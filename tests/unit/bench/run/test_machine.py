@@ -29,7 +29,7 @@ class Told:
 
 def machine_in(state, work=None, told=None):
     machine = RunMachine(work or {}, Told(told))
-    machine._machine.set_state(state)
+    machine.state = state
     return machine
 
 

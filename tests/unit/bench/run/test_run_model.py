@@ -181,9 +181,9 @@ class Life(RuleBasedStateMachine):
         life = self
 
         class Mortal(UnsyncedJournal):
-            def _put(self, event, data, *, synced):
+            def put(self, event, data, *, synced):
                 life._see_whether_dead()
-                return super()._put(event, data, synced=synced)
+                return super().put(event, data, synced=synced)
 
         return Mortal
 

@@ -143,7 +143,7 @@ def test_only_a_token_that_was_made_stands_in_the_printed_address_and_the_browse
     "begun", [b"", b"GET / HTTP/1.1\r\nHost: 127", b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\nGET /"]
 )
 def test_a_head_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
-    monkeypatch.setattr("bench.web.server._HEAD_S", 1.0)
+    monkeypatch.setattr("bench.web.server.HEAD_S", 1.0)
     with (
         served(_Counter().app()) as server,
         socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as half,
@@ -160,7 +160,7 @@ def test_a_head_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
 
 
 def test_a_body_that_does_not_end_is_answered(monkeypatch):
-    monkeypatch.setattr("bench.web.pages._BODY_S", 0.2)
+    monkeypatch.setattr("bench.web.pages.BODY_S", 0.2)
 
     async def read(request):
         return JSONResponse(await read_object(request))

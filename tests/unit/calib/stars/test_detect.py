@@ -253,10 +253,8 @@ def test_a_tag_that_is_cut_is_not_searched_in_pictures_of_full_size(monkeypatch,
     if not cut:
         cv2.circle(image, scene.project(TARGET.tag_corners_mm)[0].round().astype(int).tolist(), 30, 0.5, -1)
     searched = []
-    read_tags = tag_module._read_tags
-    monkeypatch.setattr(
-        tag_module, "_read_tags", lambda *given: searched.append(given[1]) or read_tags(*given)
-    )
+    real = tag_module.read_tags
+    monkeypatch.setattr(tag_module, "read_tags", lambda *given: searched.append(given[1]) or real(*given))
     seen = detect_stars(image, TARGET)
     assert seen.named_by == "part of the tag"
     assert min(searched) == 0.25

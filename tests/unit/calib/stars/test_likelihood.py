@@ -62,7 +62,9 @@ def test_edges_along_the_pixel_grid_have_less_weight(monkeypatch):
     image, centres, shape = stars(0.4)
     start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
     weighted = refine_by_likelihood(quantise(image), start, shape, TARGET)
-    monkeypatch.setattr(star_likelihood, "_overdispersion", lambda score, fisher: np.ones(TARGET.segments))
+    monkeypatch.setattr(
+        star_likelihood, "overdispersion_of_edges", lambda score, fisher: np.ones(TARGET.segments)
+    )
     alike = refine_by_likelihood(quantise(image), start, shape, TARGET)
     assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
 

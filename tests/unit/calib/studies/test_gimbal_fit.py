@@ -135,6 +135,6 @@ def test_an_error_that_all_poses_share_does_not_blur_one_of_them():
     covariance = np.kron(common**2 * np.ones((poses, poses)) + own**2 * np.eye(poses), np.eye(3))
     seen = SimpleNamespace(covariance=covariance)
     null = SimpleNamespace(kept=np.arange(poses))
-    sigma = gimbal_faults._sigma_of_pose(seen, null, 2, 0.0)
+    sigma = gimbal_faults.sigma_of_pose(seen, null, 2, 0.0)
     # The mean of five others is known to own / sqrt(5).
     assert sigma == pytest.approx(own * np.sqrt(1 + 1 / 5), rel=0.01)

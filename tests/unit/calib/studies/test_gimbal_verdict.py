@@ -74,7 +74,7 @@ def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
 
 
 def test_without_its_test_the_search_claims_faults_that_are_not_there(monkeypatch):
-    monkeypatch.setattr(gimbal_faults, "_FALSE_ALARMS", 2.0)
+    monkeypatch.setattr(gimbal_faults, "FALSE_ALARMS", 2.0)
     monkeypatch.setattr(gimbal_faults, "INCONSISTENT", 2.0)
     found = [judged(draw_gimbal(seed, **NINE, **BIASED)) for seed in (20, 21)]
     assert any(each.claimed_faults for each in found)

@@ -10,7 +10,7 @@ import sequences
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map
-from calib.studies.parallax import PupilWalk, _mean_of_axes, pupil_walk
+from calib.studies.parallax import PupilWalk, mean_of_axes, pupil_walk
 from calib.view import RimPoints, View
 
 R_MM, HALF_FRAME = 255.0, np.array([48.8, 27.4])
@@ -160,7 +160,7 @@ def test_the_parallax_follows_from_the_defocus():
 
 
 def test_correlated_errors_do_not_place_the_mean_beyond_both_values():
-    value, sigma = _mean_of_axes(np.array([51.7, 33.8]), np.array([[85.0, 120.0], [120.0, 340.0]]))
+    value, sigma = mean_of_axes(np.array([51.7, 33.8]), np.array([[85.0, 120.0], [120.0, 340.0]]))
     assert (value, sigma) == pytest.approx((51.7, np.sqrt(85.0)))
-    value, sigma = _mean_of_axes(np.array([3.0, 5.0]), np.diag([1.0, 3.0]))
+    value, sigma = mean_of_axes(np.array([3.0, 5.0]), np.diag([1.0, 3.0]))
     assert (value, sigma) == pytest.approx((3.5, np.sqrt(0.75)))

@@ -144,7 +144,7 @@ def old_firmware(devices, monkeypatch):
     """A camera that the maker's software leaves out, saying why on standard error, once in a process."""
     devices.clear()
     hal, said = sys.modules["metavision_hal"], []
-    monkeypatch.setattr(metavision_discovery, "_old", set())
+    monkeypatch.setattr(metavision_discovery, "refused_firmware", set())
 
     def looked(answer):
         if not said:

@@ -160,13 +160,15 @@ def test_no_time_at_all_is_refused(camera, tmp_path, duration_s):
         camera.record(tmp_path / "pose.raw", duration_s)
 
 
-def test_work_is_seen_to_go_on_while_a_long_recording_is_scanned(camera, tmp_path, monkeypatch):
+def test_work_is_seen_to_go_on_while_a_long_recording_is_scanned(camera, clock, tmp_path, monkeypatch):
     path, asked = tmp_path / "pose.raw", []
-    camera.record(path, 0.01)
-    words, monotonic = RawFile.words, camera._clock.monotonic
+    words, scan = RawFile.words, RawFile.scan
     monkeypatch.setattr(RawFile, "words", lambda file: words(file, piece_words=8))
-    monkeypatch.setattr(camera._clock, "monotonic", lambda: asked.append(1) or monotonic())
-    camera._scan(path)
+    monkeypatch.setattr(
+        RawFile, "scan", lambda file, now: scan(file, lambda: asked.append(now == clock.monotonic))
+    )
+    camera.record(path, 0.01)
+    assert all(asked)
     assert len(asked) == len(list(RawFile.open(path).words())) > 3
 
 
