@@ -4,6 +4,11 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && command -v $$p && break; done)
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+PIP_OF_PYTHON := -c 'import ensurepip, glob, os, sysconfig; \
+	print(*glob.glob((sysconfig.get_config_var("WHEEL_PKG_DIR") or os.path.dirname(ensurepip.__file__) + "/_bundled") + "/pip-*.whl"))'
+# Libraries are installed without bytecode: the first process that imports a module keeps it for all others.
+unexport PYTHONDONTWRITEBYTECODE
 OUTPUT ?= runs/demo
 SEED ?= 1
 # An editable install holds a copy of these files (docs/decisions/0025).
@@ -17,12 +22,15 @@ help: ## say what there is
 
 $(VENV)/made:
 	@test -n "$(PYTHON)" || { echo "Starbench needs Python 3.11 or newer; none was found. Install one, or: make PYTHON=/path/to/python"; exit 1; }
-	@$(PYTHON) -m venv $(VENV) || { echo "Python's venv module is missing; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
+	@# The pip that Python brings may be old and slow: run from its wheel, it only fetches a new one.
+	@$(PYTHON) -m venv --without-pip $(VENV) \
+		&& { PYTHONPATH=$$($(PYTHON) $(PIP_OF_PYTHON)) $(PIP) 'pip>=25' 2>/dev/null || $(BIN)/python -m ensurepip >/dev/null; } \
+		|| { echo "Python's venv module is missing; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@touch $@
 
 $(VENV)/installed: $(VENV)/made pyproject.toml $(FRONT_DOOR)
 	@echo "Installing Starbench into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable .
+	@$(PIP) --editable .
 	@$(BIN)/python -m bench.warm_up
 	@touch $@
 
