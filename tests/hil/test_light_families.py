@@ -91,5 +91,7 @@ def test_an_inverted_sync_output_of_a_simulated_generator_is_made_normal(maker, 
     generator.receive(f"OUTP1:SYNC:POL {inverted}\n".encode())
     assert states[-1].sync_line.inverted
     line = DirectLine(FaultLine(generator, clock.monotonic, np.random.default_rng(1)), clock)
-    assert ScpiLight(line, dialect="numbered", clock=clock).sync_polarity() == "normal"
+    light = ScpiLight(line, dialect="numbered", clock=clock)
+    assert states[-1].sync_line.inverted  # opening sets nothing
+    assert light.sync_polarity() == "normal"
     assert not states[-1].sync_line.inverted

@@ -4,115 +4,70 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import ReplyError, SettingRefused
+from drivers.errors import SettingRefused
 from drivers.light import LightSettings
-from drivers.light.scpi import ScpiLight
-from tests.unit.drivers.generator_peer import Generator, NumberedGenerator, SiglentGenerator
+from tests.unit.drivers.generator_bench import Bench
 
 MODES = ("BURS:STAT", "SWE:STAT", "AM:STAT", "FM:STAT", "FSK:STAT")
+OTHERS = pytest.mark.parametrize("dialect", ["keysight", "numbered", "siglent"])
 
 
-class UsedGenerator(Generator):
-    """One that makes bursts, sweeps and modulates, upside down."""
+def use(bench: Bench, *refused: str) -> dict[str, str]:
+    """Let a generator make bursts, sweeps and modulate, upside down; return what of it is left on."""
+    left = dict.fromkeys(MODES, "ON") | {"OUTP:POL": "INV"}
+    receive = bench.line.device.receive
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.values |= dict.fromkeys(MODES, "ON") | {"OUTP:POL": "INV"}
+    def answer(data: bytes) -> bytes:
+        header, _, value = data.decode().strip().partition(" ")
+        name = header.removeprefix("SOUR1:").replace("OUTP1", "OUTP")
+        if name in refused:
+            return receive(b"FREQ 1e12\n")  # one more error in its queue
+        if name not in left:
+            return receive(data)
+        if value in {"OFF", "NORM"}:
+            del left[name]
+        return b""
 
-    def set(self, header: str, value: str) -> None:
-        if header in {*MODES, "OUTP:POL"}:
-            self.values[header] = value
-        else:
-            super().set(header, value)
-
-    def left_on(self) -> list[str]:
-        return [mode for mode in (*MODES, "OUTP:POL") if self.values[mode] not in {"OFF", "NORM"}]
-
-
-class UsedNumberedGenerator(UsedGenerator, NumberedGenerator):
-    """The same by channel."""
+    bench.line.device.receive = answer
+    return left
 
 
-@pytest.mark.parametrize(
-    ("kind", "dialect"), [(UsedGenerator, "keysight"), (UsedNumberedGenerator, "numbered")]
-)
-def test_the_signal_is_the_plain_one_that_was_asked_for(clock, kind, dialect) -> None:
-    generator = kind()
-    light = ScpiLight(generator, clock=clock, dialect=dialect)
-    assert generator.left_on() == [*MODES, "OUTP:POL"]  # opening sets nothing
+@pytest.mark.parametrize("dialect", ["keysight", "numbered"])
+def test_the_signal_is_the_plain_one_that_was_asked_for(dialect) -> None:
+    bench = Bench(dialect)
+    left = use(bench)
+    light = bench.open()
+    assert set(left) == {*MODES, "OUTP:POL"}  # opening sets nothing
     light.apply(LightSettings(frequency_hz=60.0))
-    assert generator.left_on() == []
+    assert left == {}
 
 
-def test_a_siglent_is_told_in_its_own_words(clock) -> None:
-    generator = SiglentGenerator()
-    ScpiLight(generator, clock=clock, dialect="siglent").apply(LightSettings(frequency_hz=60.0))
+def test_a_siglent_is_told_in_its_own_words() -> None:
+    bench = Bench("siglent")
+    bench.open().apply(LightSettings(frequency_hz=60.0))
     for words in ("C1:BTWV STATE,OFF", "C1:SWWV STATE,OFF", "C1:MDWV STATE,OFF", "C1:OUTP PLRT,NOR"):
-        assert words in generator.sent
+        assert words in bench.sent()
 
 
-def test_a_generator_without_such_modes_is_not_asked_for_them_again(clock) -> None:
-    generator = Generator()
-    light = ScpiLight(generator, clock=clock)
+def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
+    bench = Bench()
+    light = bench.open()
     light.apply(LightSettings(frequency_hz=60.0))
-    assert "BURS:STAT OFF" in generator.sent
-    generator.sent.clear()
+    assert "BURS:STAT OFF" in bench.sent()
+    bench.line.sent.clear()
     light.apply(LightSettings(frequency_hz=50.0))
-    assert "BURS:STAT OFF" not in generator.sent
+    assert "BURS:STAT OFF" not in bench.sent()
 
 
-def test_a_mode_that_does_not_go_off_is_told(clock) -> None:
-    generator = UsedGenerator()
-
-    def refuse(line: str) -> None:
-        if line == "SWE:STAT OFF":
-            generator.queue.append('-221,"Settings conflict"')
-
-    generator.before = refuse
-    light = ScpiLight(generator, clock=clock)
-    with pytest.raises(SettingRefused, match=r"sweep is refused.*-221"):
-        light.apply(LightSettings(frequency_hz=60.0))
+def test_a_mode_that_does_not_go_off_is_told() -> None:
+    bench = Bench()
+    use(bench, "SWE:STAT")
+    with pytest.raises(SettingRefused, match=r"sweep is refused.*-222"):
+        bench.open().apply(LightSettings(frequency_hz=60.0))
 
 
-def test_a_number_beyond_all_numbers_is_no_setting(clock) -> None:
-    generator = SiglentGenerator()
-    light = ScpiLight(generator, clock=clock, dialect="siglent")
-    generator.spoil = lambda line: line.replace(b"FRQ,1000HZ", b"FRQ,1E999HZ")
-    with pytest.raises(ReplyError, match="no number FRQ"):
-        light.read()
-
-
-class InvertedSync(NumberedGenerator):
-    """One whose sync output was inverted; it knows the polarity by its own words."""
-
-    def __init__(self, words: str) -> None:
-        super().__init__()
-        self.normal, self.inverted = words.split(",")
-        self.values["OUTP:SYNC:POL"] = self.inverted
-
-    def set(self, header: str, value: str) -> None:
-        if header != "OUTP:SYNC:POL":
-            super().set(header, value)
-        elif value in {self.normal, self.inverted}:
-            self.values[header] = value
-        else:
-            self.queue.append('-224,"Illegal parameter value"')
-
-
-@pytest.mark.parametrize("words", ["NORM,INV", "POS,NEG"])
-def test_an_inverted_sync_output_is_made_normal(clock, words) -> None:
-    generator = InvertedSync(words)
-    light = ScpiLight(generator, clock=clock, dialect="numbered")
-    assert generator.values["OUTP:SYNC:POL"] == generator.inverted  # opening sets nothing
-    assert light.sync_polarity() == "normal"
-    assert generator.values["OUTP:SYNC:POL"] == generator.normal
-    assert not generator.queue
-
-
-@pytest.mark.parametrize(
-    ("kind", "dialect"),
-    [(Generator, "keysight"), (NumberedGenerator, "numbered"), (SiglentGenerator, "siglent")],
-)
-def test_a_generator_without_that_setting_is_not_said_to_have_it(clock, kind, dialect) -> None:
-    light = ScpiLight(kind(), clock=clock, dialect=dialect)
-    assert light.sync_polarity() == "not stated by the device"
+@OTHERS
+def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) -> None:
+    bench = Bench(dialect)
+    bench.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
+    assert bench.open().sync_polarity() == "not stated by the device"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import hypothesis.strategies as st
 from hypothesis import settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from drivers.errors import DriverError, NotHomed, OutsideLimits
-from drivers.stage.zaber import ZaberStage
-from tests.unit.drivers.conftest import TurnedClock
-from tests.unit.drivers.zaber_peer import SCALE, Controller, ZaberPeer, axes
+from simulators.stages.axis_motion import MotionFault
+from simulators.stages.zaber import CommandRejected, ZaberController
+from tests.unit.drivers import zaber_bench
+from tests.unit.drivers.zaber_bench import SCALE
 
 AXES = st.sampled_from(["pan", "tilt"])
 ANGLES = st.integers(-16 * SCALE, 16 * SCALE).map(lambda count: count / SCALE)
@@ -20,11 +23,10 @@ class Bench(RuleBasedStateMachine):
 
     @initialize(homed=st.booleans())
     def open(self, homed: bool) -> None:
-        self.clock = TurnedClock()
-        self.peer = ZaberPeer(self.clock)
-        self.peer.spoil = self.spoil
+        self.bench = zaber_bench.Bench()
+        self.bench.line.spoil = self.spoil
         self.to_pass = self.to_lose = 0
-        self.stage = ZaberStage(self.peer, axes(), clock=self.clock)
+        self.stage = self.bench.open()
         self.ordered = 0
         if homed:
             self.home()
@@ -37,43 +39,46 @@ class Bench(RuleBasedStateMachine):
             return b""
         return line
 
-    def axis(self, name: str) -> Controller:
-        return getattr(self.peer, name)
+    def axis(self, name: str) -> ZaberController:
+        return getattr(self.bench, name)
 
     def is_referenced(self) -> bool:
-        return not any("WR" in axis.flags for axis in (self.peer.pan, self.peer.tilt))
+        return all(self.has_reference(name) for name in ("pan", "tilt"))
+
+    def has_reference(self, name: str) -> bool:
+        return self.axis(name).axis.referenced(self.bench.clock.now_s)
 
     # ------------------------------------------------------------ what somebody does
     @rule()
     def home(self) -> None:
-        self.ordered = len(self.peer.motions()) + 2
+        self.ordered = len(self.bench.motions()) + 2
         try:
             self.stage.home()
         except DriverError:
             return
         assert self.is_referenced()
-        assert (self.peer.pan.position(), self.peer.tilt.position()) == (0, 0)
+        assert (self.bench.position("pan"), self.bench.position("tilt")) == (0, 0)
 
     @rule(target_deg=st.dictionaries(AXES, ANGLES, min_size=1), lose=st.none() | st.integers(0, 8))
     def move(self, target_deg: dict[str, float], lose: int | None) -> None:
         if lose is not None:
             self.to_pass, self.to_lose = lose, 1
-        referenced = all("WR" not in self.axis(name).flags for name in target_deg)
-        before = len(self.peer.motions())
+        referenced = all(map(self.has_reference, target_deg))
+        before = len(self.bench.motions())
         self.ordered = before + len(target_deg)
         try:
             self.stage.move_to(target_deg)
         except (OutsideLimits, NotHomed):
-            assert len(self.peer.motions()) == before
+            assert len(self.bench.motions()) == before
             return
         except DriverError:
-            assert referenced or len(self.peer.motions()) == before
+            assert referenced or len(self.bench.motions()) == before
             return
         assert referenced
         for name, angle in target_deg.items():
             assert abs(angle) <= 15.0
-            assert self.axis(name).position() == round(angle * SCALE)
-            assert not self.axis(name).busy()
+            assert self.bench.position(name) == round(angle * SCALE)
+        assert not self.bench.busy()
 
     @rule()
     def stop(self) -> None:
@@ -81,8 +86,7 @@ class Bench(RuleBasedStateMachine):
             self.stage.stop()
         except DriverError:
             return
-        assert not self.peer.pan.busy()
-        assert not self.peer.tilt.busy()
+        assert not self.bench.busy()
 
     @rule()
     def read(self) -> None:
@@ -91,25 +95,30 @@ class Bench(RuleBasedStateMachine):
         except DriverError:
             return
         for name, angle in told.items():
-            assert self.axis(name).busy() or round(angle * SCALE) == self.axis(name).position()
+            assert self.bench.busy() or round(angle * SCALE) == self.bench.position(name)
 
     @rule()
     def begin_anew(self) -> None:
         """The program ends, and another opens the stage."""
         try:
-            self.stage = ZaberStage(self.peer, axes(), clock=self.clock)
+            self.stage = self.bench.open()
         except DriverError:
             self.to_pass = self.to_lose = 0
-            self.stage = ZaberStage(self.peer, axes(), clock=self.clock)
+            self.stage = self.bench.open()
 
     # ------------------------------------------------------------ what happens
     @rule(name=AXES)
     def restart(self, name: str) -> None:
-        self.axis(name).restart()
+        self.axis(name).restart(self.bench.clock.now_s)
+        self.bench.clock.sleep(1.0)
 
-    @rule(name=AXES, flag=st.sampled_from(["FS", "FE", "WL", "WM", "NI", "NC", "WT"]))
-    def raise_flag(self, name: str, flag: str) -> None:
-        self.axis(name).flags.append(flag)
+    @rule(name=AXES, kind=st.sampled_from(["stall", "limit", "twist", "stop_short", "restart"]))
+    def go_wrong_next_time(self, name: str, kind: str) -> None:
+        self.axis(name).axis.arm(MotionFault(kind))
+
+    @rule(name=AXES, released=st.booleans())
+    def press_the_stop(self, name: str, released: bool) -> None:
+        self.axis(name).emergency_stop(self.bench.clock.now_s, released=released)
 
     @rule(first=st.integers(0, 15), count=st.integers(1, 12))
     def lose_replies(self, first: int, count: int) -> None:
@@ -117,16 +126,17 @@ class Bench(RuleBasedStateMachine):
 
     @rule(name=AXES)
     def somebody_turns_the_knob(self, name: str) -> None:
-        self.axis(name).go(self.axis(name).position() + 500.0)
+        with suppress(CommandRejected):
+            self.axis(name).execute(1, ["move", "rel", "500"], self.bench.clock.now_s)
 
     @rule(seconds=st.floats(0.0, 5.0))
     def wait(self, seconds: float) -> None:
-        self.clock.sleep(seconds)
+        self.bench.clock.sleep(seconds)
 
-    @precondition(lambda self: hasattr(self, "peer"))
+    @precondition(lambda self: hasattr(self, "bench"))
     @invariant()
     def only_what_was_ordered_has_been_sent(self) -> None:
-        assert len(self.peer.motions()) <= self.ordered
+        assert len(self.bench.motions()) <= self.ordered
 
 
 Bench.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)

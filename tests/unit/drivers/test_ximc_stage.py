@@ -1,58 +1,105 @@
-"""The XIMC stage: what it sends, and that no fault of a move passes for an arrival."""
+"""The XIMC stage on its simulated controllers: what it sends, what it refuses, and how it stops.
+
+What every family does with faults of axis and line: see ``tests/hil/test_every_fault.py``.
+"""
 
 from __future__ import annotations
 
-import math
 import struct
-from collections.abc import Callable
+import time
 
+import numpy as np
 import pytest
 
 from drivers.errors import (
     DeviceRefused,
+    DriverError,
     MoveFailed,
+    NotHomed,
     OutsideLimits,
     ReplyError,
     ReplyGarbled,
     WrongDevice,
 )
-from drivers.stage import AxisLimits
+from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.ximc_protocol import MoveSettings, Status, check_data, crc16, move_data, request
-from tests.unit.drivers.ximc_peer import DIVISION, XimcPeer, crc
+from simulators.faults.line_faults import FaultLine
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.ximc import XimcController, XimcModel
+from tests.hil import mutated
+from tests.hil.direct_stages import Listening, VirtualClock
 
 SCALE = 80.0
+MICROSTEPS = 256
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
+MOTIONS = {b"move", b"movr", b"home", b"left", b"rigt"}
+ALARM = struct.pack("<5Bihqih5hIIB4x", 0, 1, 3, 4, 0x33, *[0] * 10, 0x60, 0, 1)
+"""A status of an axis at rest in alarm."""
 
 
 def axes(**changes) -> list[XimcAxis]:
-    pan = XimcAxis(name="pan", port="a", serial="12345", steps_per_deg=SCALE, limits=LIMITS, **changes)
-    tilt = XimcAxis(name="tilt", port="b", serial="12346", steps_per_deg=-SCALE, limits=LIMITS, zero_deg=1.0)
-    return [pan, tilt]
+    words = {"steps_per_deg": SCALE, "limits": LIMITS, **changes}
+    pan = XimcAxis(name="pan", port="a", serial="12345", **words)
+    words |= {"steps_per_deg": -words["steps_per_deg"], "zero_deg": 1.0}
+    return [pan, XimcAxis(name="tilt", port="b", serial="12346", **words)]
+
+
+class Bench:
+    """Two controllers, each on a line of its own, and the driver for them."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        mechanics = Mechanics(SCALE * MICROSTEPS, -17.0, 17.0, start_deg=2.4)
+        self.pan, self.tilt = self.controllers = [
+            XimcController(XimcModel(mechanics, serial, -17.0, 17.0), self.clock.monotonic)
+            for serial in (12345, 12346)
+        ]
+        self.lines = [
+            Listening(FaultLine(one, self.clock.monotonic, np.random.default_rng(1)), self.clock)
+            for one in self.controllers
+        ]
+
+    def open(self, **changes) -> XimcStage:
+        return XimcStage(self.lines, axes(**changes), clock=self.clock)
+
+    def homed(self, **changes) -> XimcStage:
+        stage = self.open(**changes)
+        stage.home()
+        for line in self.lines:
+            line.sent.clear()
+        return stage
+
+    def sent(self, *commands: bytes) -> list[bytes]:
+        return [data for line in self.lines for data in line.sent if data[:4] in commands]
+
+    def settings(self, number: int, command: bytes) -> bytes:
+        return self.controllers[number].receive(command)[4:-2]
+
+    def set_borders(self, number: int, flags: int, lowest: int, highest: int) -> bytes:
+        """Set borders, in steps; bit 0 of the flags says that they are counts, not switches."""
+        data = struct.pack("<BBihih6x", flags, 0, lowest, 0, highest, 0)
+        self.controllers[number].receive(b"seds" + data + mutated.crc16(data))
+        return data
+
+    def busy(self) -> bool:
+        return any(one.axis.busy(self.clock.now_s) for one in self.controllers)
+
+    def answer(self, number: int, command: bytes, data: bytes) -> None:
+        """Let one command of a controller have another answer: data with their CRC, or an error's four letters."""
+        line = self.lines[number]
+        told = data if data.startswith(b"err") else command + data + mutated.crc16(data)
+        line.spoil = lambda reply: told if line.sent[-1].startswith(command) else reply
 
 
 @pytest.fixture
-def peers(clock) -> tuple[XimcPeer, XimcPeer]:
-    return XimcPeer(clock, 12345, "a"), XimcPeer(clock, 12346, "b")
-
-
-@pytest.fixture
-def stage(peers, clock) -> XimcStage:
-    return XimcStage(peers, axes(), clock=clock)
-
-
-@pytest.fixture
-def homed(stage, peers) -> XimcStage:
-    stage.home()
-    for peer in peers:
-        peer.sent.clear()
-    return stage
+def bench() -> Bench:
+    return Bench()
 
 
 # ---------------------------------------------------------------- the protocol
 def test_the_crc_is_the_makers() -> None:
     assert crc16(b"123456789") == 0x4B37
-    assert struct.pack("<H", crc16(bytes(range(200)))) == crc(bytes(range(200)))
 
 
 def test_a_move_is_what_the_makers_library_sends() -> None:
@@ -82,194 +129,214 @@ def test_settings_keep_what_they_do_not_change() -> None:
 
 
 # ---------------------------------------------------------------- the good case
-def test_opening_moves_nothing_and_programs_speed_and_borders(stage, peers) -> None:
-    assert all(peer.motions() == [] for peer in peers)
-    assert struct.unpack("<IBHHIBB9s", peers[0].mov) == (800, 0, 4000, 4000, 50, 0, 0, b"reserved!")
-    assert struct.unpack("<BBihih6x", peers[0].eds)[2:6] == (-1200, 0, 1200, 0)
-    assert struct.unpack("<BBihih6x", peers[1].eds)[2:6] == (-1120, 0, 1280, 0)
+def test_opening_moves_nothing_and_programs_speed_and_borders(bench) -> None:
+    before = bench.settings(0, b"gmov")
+    bench.set_borders(0, 0x07, -2000, 2000)
+    bench.set_borders(1, 0x07, -2000, 2000)
+    bench.open()
+    assert bench.sent(*MOTIONS) == []
+    assert struct.unpack("<IBHH", bench.settings(0, b"gmov")[:9]) == (800, 0, 4000, 4000)
+    assert bench.settings(0, b"gmov")[9:] == before[9:]
+    assert struct.unpack("<BBihih6x", bench.settings(0, b"geds"))[2:6] == (-1200, 0, 1200, 0)
+    assert struct.unpack("<BBihih6x", bench.settings(1, b"geds"))[2:6] == (-1120, 0, 1280, 0)
 
 
-def test_borders_at_limit_switches_are_left_alone(peers, clock) -> None:
-    before = peers[0].eds = b"\x06" + peers[0].eds[1:]
-    XimcStage(peers, axes(), clock=clock)
-    assert peers[0].eds == before
+def test_borders_at_limit_switches_are_left_alone(bench) -> None:
+    switches = bench.set_borders(0, 0x06, -2000, 2000)
+    bench.open()
+    assert bench.settings(0, b"geds") == switches
 
 
-def test_identity_is_what_the_controllers_say(stage) -> None:
-    pan, tilt = stage.identify()
-    assert (pan.name, pan.maker, pan.model, pan.serial, pan.firmware) == (
-        "pan",
-        "XIMC",
-        "8SMC5",
-        "12345",
-        "4.7.1",
-    )
-    assert tilt.serial == "12346"
+def test_identity_is_what_the_controllers_say(bench) -> None:
+    pan, tilt = bench.open().identify()
+    assert (pan.name, pan.maker, pan.model) == ("pan", "XIMC", "8SMC5")
+    assert (pan.serial, pan.firmware, tilt.serial) == ("12345", "4.6.12", "12346")
 
 
-def test_the_reference_becomes_the_zero(stage) -> None:
+def test_the_reference_becomes_the_zero_and_moves_count_from_there(bench) -> None:
+    stage = bench.open()
     assert not stage.is_homed()
     assert stage.faults() == ["pan: no reference", "tilt: no reference"]
     stage.home()
-    assert stage.is_homed()
     assert stage.position_deg() == {"pan": 0.0, "tilt": 1.0}
+    stage.move_to({"pan": -5.1, "tilt": 3.0})
+    assert bench.sent(b"move")[0][:10] == b"move" + struct.pack("<ih", -408, 0)
+    assert [round(one.axis.counter(bench.clock.now_s)) for one in bench.controllers] == [
+        round(-5.1 * SCALE * MICROSTEPS),
+        round(-2 * SCALE * MICROSTEPS),
+    ]
 
 
-def test_a_move_arrives_where_it_was_sent(homed, peers) -> None:
-    homed.move_to({"pan": -5.1, "tilt": 3.0})
-    assert [peer.position() for peer in peers] == [round(-5.1 * SCALE * DIVISION), -2 * SCALE * DIVISION]
-    assert homed.position_deg()["pan"] == pytest.approx(-5.1, abs=0.5 / SCALE / DIVISION)
-    (sent,) = peers[0].motions()
-    assert sent[:10] == b"move" + struct.pack("<ih", -408, 0)
+def test_an_alarm_keeps_an_axis_from_moving_until_it_is_homed_again(bench) -> None:
+    stage = bench.homed()
+    bench.tilt.emergency_stop(bench.clock.now_s)
+    with pytest.raises(DriverError, match="tilt"):
+        stage.move_to({"pan": 1.0, "tilt": 1.0})
+    assert bench.sent(*MOTIONS) == []
+    bench.tilt.emergency_stop(bench.clock.now_s, released=True)
+    stage.home()
+    stage.move_to({"pan": 1.0})
+    assert stage.position_deg()["pan"] == pytest.approx(1.0, abs=0.01)
 
 
-def test_an_alarm_is_cleared_by_homing_when_its_cause_is_gone(homed, peers) -> None:
-    peers[0].flags |= 0x40
-
-    def cleared(command: str) -> None:
-        if command == "stop":
-            peers[0].flags &= ~0x40
-
-    peers[0].before = cleared
-    homed.home()
-    homed.move_to({"pan": 1.0})
-    assert homed.position_deg()["pan"] == pytest.approx(1.0, abs=0.01)
-
-
-def test_homing_that_leaves_no_reference_has_failed(stage, peers) -> None:
-    answer = peers[1].answer
-    peers[1].answer = lambda command, data: b"" if command == "home" else answer(command, data)
+def test_homing_that_leaves_no_reference_has_failed(bench) -> None:
+    stage = bench.open()
+    bench.tilt.axis.home = lambda *_, **__: None
     with pytest.raises(MoveFailed, match="tilt: homing ended without a reference"):
         stage.home()
 
 
 # ---------------------------------------------------------------- refused before anything moves
-def test_another_controller_is_refused_and_nothing_is_set(peers, clock) -> None:
-    peers[1].serial = 999
+def test_another_controller_is_refused_and_nothing_is_set(bench) -> None:
+    bench.tilt.exchange("999", bench.clock.now_s)
+    bench.clock.sleep(1.0)
     with pytest.raises(WrongDevice, match="12346 for tilt, but 999 answers"):
-        XimcStage(peers, axes(), clock=clock)
-    assert not any(data.startswith((b"smov", b"seds")) for peer in peers for data in peer.sent)
-    assert all(peer.closed for peer in peers)
+        bench.open()
+    assert bench.sent(b"smov", b"seds") == []
+    assert all(line.closed for line in bench.lines)
 
 
-def test_an_axis_in_alarm_is_not_moved(homed, peers) -> None:
-    peers[1].flags |= 0x40
-    with pytest.raises(MoveFailed, match="tilt: alarm"):
-        homed.move_to({"pan": 1.0, "tilt": 1.0})
-    assert peers[0].motions() == []
+@pytest.mark.parametrize(
+    ("command", "data", "message"),
+    [
+        (b"gent", struct.pack("<BB6x", 1, 2), r"no stepper motor \(engine type 1\)"),
+        (b"gfbs", struct.pack("<HBBI4x", 0, 1, 0, 4000), "counts by its encoder"),
+        (b"gfbs", struct.pack("<HBBI4x", 0, 6, 0, 4000), "counts by its encoder"),
+        (b"smov", b"errv", "out of range"),
+    ],
+)
+def test_what_the_controller_is_not_made_for_is_refused(bench, command, data, message) -> None:
+    bench.answer(0, command, data)
+    with pytest.raises(DeviceRefused, match=message):
+        bench.open()
+    assert bench.sent(b"smov")[1:] == []
 
 
-def test_a_speed_beyond_the_controller_is_refused(peers, clock) -> None:
-    fast = XimcAxis(
-        name="pan", port="a", serial="", steps_per_deg=SCALE, limits=AxisLimits(-1, 1, 10.0, 900.0)
-    )
-    with pytest.raises(OutsideLimits, match=r"72000 steps/s\^2"):
-        XimcStage(peers[:1], [fast], clock=clock)
-
-
-def test_a_motor_that_is_no_stepper_is_refused(peers, clock) -> None:
-    peers[1].engine_type = 1
-    with pytest.raises(DeviceRefused, match=r"no stepper motor \(engine type 1\)"):
-        XimcStage(peers, axes(), clock=clock)
-
-
-def test_a_setting_that_reads_back_otherwise_is_refused(peers, clock) -> None:
-    answer = peers[0].answer
-    peers[0].answer = lambda command, data: b"" if command == "smov" else answer(command, data)
+def test_a_setting_that_reads_back_otherwise_is_refused(bench) -> None:
+    bench.answer(0, b"gmov", bench.settings(0, b"gmov"))
     with pytest.raises(DeviceRefused, match="speed and acceleration read back differently"):
-        XimcStage(peers, axes(), clock=clock)
+        bench.open()
 
 
-def test_a_value_the_controller_corrects_is_refused(peers, clock) -> None:
-    serve = peers[0].serve
-    peers[0].serve = lambda command, data, given: (
-        b"errv" if command == "smov" else serve(command, data, given)
-    )
-    with pytest.raises(DeviceRefused, match="out of range"):
-        XimcStage(peers, axes(), clock=clock)
+def test_a_speed_beyond_the_controller_is_refused(bench) -> None:
+    with pytest.raises(OutsideLimits, match=r"72000 steps/s\^2"):
+        bench.open(limits=AxisLimits(-1, 1, 10.0, 900.0))
+
+
+def test_borders_at_counts_are_narrowed_never_widened(bench) -> None:
+    for end, fits in ((1199, False), (1200, True)):
+        borders = bench.set_borders(0, 0x07, -1200, end)
+        if fits:
+            bench.open()
+            continue
+        with pytest.raises(OutsideLimits, match="but the controller allows only"):
+            bench.open()
+        assert bench.settings(0, b"geds") == borders
 
 
 # ---------------------------------------------------------------- noticed in mid-move
-def once_moving(peer: XimcPeer, event: Callable[[], None], after_s: float = 0.2) -> None:
-    """Let an event happen that long after the first move command."""
-    state = {"at_s": math.inf, "done": False}
-
-    def before(command: str) -> None:
-        if command == "move":
-            state["at_s"] = peer.clock.now_s + after_s
-        if peer.clock.now_s >= state["at_s"] and not state["done"]:
-            state["done"] = True
-            event()
-
-    peer.before = before
+def halted(bench: Bench) -> None:
+    bench.pan.axis.halt(bench.clock.now_s)
 
 
-def restart(peer: XimcPeer) -> None:
-    peer.flags = peer.command_state = 0
-    peer.start = peer.goal = 0.0
+def in_alarm(bench: Bench) -> None:
+    bench.answer(0, b"gets", ALARM)
 
 
-def raise_alarm(peer: XimcPeer) -> None:
-    peer.flags |= 0x40
-
-
-def fail(peer: XimcPeer) -> None:
-    peer.halt()
-    peer.command_state |= 0x40
+def failed(bench: Bench) -> None:
+    halted(bench)
+    status = bytearray(bench.settings(0, b"gets"))
+    status[1] |= 0x40
+    bench.answer(0, b"gets", bytes(status))
 
 
 @pytest.mark.parametrize(
     ("event", "message"),
     [
-        (XimcPeer.halt, "pan: stopped at .* from its target 9"),
-        (restart, "pan: the controller lost its reference during the move"),
-        (raise_alarm, "pan: alarm"),
-        (fail, "pan: the controller reports that its move failed"),
-        (lambda peer: peer.go(0.0, 3), r"pan: interrupted by another command \(left\)"),
-        (lambda peer: setattr(peer, "busy", lambda: True), "busy without progress"),
-        (lambda peer: setattr(peer, "busy", lambda: False), "stopped at"),
+        (halted, "pan: stopped at .* from its target 9"),
+        (lambda bench: bench.pan.axis.forget_reference(), "pan: the controller lost its reference"),
+        (in_alarm, "pan: alarm"),
+        (failed, "pan: the controller reports that its move failed"),
+        (lambda bench: bench.pan.receive(b"left"), r"pan: interrupted by another command \(left\)"),
+        (lambda bench: setattr(bench.pan.axis, "stuck_busy", True), "busy without progress"),
     ],
 )
-def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(homed, peers, event, message) -> None:
-    once_moving(peers[0], lambda: event(peers[0]))
+def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(bench, event, message) -> None:
+    stage = bench.homed()
+    bench.lines[0].once_moving(b"gets", lambda: event(bench), after_s=0.4)
     with pytest.raises(MoveFailed, match=message):
-        homed.move_to({"pan": 9.0, "tilt": 9.0})
-    assert not peers[1].busy()
+        stage.move_to({"pan": 9.0, "tilt": 9.0})
+    bench.clock.sleep(1.0)
+    assert not bench.tilt.axis.busy(bench.clock.now_s)
 
 
-def test_a_slip_between_counter_and_encoder_is_noticed(peers, clock) -> None:
-    stage = XimcStage(peers, axes(encoder_counts_per_deg=SCALE * DIVISION / 64), clock=clock)
-    stage.home()
+def test_a_slip_between_counter_and_encoder_is_noticed(bench) -> None:
+    stage = bench.homed(encoder_counts_per_deg=SCALE * 20)
     stage.move_to({"pan": 5.0})
     assert stage.encoder_deg()["pan"] == pytest.approx(5.0, abs=0.01)
-    peers[0].slip = 100
+    bench.pan.axis.set_encoder(5.5 * SCALE * MICROSTEPS, bench.clock.now_s)
     with pytest.raises(MoveFailed, match="pan: slipped"):
         stage.move_to({"pan": 6.0})
 
 
-def test_a_stop_reaches_every_axis_even_when_one_is_silent(homed, peers) -> None:
-    peers[0].spoil = lambda reply: b""
-    peers[1].go(9000.0, 1)
-    with pytest.raises(ReplyError):
-        homed.stop()
-    assert not peers[1].busy()
+# ---------------------------------------------------------------- the line, and stops
+def test_bytes_left_over_from_before_us_do_no_harm(bench) -> None:
+    bench.pan.receive(b"smov" + bytes(7))
+    bench.lines[0].ready = b"\0\0gets"
+    assert len(bench.open().identify()) == 2
+    assert bench.sent(*MOTIONS) == []
 
 
-# ---------------------------------------------------------------- a line that lies
-
-
-def test_bytes_left_over_from_before_us_do_no_harm(peers, clock) -> None:
-    peers[0].pending = b"smov" + bytes(7)
-    peers[0].ready = b"\0\0gets"
-    assert len(XimcStage(peers, axes(), clock=clock).identify()) == len(peers)
-    assert peers[0].motions() == []
-
-
-def test_a_move_that_arrived_damaged_is_not_sent_again(homed, peers) -> None:
-    serve = peers[0].serve
-    peers[0].serve = lambda command, data, given: (
-        b"errd" if command == "move" else serve(command, data, given)
-    )
+def test_a_move_that_arrived_damaged_is_not_sent_again(bench) -> None:
+    stage = bench.homed()
+    bench.answer(0, b"move", b"errd")
     with pytest.raises(ReplyGarbled, match="errd"):
-        homed.move_to({"pan": 9.0})
-    assert len(peers[0].motions()) == 1
+        stage.move_to({"pan": 9.0})
+    assert len(bench.sent(b"move")) == 1
+
+
+def test_a_silent_controller_does_not_keep_the_others_moving(bench, monkeypatch) -> None:
+    monkeypatch.setattr(ximc, "REPLY_S", 0.2)
+    stage = bench.homed()
+    bench.lines[0].lose = lambda _request: True
+    read, heard_s = bench.lines[0].read, []
+
+    def slowly(timeout_s: float) -> bytes:
+        time.sleep(timeout_s)
+        return read(timeout_s)
+
+    bench.lines[0].read = slowly
+    bench.lines[1].before = lambda data: heard_s.append(time.monotonic()) if data == b"sstp" else None
+    bench.tilt.receive(request("move", move_data(1000, 0)))
+    bench.clock.sleep(0.1)
+    began_s = time.monotonic()
+    with pytest.raises(ReplyError):
+        stage.stop()
+    first_s, all_s = heard_s[0] - began_s, time.monotonic() - began_s
+    assert all_s > 0.6  # three waits for the silent one
+    assert first_s < 0.5 * all_s
+    assert not bench.busy()
+
+
+def test_a_homing_that_is_broken_off_leaves_no_reference(bench) -> None:
+    """The controller says that it is homed before its counter has been set to zero there."""
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupt(_seconds: float) -> None:
+        bench.clock.sleep = sleep
+        raise Interrupted
+
+    stage, sleep = bench.open(), bench.clock.sleep
+    bench.lines[1].before = lambda data: setattr(bench.clock, "sleep", interrupt) if data == b"home" else None
+    with pytest.raises(Interrupted):
+        stage.home()
+    bench.lines[1].before = lambda _data: None
+    bench.clock.sleep(60.0)
+    stage.stop()
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed, match="homing did not end"):
+        stage.move_to({"pan": 1.0})
+    stage.home()
+    stage.move_to({"pan": 1.0})

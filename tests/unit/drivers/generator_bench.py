@@ -1,0 +1,61 @@
+"""A simulated generator of each make on a line, and the driver for it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.light.scpi import DIALECTS, DialectName, ScpiLight
+from simulators.faults.line_faults import FaultLine
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
+from simulators.lights.siglent import SiglentGenerator
+from simulators.world.world import LightState
+from tests.hil.direct_stages import Listening, VirtualClock
+
+
+class Bench:
+    """A generator on a line, and the driver for it."""
+
+    def __init__(self, dialect: DialectName = "keysight", **model) -> None:
+        self.clock = VirtualClock()
+        self.dialect = dialect
+        self.states: list[LightState] = []
+        given = self.clock.monotonic, self.states.append
+        if dialect == "siglent":
+            self.device = SiglentGenerator("SG0042", *given)
+        else:
+            model = GeneratorModel(numbered_channels=dialect == "numbered", **model)
+            self.device = ScpiGenerator(model, *given)
+        self.line = Listening(
+            FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
+        )
+
+    def open(self, **changes) -> ScpiLight:
+        return ScpiLight(self.line, clock=self.clock, **{"dialect": self.dialect, **changes})
+
+    def sent(self) -> list[str]:
+        return [data.decode().rstrip("\n") for data in self.line.sent]
+
+    def commands(self) -> list[str]:
+        return [text for text in self.sent() if "?" not in text]
+
+    def settings_sent(self) -> list[str]:
+        """Commands that it was sent, those aside that end what somebody may have left on."""
+        ended = {command for _, command in DIALECTS[self.dialect].reset_modes()}
+        return [command for command in self.commands() if command not in ended]
+
+    def lit(self) -> bool:
+        return self.states[-1].output
+
+    def answer(self, answers: Mapping[str, str]) -> None:
+        """Let queries have other answers."""
+        self.line.spoil = lambda reply: (
+            f"{answers[asked]}\n".encode() if (asked := self.sent()[-1].rstrip("?")) in answers else reply
+        )
+
+    def turn(self, asked: str, done: str) -> None:
+        """Let the generator do something else than it is asked."""
+        receive = self.line.device.receive
+        self.line.device.receive = lambda data: receive(re.sub(asked.encode(), done.encode(), data))

@@ -1,0 +1,282 @@
+"""The Zaber stage on its simulated controllers: what it sends, what it refuses, and how it stops.
+
+What every family does with faults of axis and line: see ``tests/hil/test_every_fault.py``.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+
+import pytest
+
+from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, ReplyError, WrongDevice
+from drivers.stage import AxisLimits
+from tests.hil.mutated import zaber_line
+from tests.unit.drivers.zaber_bench import SCALE, Bench
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+# ---------------------------------------------------------------- the good case
+def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
+    stage = bench.open()
+    assert bench.motions() == []
+    assert stage.axes == ("pan", "tilt")
+    assert not stage.is_homed()
+    assert [text.split("set ")[1] for text in bench.said("set") if text.startswith("/1")] == [
+        "maxspeed 16384",
+        "accel 8",
+    ]
+    bench.line.sent.clear()
+    bench.open()
+    assert bench.said("set") == []
+
+
+def test_an_axis_found_moving_is_stopped_at_opening(bench) -> None:
+    bench.go("tilt")
+    bench.clock.sleep(0.1)
+    bench.open()
+    assert not bench.busy()
+    assert bench.position("tilt") < 9000
+    assert bench.motions() == []
+
+
+def test_identity_is_what_the_controllers_say(bench) -> None:
+    pan, tilt = bench.open().identify()
+    assert (pan.name, pan.maker, pan.model) == ("pan", "Zaber", "device id 50958")
+    assert (pan.serial, pan.firmware, tilt.serial) == ("100101", "7.38", "100102")
+
+
+def test_counter_zero_and_direction_are_the_station_files(bench) -> None:
+    limits = AxisLimits(-5.0, 5.0, 10.0, 50.0)
+    stage = bench.open(microsteps_per_deg=-SCALE, zero_deg=2.0, limits=limits)
+    assert [text.split("limit.")[1] for text in bench.said("set limit") if text.startswith("/1")] == [
+        "min -3000",
+        "max 7000",
+    ]
+    stage.home()
+    assert stage.position_deg()["pan"] == 2.0
+    stage.move_to({"pan": 3.2346})
+    assert bench.position("pan") == -1235
+    assert stage.position_deg()["pan"] == pytest.approx(3.235, abs=1e-9)
+
+
+def test_faults_are_told_in_plain_words(bench) -> None:
+    stage = bench.open()
+    assert stage.faults() == [f"{name}: no reference position (WR)" for name in ("pan", "tilt")]
+    stage.home()
+    bench.answer("02 warnings", 6, "01 WT")
+    assert stage.faults() == ["tilt: controller too hot (WT)"]
+
+
+def test_what_is_only_history_is_no_fault_and_is_cleared_before_a_move(bench) -> None:
+    stage = bench.homed()
+    bench.go("pan")
+    bench.clock.sleep(0.1)
+    stage.stop()
+    assert bench.pan.warnings(bench.clock.now_s) == ["NI"]
+    assert stage.faults() == []
+    stage.move_to({"pan": 1.0})
+    assert bench.pan.warnings(bench.clock.now_s) == []
+
+
+# ---------------------------------------------------------------- refused before anything moves
+def test_another_serial_number_is_refused_and_nothing_is_set(bench) -> None:
+    bench.tilt.exchange("999999", bench.clock.now_s)
+    bench.clock.sleep(1.0)
+    with pytest.raises(WrongDevice, match="100102 for tilt, but device 2 has 999999"):
+        bench.open()
+    assert bench.said("set") == []
+    assert bench.line.closed
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "error", "message"),
+    [
+        (
+            "limit.max",
+            "9000",
+            OutsideLimits,
+            r"allows -15 to 15 deg, but the controller allows only -15 to 9 deg \(-15000 to 9000 microsteps\)",
+        ),
+        ("maxspeed", "777", DeviceRefused, "maxspeed was set to 16384, but reads 777"),
+    ],
+)
+def test_settings_that_read_otherwise_are_refused(bench, setting, value, error, message) -> None:
+    bench.answer(f"01 get {setting}", 6, value)
+    with pytest.raises(error, match=message):
+        bench.open()
+
+
+def test_a_scale_that_is_not_the_controllers_is_refused(bench) -> None:
+    real = bench.tilt.execute
+    bench.tilt.execute = lambda axis, words, t_s: (
+        "720000" if words == ["get", "limit.cycle.dist"] else real(axis, words, t_s)
+    )
+    with pytest.raises(OutsideLimits, match="360000 microsteps a turn, the controller has 720000"):
+        bench.open()
+
+
+def test_an_acceleration_too_small_to_be_told_is_refused_not_made_infinite(bench) -> None:
+    """``accel`` 0 would switch the ramp off."""
+    with pytest.raises(OutsideLimits, match="6 deg/s"):
+        bench.open(limits=AxisLimits(-15.0, 15.0, 10.0, 6.0))
+    assert bench.said("set accel") == []
+
+
+def test_an_axis_that_somebody_parked_or_moves_is_left_alone(bench) -> None:
+    stage = bench.homed()
+    bench.go("pan")
+    with pytest.raises(MoveFailed, match="already moving"):
+        stage.move_to({"pan": 1.0})
+    assert bench.motions() == []
+    bench.clock.sleep(5.0)
+    bench.pan.execute(1, ["tools", "parking", "park"], bench.clock.now_s)
+    with pytest.raises(DeviceRefused, match="the axis is parked"):
+        stage.move_to({"pan": 1.0})
+
+
+@pytest.mark.parametrize("flag", ["FS", "FH", "FE", "WM", "FX"])
+def test_an_axis_with_a_fault_is_not_moved_until_it_is_homed_again(bench, flag) -> None:
+    stage = bench.homed()
+    mend = bench.answer("02 warnings", 6, f"01 {flag}")
+    with pytest.raises(MoveFailed, match=f"tilt: .*{flag}.* Nothing was moved"):
+        stage.move_to({"pan": 1.0, "tilt": 1.0})
+    assert bench.motions() == []
+    mend()
+    stage.home()
+    stage.move_to({"pan": 1.0, "tilt": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("words", "data"), [("01 get pos", "12.5"), ("01 get pos", "1_0"), ("01 warnings", "02 WR")]
+)
+def test_well_formed_nonsense_is_refused(bench, words, data) -> None:
+    stage = bench.homed()
+    bench.answer(words, 6, data)
+    with pytest.raises(ReplyError):
+        stage.move_to({"pan": 1.0})
+    assert bench.motions() == []
+
+
+# ---------------------------------------------------------------- noticed in mid-move
+@pytest.mark.parametrize("flag", ["FS", "FE", "FH", "WL", "NI", "NC"])
+def test_a_flag_in_mid_move_ends_it(bench, flag) -> None:
+    stage = bench.homed()
+    bench.line.once_moving(b" move ", lambda: bench.answer("01 get pos", 5, flag))
+    with pytest.raises(MoveFailed, match=flag):
+        stage.move_to({"pan": 9.0})
+    bench.clock.sleep(1.0)
+    assert bench.position("pan") < 9000
+
+
+def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> None:
+    stage = bench.homed()
+    bench.line.once_moving(b" move ", lambda: bench.answer("01 warnings", 6, "02 WT NI"))
+    with pytest.raises(MoveFailed, match="NI"):
+        stage.move_to({"pan": 9.0})
+
+
+def test_a_restart_is_noticed_even_when_the_target_is_the_restarts_position(bench) -> None:
+    stage = bench.homed()
+    stage.move_to({"tilt": 9.0})
+    bench.line.once_moving(b" move ", lambda: bench.tilt.restart(bench.clock.now_s))
+    with pytest.raises((MoveFailed, ReplyError)):
+        stage.move_to({"tilt": 0.0})
+    bench.clock.sleep(1.0)
+    assert not stage.is_homed()
+
+
+def test_a_controller_that_stays_busy_is_stopped_and_the_power_is_named(bench) -> None:
+    stage = bench.homed()
+    bench.line.once_moving(b" move ", lambda: setattr(bench.pan.axis, "stuck_busy", True))
+    before_s = bench.clock.now_s
+    with pytest.raises(MoveFailed, match="busy without progress") as caught:
+        stage.move_to({"pan": 9.0})
+    assert bench.clock.now_s - before_s < 6.0
+    assert "The stop that followed failed too" in str(caught.value)
+    assert "Cut the stage's power" in str(caught.value)
+
+
+def test_homing_that_leaves_no_reference_has_failed(bench) -> None:
+    stage = bench.open()
+    bench.tilt.axis.home = lambda *_: None
+    with pytest.raises(MoveFailed, match="tilt: homing ended without a reference"):
+        stage.home()
+    assert not stage.is_homed()
+
+
+# ---------------------------------------------------------------- the line, and stops
+def test_an_alert_between_request_and_reply_is_kept_apart(bench) -> None:
+    stage = bench.homed()
+    bench.line.spoil = lambda reply: b"!" + zaber_line("01 1 IDLE FS")[1:] + reply
+    assert stage.position_deg() == {"pan": 0.0, "tilt": 0.0}
+
+
+def test_a_stop_reaches_all_axes_with_one_line(bench) -> None:
+    stage = bench.homed()
+    bench.go("pan")
+    bench.go("tilt")
+    bench.clock.sleep(0.1)
+    stage.stop()
+    assert re.fullmatch(r"/0 0 \d\d stop", bench.said("stop")[0])
+    assert bench.line.sent[0].startswith(b"/0 0 ")
+    assert not bench.busy()
+
+
+def test_a_stop_while_a_move_is_sent_goes_out_after_it_and_keeps_the_second_axis_from_starting(bench) -> None:
+    stage = bench.homed()
+    stopper = threading.Thread(target=stage.stop)
+
+    def stop_meanwhile(request: bytes) -> None:
+        if b" move " in request:
+            stopper.start()
+            stopper.join(0.2)
+
+    bench.line.before = stop_meanwhile
+    with pytest.raises(MoveFailed, match="stopped on request"):
+        stage.move_to({"pan": 9.0, "tilt": 9.0})
+    stopper.join()
+    assert len(bench.motions()) == 1
+    kinds = [word for line in bench.line.sent for word in ("move", "stop") if f" {word}".encode() in line]
+    assert kinds[0] == "move"
+    assert "stop" in kinds
+    assert not bench.busy()
+
+
+def test_a_stop_does_not_wait_for_the_line_to_come_into_step(bench) -> None:
+    stage = bench.homed()
+    bench.line.spoil = lambda reply: b""
+    with pytest.raises(ReplyError):
+        stage.position_deg()
+    bench.line.spoil = lambda reply: reply
+    bench.line.sent.clear()
+    stage.stop()
+    assert b" stop:" in bench.line.sent[0]
+
+
+def test_a_stop_that_one_device_did_not_hear_is_sent_again(bench) -> None:
+    stage = bench.homed()
+
+    def lose_one(reply: bytes) -> bytes:
+        bench.line.spoil = lambda later: later
+        return reply[: reply.index(b"@02")]
+
+    bench.line.spoil = lose_one
+    stage.stop()
+    assert len(bench.said("stop")) == 2
+
+
+def test_a_stop_among_the_ruins_of_a_reply_is_heard(bench) -> None:
+    stage = bench.homed()
+    bench.line.spoil = lambda reply: reply.replace(b"@01 0", b"@01 1 4@01 0")
+    bench.go("pan")
+    with pytest.raises(ReplyError):
+        stage.stop()
+    assert len(bench.said("stop")) == 3
+    bench.clock.sleep(1.0)
+    assert not bench.busy()

@@ -1,0 +1,80 @@
+"""Two simulated Zaber controllers on one line, and the driver for them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.stage import AxisLimits
+from drivers.stage.zaber import ZaberAxis, ZaberStage
+from simulators.faults.line_faults import FaultLine
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.mutated import put
+
+SCALE = 1000
+LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
+
+
+def axes(**changes) -> list[ZaberAxis]:
+    words = {"microsteps_per_deg": SCALE, "limits": LIMITS, **changes}
+    return [
+        ZaberAxis(name="pan", device=1, serial="100101", **words),
+        ZaberAxis(name="tilt", device=2, serial="100102", **words),
+    ]
+
+
+class Bench:
+    """Two chained controllers on a line, and the driver for them."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        mechanics = Mechanics(SCALE, -17.0, 17.0, start_deg=2.4)
+        self.pan, self.tilt = (
+            ZaberController(ZaberModel(mechanics, serial, -15_000, 15_000, encoder=False), self.clock.now_s)
+            for serial in ("100101", "100102")
+        )
+        chain = ZaberChain([self.pan, self.tilt], self.clock.monotonic)
+        self.line = Listening(FaultLine(chain, self.clock.monotonic, np.random.default_rng(1)), self.clock)
+
+    def open(self, **changes) -> ZaberStage:
+        return ZaberStage(self.line, axes(**changes), clock=self.clock)
+
+    def homed(self) -> ZaberStage:
+        stage = self.open()
+        stage.home()
+        self.line.sent.clear()
+        return stage
+
+    def said(self, word: str) -> list[str]:
+        """Requests with a word, without their checksums."""
+        sent = [line.decode().split(":")[0] for line in self.line.sent]
+        return [text for text in sent if re.search(rf" {word}\b", text)]
+
+    def motions(self) -> list[str]:
+        return [*self.said("move"), *self.said("home")]
+
+    def position(self, name: str) -> int:
+        return round(getattr(self, name).axis.counter(self.clock.now_s))
+
+    def busy(self) -> bool:
+        return any(one.axis.busy(self.clock.now_s) for one in (self.pan, self.tilt))
+
+    def go(self, name: str, counts: int = 9000) -> None:
+        """Somebody else moves an axis."""
+        getattr(self, name).execute(1, ["move", "abs", str(counts)], self.clock.now_s)
+
+    def answer(self, words: str, place: int, word: str) -> Callable[[], None]:
+        """Let a reply to a request have another word (verdict 3, state 4, flag 5, data 6); return what ends it."""
+        changed = put(place, lambda _word: word)
+        device, _, asked = words.partition(" ")
+
+        def spoil(reply: bytes) -> bytes:
+            is_meant = self.said(asked)[-1:] == [self.line.sent[-1].decode().split(":")[0]]
+            return changed(reply) if is_meant and reply.startswith(f"@{device}".encode()) else reply
+
+        self.line.spoil = spoil
+        return lambda: setattr(self.line, "spoil", lambda reply: reply)
