@@ -10,7 +10,6 @@ import os
 import sys
 import tempfile
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -33,38 +32,7 @@ def compile_part(part: str) -> None:
     """
     gc.disable()  # compiling makes millions of small objects; looking for cycles among them takes 7 % of the time
     with tempfile.TemporaryDirectory() as folder:
-        {"adjustment": _calibrate, "stars": _record_and_measure}[part](Path(folder))
-
-
-def _calibrate(_folder: Path) -> None:
-    """Calibrate from the stars that three poses will show, with noise."""
-    import numpy as np
-
-    from bench.results.solution import planar_calibration
-    from calib import (
-        CalibrationOptions,
-        CameraModel,
-        Collimator,
-        ExpectedBench,
-        StarTarget,
-        calibrate,
-        predicted_view,
-    )
-
-    camera = CameraModel(3345.0, 3345.0, 639.5, 359.5, (1280, 720), {"k1": -0.1, "k2": 0.0})
-    bench = ExpectedBench(camera, Collimator(*StarTarget().tag_centre_mm, 255.0), half_angle_deg=12.0)
-    noise = np.random.default_rng(0)
-    views = []
-    for name, pose in {
-        "right": {"pan_deg": 3.0},
-        "left": {"pan_deg": -3.0},
-        "down": {"tilt_deg": -2.0},
-    }.items():
-        view, _ = predicted_view(bench, pose, name)
-        views.append(replace(view, points_px=view.points_px + noise.normal(0.0, 0.02, (len(view), 2))))
-    options = CalibrationOptions()
-    calibrate(views, options)
-    planar_calibration(views, options)
+        {"stars": _record_and_measure}[part](Path(folder))
 
 
 def _record_and_measure(folder: Path) -> None:

@@ -40,7 +40,7 @@ def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
 VARIABLE = "NUMBA_CACHE_DIR"
 _ROOT = Path(__file__).parents[2]
 _BESIDE = _ROOT / "calib"
-_LAST_KERNELS = {"adjustment": "search_kernel.search", "stars": "edge_pixels.edge_scores"}
+_LAST_KERNELS = {"stars": "edge_pixels.edge_scores"}
 PARTS = tuple(_LAST_KERNELS)
 """Parts of the program with compiled loops that calculate results."""
 _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")

@@ -68,13 +68,9 @@ _MODULES = {
     **dict.fromkeys(("schema", "target", "simulate"), "station"),
 }
 """Modules of the commands that share one; all others have the name of their command."""
-_BOTH = ("adjustment", "stars")
-_CALCULATES = {
-    **dict.fromkeys(("plan", "rehearse"), ("adjustment",)),
-    **dict.fromkeys(
-        ("run", "resume", "verify", "calibrate", "check", "passport", "rig", "compare", "batch"), _BOTH
-    ),
-}
+_CALCULATES = dict.fromkeys(
+    ("run", "resume", "verify", "calibrate", "check", "passport", "rig", "compare", "batch"), ("stars",)
+)
 """Parts with compiled loops that a command uses (`bench.terminal.compiling`)."""
 _RENAMED = {
     "recalibrate": "calibrate RUN... --each",

@@ -1,6 +1,6 @@
 """Compiles the loops that no earlier process has compiled, before a command calculates with them.
 
-Each part is compiled in a process of its own, both at the same time. The process that calculates reads all of them from
+Each part is compiled in a process of its own. The process that calculates reads all of them from
 the disk: a process that compiles a loop itself has more copies of it than one that reads it, and may call another copy.
 A sum in another order then moves stars by some 1e-6 px, and `verify --again` would find that.
 """

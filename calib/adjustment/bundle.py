@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.linearisation import Pull, residuals_px, robust_pull, squares, view_equations
-from calib.adjustment.loss import Loss
-from calib.adjustment.normal_equations import NormalEquations, ViewScores
-from calib.adjustment.observations import Observations
+from calib.adjustment.loss import Loss, lengths
+from calib.adjustment.normal_equations import ViewEquations
+from calib.adjustment.observations import Observations, mapped
 from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
@@ -33,8 +32,8 @@ class Bundle:
 
     def subset(self, kept: Sequence[int]) -> Bundle:
         """Return the bundle of some of the views."""
-        obs = self.observations
-        fewer = obs.of_view(kept[0]) if len(kept) == 1 else obs.with_rows(obs.rows(kept))
+        slices = [self.observations.slices[i] for i in kept]
+        fewer = self.observations.part([np.arange(rows.start, rows.stop) for rows in slices])
         poses = tuple(self.poses[i] for i in kept) if self.poses else None
         return replace(self, observations=fewer, poses=poses)
 
@@ -45,9 +44,9 @@ class Bundle:
           them.
         """
         obs = self.observations
-        steps = [max(1, (rows.stop - rows.start) // stars) for rows in obs.slices]
+        steps = np.maximum(1, obs.stars // stars).tolist()
         kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
-        return replace(self, observations=obs.with_rows(kept))
+        return replace(self, observations=obs.part(kept))
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
         """Return the residuals: image point found minus image point predicted.
@@ -57,7 +56,8 @@ class Bundle:
         parameters: Where to evaluate the residuals.
         Returns: (N, 2) residuals, px; NaN for a star that cannot be projected.
         """
-        return residuals_px(self.observations, parameters).T
+        points = self._in_camera(parameters)
+        return np.asarray(self.observations.points_px - parameters.camera.project(points.T))
 
     def weighted_residuals(self, parameters: AdjustmentParameters) -> Array:
         """Return the residuals in units of the stars' standard deviations.
@@ -65,62 +65,58 @@ class Bundle:
         Their sum of squares is the weighted one of Triggs et al. (2000), section 3.2.
 
         parameters: Where to evaluate the residuals.
-        Returns: (N, 2) weighted residuals, not to be written to; NaN for a star that cannot be projected.
+        Returns: (N, 2) weighted residuals; NaN for a star that cannot be projected.
         """
-        obs = self.observations
-        return obs.remembered((parameters,), lambda: obs.whitened(self.residuals_px(parameters)))
+        return mapped(self.observations.factors, self.residuals_px(parameters).T).T
 
-    def normal_equations(self, parameters: AdjustmentParameters, influence: Array) -> NormalEquations:
-        """Linearise the cost by Gauss and Newton, and return the normal equations.
+    def costs(self, parameters: AdjustmentParameters, loss: Loss) -> Array:
+        """Return the (n,) robust cost of each view; NaN if one of its stars cannot be projected."""
+        costs = loss.costs(lengths(self.weighted_residuals(parameters)))
+        return np.array([costs[rows].sum() for rows in self.observations.slices])
 
-        parameters: Where to linearise.
-        influence: (N, 2) gradient of the cost by each weighted residual.
-        """
-        obs, n = self.observations, len(self.names)
-        pull = Pull(np.ascontiguousarray(obs.unwhitened(influence).T), squares(obs))
-        normal, gradient = self._equations(parameters, pull)
-        return NormalEquations(
-            normal[:, :n, :n].sum(axis=0),
-            gradient[:, :n].sum(axis=0),
-            normal[:, n:, n:].copy(),
-            gradient[:, n:].copy(),
-            normal[:, :n, n:].copy(),
-        )
+    def equations(
+        self, parameters: AdjustmentParameters, loss: Loss, *, curved: bool = True
+    ) -> ViewEquations:
+        """Linearise the cost by Gauss and Newton (Triggs et al., 2000, section 4.3).
 
-    def pull(self, parameters: AdjustmentParameters, loss: Loss) -> Pull:
-        """Return gradient and curvature of a robust cost by the image points (Triggs et al., 2000, section 4.3).
-
-        parameters: Where to evaluate them.
+        parameters: Where to linearise. All stars must be in front of the camera.
         loss: Cost of a weighted residual.
+        curved: Whether the normal matrices have the curvature of the robust cost; else that of least squares.
         """
         residuals = self.weighted_residuals(parameters)
-        return robust_pull(self.observations, residuals, loss.number, float(loss.limit))
+        influence = residuals * loss.weights(lengths(residuals))[:, None]
+        slopes = curving = self._derivatives(parameters)
+        if curved and loss.is_robust:
+            curving = mapped(loss.curvature_root(residuals), slopes)
+        normal, right = [], []
+        for rows in self.observations.slices:
+            block = curving[:, :, rows].reshape(len(curving), -1)
+            normal.append(block @ block.T)
+            right.append(slopes[:, :, rows].reshape(len(slopes), -1) @ influence[rows].T.ravel())
+        return ViewEquations(np.array(normal), np.array(right), len(self.names))
 
-    def scores(self, parameters: AdjustmentParameters, loss: Loss, *, curved: bool) -> ViewScores:
-        """Return the information and the score of each view for the shared parameters, its local parameters eliminated.
+    def _in_camera(self, parameters: AdjustmentParameters) -> Array:
+        """Return the (3, N) stars in the camera frame, P = R (X - c), mm (arXiv:2512.16092, eq. 2)."""
+        obs = self.observations
+        of_views = zip(obs.slices, parameters.rotations, parameters.centres, strict=True)
+        seen = [turn @ (obs.target[rows] - centre).T for rows, turn, centre in of_views]
+        return np.concatenate(seen, axis=1)
 
-        The score is the view's contribution J^T psi to the negative gradient of the cost. At the optimum
-        the scores add up to zero. The local parameters are eliminated by the Schur complement (Triggs et al., 2000,
-        section 6.1).
+    def _derivatives(self, parameters: AdjustmentParameters) -> Array:
+        """Return the (G + L, 2, N) derivatives of the weighted image points, one row of stars for each.
 
-        parameters: Where to linearise.
-        loss: Cost of a weighted residual; it enters the scores.
-        curved: Whether the information has the curvature of the robust cost; else that of least squares.
+        Own derivation, by the chain rule: a rotation t on the camera's side moves P by t x P, and a shift s of the
+        centre moves it by -R s.
         """
-        n, pull = len(self.names), self.pull(parameters, loss)
-        if not curved:
-            pull = Pull(pull.gradient, squares(self.observations))
-        return ViewScores.of(*self._equations(parameters, pull), n)
-
-    def view_equations(self, parameters: AdjustmentParameters, loss: Loss) -> tuple[Array, Array]:
-        """Return the equations of each view with a robust cost (Triggs et al., 2000, section 4.3).
-
-        parameters: Where to linearise.
-        loss: Cost of a weighted residual.
-        Returns: (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
-        """
-        return self._equations(parameters, self.pull(parameters, loss))
-
-    def _equations(self, parameters: AdjustmentParameters, pull: Pull) -> tuple[Array, Array]:
-        """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view."""
-        return view_equations(self.observations, parameters, self.names, self.free_centres, pull)
+        obs, points = self.observations, self._in_camera(parameters)
+        _, by_point, by_camera = parameters.camera.project_with_jacobians(points.T)
+        slopes = by_point.transpose(2, 1, 0)
+        (x, y, z), (u, v, w) = points, slopes
+        turned = [y * w - z * v, z * u - x * w, x * v - y * u]
+        of_views = zip(obs.slices, parameters.rotations, strict=True)
+        shifted = [np.tensordot(-turn, slopes[:, :, rows], (0, 0)) for rows, turn in of_views]
+        moved = np.concatenate(shifted, axis=2)
+        known = dict(zip(parameters.camera.parameter_names, by_camera.transpose(2, 1, 0), strict=True))
+        known |= {"x": moved[0], "y": moved[1], "r": -moved[2]}
+        rows = [*(known[name] for name in self.names), *turned, *(moved if self.free_centres else ())]
+        return mapped(obs.factors, np.array(rows))

@@ -8,34 +8,24 @@ gradient and by its curvature along and across the residual, so that the search 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.adjustment import search_kernel
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.adjustment.state import packed, state_places, unpacked
-
-__all__ = [
-    "MAX_ITERATIONS",
-    "RELATIVE_TOLERANCE",
-    "Loss",
-    "Refinement",
-    "refine",
-    "tolerances",
-]
-
-Array = NDArray[np.float64]
 
 #: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
 #: Largest number of steps tried, unless told.
 MAX_ITERATIONS = 100
+#: The search stops when the damping exceeds this.
+_MAX_DAMPING = 1e12
+#: Focal length and radius lie along a curved valley, and a damped step follows its tangent only. Little damping needs
+#: fewer steps, and more starts reach the bottom.
+_FIRST_DAMPING = 1e-6
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 _EPSILON = float(np.finfo(float).eps)
@@ -57,45 +47,49 @@ def refine(
     loss: Loss,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = RELATIVE_TOLERANCE,
-    views: Sequence[int] | None = None,
 ) -> Refinement:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
     loss: Cost of a weighted residual.
     tolerance: The refinement ends when the predicted reduction is below this share of the cost.
-    views: Indices of the views that take part; None for all. The starting values are those of these views.
     Returns: ``converged`` is False if the number of steps was reached, or if a star cannot be projected at
       the start.
     """
-    obs, state = bundle.observations, packed(start)
-    rotations, offsets = start.rotations.copy(), start.offsets.copy()
-    cost, converged, iterations = search_kernel.search(
-        obs.target_rows,
-        obs.point_rows,
-        obs.factors,
-        obs.bounds if views is None else obs.bounds[list(views)],
-        start.camera.is_fisheye,
-        state_places(bundle.names),
-        state,
-        rotations,
-        offsets,
-        bundle.free_centres,
-        loss.number,
-        float(loss.limit),
-        max_iterations,
-        tolerances(bundle, tolerance),
-    )
-    camera, collimator = unpacked(start, state)
-    end = AdjustmentParameters(camera, collimator, rotations, offsets, start.gimbal)
-    return Refinement(end, cost, converged, iterations)
+    with np.errstate(all="ignore"):  # a step may lead where nothing can be projected
+        return _search(bundle, start, loss, max_iterations, tolerance)
 
 
-def tolerances(bundle: Bundle, tolerance: float) -> Array:
-    """Return the tolerances of `calib.adjustment.search_kernel.search`.
-
-    Returns: (3,) relative and absolute tolerance, and how much rounding changes the root of twice the cost.
-    """
-    return np.array([tolerance, _ABSOLUTE_TOLERANCE, _rounding(bundle, 0.5)])
+def _search(
+    bundle: Bundle, start: AdjustmentParameters, loss: Loss, max_iterations: int, tolerance: float
+) -> Refinement:
+    parameters, cost = start, bundle.costs(start, loss).sum()
+    if not np.isfinite(cost):
+        return Refinement(start, math.inf, False, 0)
+    damping, growth, iteration, equations = _FIRST_DAMPING, 2.0, 0, None
+    while iteration < max_iterations and damping < _MAX_DAMPING:
+        equations = equations or bundle.equations(parameters, loss)
+        iteration += 1
+        try:
+            shared, local = equations.step(damping)
+        except np.linalg.LinAlgError:
+            damping, growth = damping * growth, growth * 2.0
+            continue
+        # Gradient times step: twice the predicted reduction of the cost.
+        predicted = equations.right[:, : len(shared)].sum(axis=0) @ shared
+        predicted += (equations.right[:, len(shared) :] * local).sum()
+        if predicted * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
+            return Refinement(parameters, float(cost), True, iteration)
+        moved = parameters.after_step(bundle.names, shared, local)
+        new_cost = bundle.costs(moved, loss).sum()
+        gain = 2.0 * (cost - new_cost) / predicted
+        if gain > 0.0:
+            parameters, cost, equations = moved, new_cost, None
+            damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+        elif predicted * (1.0 + damping) <= _rounding(bundle, cost):
+            return Refinement(parameters, float(cost), True, iteration)
+        else:
+            damping, growth = damping * growth, growth * 2.0
+    return Refinement(parameters, float(cost), False, iteration)
 
 
 def _rounding(bundle: Bundle, cost: float) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.star_kernels import LOSSES
 from calib.errors import InputMismatch
 
 Array = NDArray[np.float64]
@@ -32,23 +31,23 @@ class Loss:
             raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
 
     @property
-    def number(self) -> int:
-        """The loss as a number for `calib.adjustment.star_kernels`; least squares if the limit is infinite."""
-        return LOSSES[self.name if np.isfinite(self.limit) else "l2"]
+    def is_robust(self) -> bool:
+        """Whether the loss leaves the parabola anywhere."""
+        return self.name != "l2" and bool(np.isfinite(self.limit))
 
-    def cost(self, lengths: Array) -> float:
-        """Return the total cost.
+    def costs(self, lengths: Array) -> Array:
+        """Return the cost of each residual.
 
         ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
 
         lengths: (N,) lengths of the weighted residuals.
         """
-        if self.name == "huber" and np.isfinite(self.limit):
+        if not self.is_robust:
+            return np.asarray(0.5 * lengths**2)
+        if self.name == "huber":
             inside = np.minimum(lengths, self.limit)
-            return float((inside * (lengths - 0.5 * inside)).sum())
-        if self.name == "cauchy" and np.isfinite(self.limit):
-            return float(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2).sum())
-        return float(0.5 * (lengths**2).sum())
+            return np.asarray(inside * (lengths - 0.5 * inside))
+        return np.asarray(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2))
 
     def weights(self, lengths: Array) -> Array:
         """Return the weights rho'(e) / e.
@@ -58,11 +57,11 @@ class Loss:
         lengths: (N,) lengths of the weighted residuals.
         Returns: (N,) weights, 0 to 1.
         """
-        if self.name == "huber" and np.isfinite(self.limit):
+        if not self.is_robust:
+            return np.ones_like(lengths)
+        if self.name == "huber":
             return np.asarray(self.limit / np.maximum(lengths, self.limit))
-        if self.name == "cauchy" and np.isfinite(self.limit):
-            return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
-        return np.ones_like(lengths)
+        return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
 
     def second_derivatives(self, lengths: Array) -> Array:
         """Return the second derivatives rho''(e), along the residuals.
@@ -72,13 +71,13 @@ class Loss:
         lengths: (N,) lengths of the weighted residuals.
         Returns: (N,) second derivatives; negative where the Cauchy loss is concave.
         """
-        if self.name == "huber" and np.isfinite(self.limit):
+        if not self.is_robust:
+            return np.ones_like(lengths)
+        if self.name == "huber":
             return np.where(lengths <= self.limit, 1.0, 0.0)
-        if self.name == "cauchy" and np.isfinite(self.limit):
-            return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
-        return np.ones_like(lengths)
+        return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
 
-    def curvature_root(self, residuals: Array) -> Array | None:
+    def curvature_root(self, residuals: Array) -> Array:
         """Return the symmetric square roots of the second derivatives of rho in the plane.
 
         The curvature is rho'' along the residual (set to zero where negative, so that every step descends) and rho' / e
@@ -86,25 +85,18 @@ class Loss:
         it where it is negative; the root is this project's own.
 
         residuals: (N, 2) weighted residuals.
-        Returns: (N, 2, 2) square roots; None if all are the identity.
+        Returns: (2, 2, N) square roots.
         """
-        if not np.isfinite(self.limit):
-            return None
         away = lengths(residuals)
         ux, uy = residuals.T / np.maximum(away, np.finfo(float).tiny)
         along = np.sqrt(np.maximum(self.second_derivatives(away), 0.0))
         across = np.sqrt(self.weights(away))
         excess = along - across
         shared = excess * ux * uy
-        root = np.array([[across + excess * ux * ux, shared], [shared, across + excess * uy * uy]])
-        return np.asarray(root.transpose(2, 0, 1))
+        return np.array([[across + excess * ux * ux, shared], [shared, across + excess * uy * uy]])
 
 
 def lengths(residuals: Array) -> Array:
-    """Return the lengths of residuals.
-
-    residuals: (N, 2) residuals.
-    Returns: (N,) lengths.
-    """
+    """Return the (N,) lengths of (N, 2) residuals."""
     x, y = residuals.T
     return np.asarray(np.sqrt(x * x + y * y))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import Loss
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
@@ -100,7 +100,8 @@ def _without_turns(
     # A shift of the image is one of the principal point; a shift of the target is the opposite one of the centre.
     names = (*bundle.names, "cx", "cy") if of_image else bundle.names
     freed = replace(bundle, names=names, free_centres=not of_image)
-    normal, gradient = freed.view_equations(parameters, Loss("l2"))
+    equations = freed.equations(parameters, Loss("l2"))
+    normal, gradient = equations.normal, equations.right
     shift, turn = ((0, 1), (2, 3, 4)) if of_image else ((3, 4), (0, 1, 2))
     kept, turned = [*range(count), *(count + k for k in shift)], [count + k for k in turn]
     sign = np.ones(count + 2)

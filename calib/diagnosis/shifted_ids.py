@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.linearised import plain_bundle, target_shifts
 from calib.diagnosis.star_noise import typical_noise_px

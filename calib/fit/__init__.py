@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.degeneracy import explain_weak_geometry, require_constrained, require_distinct_poses
-from calib.adjustment.levenberg_marquardt import Loss, Refinement
+from calib.adjustment.levenberg_marquardt import Refinement
+from calib.adjustment.loss import Loss
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.poses import poses_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
-from calib.adjustment.loss import lengths
+from calib.adjustment.levenberg_marquardt import Refinement, refine
+from calib.adjustment.loss import Loss, lengths
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import CalibrationOptions
 from calib.model.median import median

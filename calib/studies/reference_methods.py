@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.fit import fit_model

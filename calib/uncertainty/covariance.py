@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import Loss
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.budget_row import POSE_FIELDS, STARS
@@ -85,7 +85,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     from scipy import special
 
     lengths = np.hypot(residuals[:, 0], residuals[:, 1])
-    views = bundle.scores(parameters, loss, curved=False)
+    views = bundle.equations(parameters, loss, curved=False).eliminated()
     count = len(bundle.names) + views.answer[:, :, 0].size
     freedom = 2 * len(lengths) - count
     if freedom <= 0:
@@ -126,10 +126,10 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     Returns: (3 n, 3 n) covariance of rotation vectors on the camera's side, rad^2.
     """
     whole = replace(bundle, names=nominal.names)
-    equations = whole.normal_equations(parameters, whole.weighted_residuals(parameters))
+    equations = whole.equations(parameters, Loss("l2"))
     growth = nominal.birge_ratio if nominal.inconsistent else 1.0
     inverse = np.linalg.inv(equations.local)
-    answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(nominal.names))
+    answer = -(inverse @ equations.coupling)[:, :3].reshape(-1, len(nominal.names))
     joint = answer @ nominal.covariance @ answer.T
     for i, own in enumerate(inverse[:, :3, :3]):
         joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * nominal.variance_factor * own

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.left_out import costs_of_views, rms_alone
-from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
 from calib.uncertainty.repeats import pose_scores, views_of_poses
@@ -60,22 +60,21 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     Returns: Estimates without each pose, and the predicted residuals of its views.
     """
     poses = views_of_poses(bundle)
-    near = _steps_without(bundle, parameters, loss)
-    at_optimum, *after_step = costs_of_views(bundle, [parameters, *near], loss)
+    at_optimum = bundle.costs(parameters, loss)
     without: list[AdjustmentParameters] = []
-    for left_out, step, costs in zip(poses, near, after_step, strict=True):
+    for left_out, step in zip(poses, _steps_without(bundle, parameters, loss), strict=True):
         others = [j for j in range(len(parameters.rotations)) if j not in left_out]
-        far = not costs[others].sum() <= at_optimum[others].sum()
+        with np.errstate(all="ignore"):  # the step may lead where nothing can be projected
+            far = not bundle.costs(step, loss)[others].sum() <= at_optimum[others].sum()
         start = (parameters if far else step).subset(others)
         if far or len(poses) <= _STEP_VIEWS:
-            start = refine(bundle, start, loss, tolerance=_TOLERANCE, views=others).parameters
+            start = refine(bundle.subset(others), start, loss, tolerance=_TOLERANCE).parameters
         without.append(start)
-    rms = _rms_left_out(bundle, poses, without, parameters)
-    stars = [bundle.observations.bounds[i] for views in poses for i in views]
+    order = [i for views in poses for i in views]
     return CrossValidation(
         np.array([one.values(bundle.names) for one in without]),
-        np.array([rms[i] for views in poses for i in views]),
-        np.diff(stars, axis=1)[:, 0],
+        np.array(_rms_left_out(bundle, poses, without, parameters)),
+        bundle.observations.stars[order],
     )
 
 
@@ -87,15 +86,14 @@ def _steps_without(
     Without pose i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i. One-step
     deletion: Pregibon (1981); the reduced equations are this project's own.
     """
-    views = bundle.scores(parameters, loss, curved=True)
+    views = bundle.equations(parameters, loss).eliminated()
     own, scores = pose_scores(bundle, views)
     left = views.information.sum(axis=0) - own
     # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(left, axis1=1, axis2=2), np.finfo(float).tiny))
     inverse = np.linalg.pinv(left * scale[:, :, None] * scale[:, None], rcond=len(left[0]) * _EPSILON)
     shared = -scale * (inverse @ (scale * scores)[:, :, None])[:, :, 0]
-    local = -np.einsum("nlg,pg->pnl", views.answer, shared)
-    return parameters.after_steps(bundle.names, shared, local)
+    return [parameters.after_step(bundle.names, step, -views.answer @ step) for step in shared]
 
 
 def _rms_left_out(
@@ -103,19 +101,22 @@ def _rms_left_out(
     poses: Sequence[Sequence[int]],
     without: Sequence[AdjustmentParameters],
     parameters: AdjustmentParameters,
-) -> Array:
-    """Return the (n,) rms residuals of the views of each pose, px, with the camera and the centre without the pose.
+) -> list[float]:
+    """Return the rms residuals of the views of each pose, px, with the camera and the centre without the pose.
 
     Of a view only the rotation is adjusted; of a board, its whole pose.
     """
-    by_hand = np.zeros(len(parameters.rotations), np.bool_)
-    others = [parameters] * len(by_hand)
+    found = []
     for views, one in zip(poses, without, strict=True):
-        found = one
+        others, by_hand = one, False
         if bundle.free_centres:
             x, y, z = one.centres.mean(axis=0).tolist()
-            by_hand[views] = bool(np.linalg.norm(one.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
-            found = replace(one, collimator=Collimator(x, y, -z))
+            by_hand = bool(np.linalg.norm(one.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
+            others = replace(one, collimator=Collimator(x, y, -z))
         for i in views:
-            others[i] = found
-    return rms_alone(bundle, others, parameters.rotations, parameters.centres, by_hand, _TOLERANCE)
+            offset = (parameters.centres[i] - others.collimator.centre) * by_hand
+            start = replace(others, rotations=parameters.rotations[i : i + 1], offsets=offset[None])
+            view = replace(bundle.subset([i]), names=(), free_centres=by_hand)
+            end = refine(view, start, Loss("l2"), tolerance=_TOLERANCE).parameters
+            found.append(float(np.sqrt((view.residuals_px(end) ** 2).sum(axis=1).mean())))
+    return found

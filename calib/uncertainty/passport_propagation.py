@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.budget_row import PASSPORT, POSE_FIELDS, STARS
 from calib.model.passport import Passport
@@ -55,7 +56,7 @@ def _whole_information(
     """Return the names of the free and of the held parameters, and their (G, G) information."""
     names = (*bundle.names, *(name for name in passport.names if name not in bundle.names))
     whole = replace(bundle, names=names)
-    return names, whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
+    return names, whole.equations(parameters, Loss("l2")).eliminated().information.sum(axis=0)
 
 
 def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:

@@ -27,7 +27,7 @@ def views_of_poses(bundle: Bundle) -> list[list[int]]:
 def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
     """Return the information and the score of each pose: the sums over its views.
 
-    scores: Information and scores of its views (`Bundle.scores`).
+    scores: Information and scores of its views.
     Returns: (P, G, G) information and (P, G) scores of P poses.
     """
     poses = views_of_poses(bundle)

@@ -111,7 +111,8 @@ def test_the_reference_methods_are_opencvs_and_the_published_one(views):
 @pytest.mark.parametrize("size", [2, 3])
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
     from calib.adjustment.initialization import spherical_starts
-    from calib.adjustment.levenberg_marquardt import Loss, refine
+    from calib.adjustment.levenberg_marquardt import refine
+    from calib.adjustment.loss import Loss
     from calib.fit.starts import initialize
     from calib.model.homography import view_homography
 

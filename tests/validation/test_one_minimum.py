@@ -15,7 +15,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews

@@ -41,9 +41,8 @@ def folder(tmp_path_factory):
         (["runs", "{run}"], 0, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
         (["statuss"], 2, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
         (["plan", "three_pos", "-s", "simulated"], 2, PLOTS_AND_ENGINE),
-        # The forecast uses the engine's own equations, which are compiled.
-        (["plan", "three_pose", "-s", "simulated"], 0, PLOTS_AND_ENGINE - {"numba"}),
-        (["plan", "until_good", "-s", "simulated"], 0, PLOTS_AND_ENGINE - {"numba"}),
+        (["plan", "three_pose", "-s", "simulated"], 0, PLOTS_AND_ENGINE),
+        (["plan", "until_good", "-s", "simulated"], 0, PLOTS_AND_ENGINE),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

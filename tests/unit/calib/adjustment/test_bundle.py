@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.loss import Loss
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import InputMismatch
@@ -28,7 +29,7 @@ def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES, free_centres=free_centres)
     parameters = parameters_near(bench, rng)
     residuals = bundle.weighted_residuals(parameters)
-    equations = bundle.normal_equations(parameters, residuals)
+    equations = bundle.equations(parameters, Loss("l2"))
     depth = 6 if free_centres else 3
     scales = np.concatenate([[1, 1, 1, 1, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2], [1e-4] * 3, [1e-2] * 3])[: 9 + depth]
 
@@ -43,9 +44,9 @@ def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
         slope = (plus - minus) / (2e-2 * scale)
         gradient = -(slope * residuals).sum()
         curvature = (slope**2).sum()
-        found = equations.shared_gradient[i] if i < 9 else equations.local_gradient[1, i - 9]
+        found = equations.right[:, i].sum() if i < 9 else equations.right[1, i]
         assert found == pytest.approx(gradient, rel=1e-5)
-        found = equations.shared[i, i] if i < 9 else equations.local[1, i - 9, i - 9]
+        found = equations.normal[:, i, i].sum() if i < 9 else equations.normal[1, i, i]
         assert found == pytest.approx(curvature, rel=1e-5)
 
 
@@ -53,15 +54,13 @@ def test_the_reduced_information_is_that_of_the_whole_system(bench):
     rng = np.random.default_rng(7)
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)
     parameters = parameters_near(bench, rng)
-    equations = bundle.normal_equations(parameters, bundle.weighted_residuals(parameters))
+    equations = bundle.equations(parameters, Loss("l2"))
     whole = np.zeros((9 + 9, 9 + 9))
-    whole[:9, :9] = equations.shared
-    for i in range(3):
-        rows = slice(9 + 3 * i, 12 + 3 * i)
-        whole[rows, rows] = equations.local[i]
-        whole[:9, rows] = equations.coupling[i]
-        whole[rows, :9] = equations.coupling[i].T
-    assert np.allclose(np.linalg.inv(equations.reduced()), np.linalg.inv(whole)[:9, :9], rtol=1e-5)
+    for i, normal in enumerate(equations.normal):
+        at = [*range(9), *range(9 + 3 * i, 12 + 3 * i)]
+        whole[np.ix_(at, at)] += normal
+    information = equations.eliminated().information.sum(axis=0)
+    assert np.allclose(np.linalg.inv(information), np.linalg.inv(whole)[:9, :9], rtol=1e-5)
 
 
 def test_a_star_counts_by_its_covariance(bench):
@@ -109,7 +108,7 @@ def slopes(bundle, parameters):
 
 @pytest.mark.parametrize("free_centres", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
-def test_the_compiled_equations_are_the_sums_over_the_derivatives_of_all_stars(bench, lens, free_centres):
+def test_the_equations_are_the_sums_over_the_derivatives_of_all_stars(bench, lens, free_centres):
     rng = np.random.default_rng(16)
     names = ("fy", *lens, "fx", "cy", "r", "x", "cx")
     obs = Observations.from_views(bench.views(rng, 0.05))
@@ -117,27 +116,42 @@ def test_the_compiled_equations_are_the_sums_over_the_derivatives_of_all_stars(b
     near = parameters_near(bench, rng)
     camera = replace(near.camera, distortion={name: 0.1 * rng.normal() for name in lens})
     parameters = replace(near, camera=camera)
-    influence = rng.normal(size=(len(obs.view), 2))
 
-    found = bundle.normal_equations(parameters, influence)
+    found = bundle.equations(parameters, Loss("l2"))
 
-    count, jacobian = len(names), slopes(bundle, parameters)
+    jacobian, residuals = slopes(bundle, parameters), bundle.weighted_residuals(parameters)
     for i, rows in enumerate(obs.slices):
         own = jacobian[:, rows].reshape(len(jacobian), -1)
-        normal, right = own @ own.T, own @ influence[rows].reshape(-1)
-        unit = np.sqrt(np.outer(np.diag(normal), np.diag(normal)))
-        assert np.abs((found.local[i] - normal[count:, count:]) / unit[count:, count:]).max() < 1e-5
-        assert np.abs((found.coupling[i] - normal[:count, count:]) / unit[:count, count:]).max() < 1e-5
-        along = np.linalg.norm(own, axis=1)[count:]
-        assert np.abs((found.local_gradient[i] - right[count:]) / along).max() < 1e-4
-    whole = jacobian[:count].reshape(count, -1)
-    unit = np.linalg.norm(whole, axis=1)
-    assert np.abs((found.shared - whole @ whole.T) / np.outer(unit, unit)).max() < 1e-5
-    assert np.abs((found.shared_gradient - whole @ influence.reshape(-1)) / unit).max() < 1e-4
+        along = np.linalg.norm(own, axis=1)
+        assert np.abs((found.normal[i] - own @ own.T) / np.outer(along, along)).max() < 1e-5
+        pull = own @ residuals[rows].reshape(-1)
+        assert np.abs((found.right[i] - pull) / along).max() < 1e-5 * np.linalg.norm(residuals[rows])
+
+
+@pytest.mark.parametrize("loss", [Loss("huber", 1.0), Loss("cauchy", 1.0)])
+def test_a_robust_cost_curves_as_its_differences_do(bench, loss):
+    rng = np.random.default_rng(18)
+    bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES[:4])
+    parameters = parameters_near(bench, rng)
+    outside = np.linalg.norm(bundle.weighted_residuals(parameters), axis=1) > 1.0
+    assert outside.any()
+
+    found = bundle.equations(parameters, loss)
+
+    def cost(step):
+        return bundle.costs(parameters.after_step(NAMES[:4], step, np.zeros((3, 3))), loss).sum()
+
+    for i in range(4):
+        step = 0.1 * np.eye(4)[i]
+        assert found.right[:, i].sum() == pytest.approx((cost(-step) - cost(step)) / 0.2, rel=1e-3)
+    plain = bundle.equations(parameters, loss, curved=False)
+    assert np.array_equal(plain.normal, bundle.equations(parameters, Loss("l2")).normal)
+    assert np.array_equal(plain.right, found.right)
+    assert (np.diagonal(found.normal, axis1=1, axis2=2) < np.diagonal(plain.normal, axis1=1, axis2=2)).all()
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_the_compiled_projection_is_that_of_the_camera(bench, lens):
+def test_the_projection_is_that_of_the_camera(bench, lens):
     rng = np.random.default_rng(17)
     obs = Observations.from_views(bench.views(rng, 0.05))
     near = parameters_near(bench, rng)

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.shifted_ids import IdShift, find_shifted_ids
 from calib.fit.starts import initialize
