@@ -11,7 +11,7 @@ from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen, pe
 
 from bench.evidence.authorisation import authorise
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import KINDS, add_beside, kind_of, seal_folder
+from bench.evidence.seal import KINDS, add_beside, kind_of, make_manifest, seal_folder
 from bench.evidence.sshsig import fingerprint
 
 pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
@@ -124,3 +124,10 @@ def test_the_commands_find_what_is_wrong(tmp_path, key, signers, ada, lists, aut
     assert run(authorised, folder, lists)[0] != 0
     assert run(names, folder, lists)[0] == 0  # it names the bench: the second command refuses
     assert run(hashes, folder, lists)[0] == 0
+    (folder / "exports" / "opencv.yaml").chmod(0o644)
+    (folder / "exports" / "opencv.yaml").write_text("fx: 2\n")
+    assert run(hashes, folder, lists)[0] == 1
+    (folder / "SHA256SUMS").chmod(0o644)
+    (folder / "SHA256SUMS").write_bytes(make_manifest(folder))
+    assert run(hashes, folder, lists)[0] == 0
+    assert run(seal, folder, lists)[0] == 255

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bench.base.bounded_json import canonical_json
 from bench.base.errors import RunFolderError
-from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
+from bench.evidence.keys import NAMESPACE, Signer, create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_folder
@@ -44,12 +44,6 @@ def test_what_was_found_can_be_written_as_json(sealed, signers):
 # ------------------------------------------------------------------ attacks
 
 
-def test_an_edited_number_is_found(sealed, signers):
-    export = sealed / "exports" / "opencv.yaml"
-    export.write_text(export.read_text().replace("3345.06", "3345.07"))
-    assert kinds(verify_folder(sealed, signers)) == [("changed", "exports/opencv.yaml")]
-
-
 def test_every_changed_file_is_found(sealed, signers):
     files = sorted(p for p in sealed.rglob("*") if p.is_file() and not p.name.startswith("SHA256SUMS"))
     for path in files:
@@ -59,20 +53,6 @@ def test_every_changed_file_is_found(sealed, signers):
         assert ("changed", name) in kinds(verify_folder(sealed, signers))
         path.write_bytes(before)
     assert verify_folder(sealed, signers).ok
-
-
-def test_two_captures_swapped_are_found(sealed, signers):
-    one, two = (sealed / f"captures/pose-00{n}-attempt-1.raw" for n in (1, 2))
-    data = one.read_bytes(), two.read_bytes()
-    one.write_bytes(data[1])
-    two.write_bytes(data[0])
-    assert {k for k, _ in kinds(verify_folder(sealed, signers))} == {"changed"}
-    assert len(verify_folder(sealed, signers).faults) == 2
-
-
-def test_a_deleted_capture_is_found(sealed, signers):
-    (sealed / "captures/pose-001-attempt-1.raw").unlink()
-    assert kinds(verify_folder(sealed, signers)) == [("missing", "captures/pose-001-attempt-1.raw")]
 
 
 @pytest.mark.parametrize(
@@ -153,12 +133,6 @@ def test_an_expired_key_is_found(sealed_once, signers):
     assert kinds(found) == [("key", "SHA256SUMS.sig")]
     assert "expired" in found.faults[0].what
     assert verify_folder(sealed_once, [expired], at=datetime(2025, 12, 31, tzinfo=UTC)).ok
-
-
-def test_any_of_several_lines_of_a_key_may_allow_it(sealed_once, signers):
-    (signer,) = signers
-    elsewhere = Signer("bench1@lab.example", signer.public_key, namespaces=("git",))
-    assert verify_folder(sealed_once, [elsewhere, signer]).ok
 
 
 def test_nobody_trusted_means_not_verified(sealed_once):
@@ -353,10 +327,6 @@ def test_what_is_no_run_folder_is_an_error(tmp_path):
     for path in (tmp_path, tmp_path / "absent"):
         with pytest.raises(RunFolderError, match="not a run folder"):
             verify_folder(path, [])
-
-
-def test_the_keys_of_the_bench_verify_its_runs(sealed_once, home):
-    assert verify_folder(sealed_once, read_signers(home / "allowed_signers")).ok
 
 
 # ------------------------------------------------------------------ anything else
