@@ -28,13 +28,11 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from simulators.compiled import INNER, LOOP
 from simulators.world.truth import CollimatorTruth, ReticleTruth
 
 FloatArray = NDArray[np.float64]
@@ -148,51 +146,48 @@ def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
     return terms
 
 
-@njit(**INNER)
-def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[float, float]:
-    """Return the displacement at a point of the disc.
+def displacement_field(u: FloatArray, v: FloatArray, coefficients: FloatArray) -> tuple[Any, Any]:
+    """Return the displacement at points of the disc.
 
     Own model: sum c_pq u^p v^q, and beyond rho = `RIM_FROM` also ((rho - `RIM_FROM`) / (1 - `RIM_FROM`))^`RIM_POWER`
     times a Fourier series of the angle.
 
-    u, v: Point relative to the disc's centre, in its radii.
+    u, v: Points relative to the disc's centre, in its radii, two arrays of one shape (...,).
     coefficients: (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, or (0, 2) for no displacement.
     """
-    x, y = 0.0, 0.0
     if coefficients.shape[0] == 0:
-        return x, y
-    rho = math.sqrt(u * u + v * v)
-    if rho > EDGE:
-        u, v = u * EDGE / rho, v * EDGE / rho
-        rho = EDGE
-    k, power_u = 0, 1.0
+        return 0.0, 0.0
+    rho = np.sqrt(u * u + v * v)
+    beyond, away = rho > EDGE, np.maximum(rho, EDGE)
+    u, v = np.where(beyond, u * EDGE / away, u), np.where(beyond, v * EDGE / away, v)
+    rho = np.minimum(rho, EDGE)
+    x, y = np.zeros_like(rho), np.zeros_like(rho)
+    k, power_u = 0, np.ones_like(rho)
     for p in range(DEGREE + 1):
         power = power_u
         for _ in range(DEGREE + 1 - p):
             x += power * coefficients[k, 0]
             y += power * coefficients[k, 1]
-            power *= v
+            power = power * v
             k += 1
-        power_u *= u
-    if rho > RIM_FROM:
-        rim_x, rim_y = _rim_field(u / rho, v / rho, coefficients[MONOMIALS:])
-        growth = ((rho - RIM_FROM) / (1.0 - RIM_FROM)) ** RIM_POWER
-        x, y = x + growth * rim_x, y + growth * rim_y
-    return x, y
+        power_u = power_u * u
+    length = np.maximum(rho, RIM_FROM)
+    rim_x, rim_y = _rim_field(u / length, v / length, coefficients[MONOMIALS:])
+    growth = ((length - RIM_FROM) / (1.0 - RIM_FROM)) ** RIM_POWER
+    return x + growth * rim_x, y + growth * rim_y
 
 
-@njit(**INNER)
-def _rim_field(cosine: float, sine: float, coefficients: FloatArray) -> tuple[float, float]:
-    """Return the rim's field at the disc's edge, in the direction of that cosine and sine.
+def _rim_field(cosine: FloatArray, sine: FloatArray, coefficients: FloatArray) -> tuple[Any, Any]:
+    """Return the rim's field at the disc's edge, in the directions of those cosines and sines.
 
     Own model: the Fourier series c_0 + sum over m of c_m cos(m phi) + s_m sin(m phi).
     """
     x, y = coefficients[0]
-    c, s = 1.0, 0.0
+    c, s = np.ones_like(cosine), np.zeros_like(sine)
     for m in range(1, RIM_HARMONICS + 1):
         c, s = c * cosine - s * sine, c * sine + s * cosine
-        x += c * coefficients[2 * m - 1, 0] + s * coefficients[2 * m, 0]
-        y += c * coefficients[2 * m - 1, 1] + s * coefficients[2 * m, 1]
+        x = x + c * coefficients[2 * m - 1, 0] + s * coefficients[2 * m, 0]
+        y = y + c * coefficients[2 * m - 1, 1] + s * coefficients[2 * m, 1]
     return x, y
 
 
@@ -285,45 +280,32 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     )
 
 
-@njit(**INNER)
-def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
-    """Return the radius of the disc in one direction, relative to the mean radius; at least 0.1.
+def relative_radius(cosine: FloatArray, sine: FloatArray, edge: FloatArray) -> FloatArray:
+    """Return the radius of the disc in some directions, relative to the mean radius; at least 0.1.
 
     Own model: the Fourier series 1 + sum over m >= 2 of a_m cos(m phi) + b_m sin(m phi).
 
-    cosine, sine: Of the direction's angle from X.
+    cosine, sine: Of the directions' angles from X.
     edge: (2 M,) float64, as in ``Disc``.
     """
-    wide, c, s = 1.0, cosine, sine
+    wide, c, s = np.ones_like(cosine), cosine, sine
     for m in range(edge.size // 2):
         c, s = c * cosine - s * sine, c * sine + s * cosine
         wide += edge[2 * m] * c + edge[2 * m + 1] * s
-    return max(wide, 0.1)
+    return np.maximum(wide, 0.1)
 
 
-@njit(**INNER)
-def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
-    """Return the distance of a target point from the disc's centre, as a fraction of the radius in that direction.
+def radius_fraction(x_mm: FloatArray, y_mm: FloatArray, disc: Disc) -> FloatArray:
+    """Return the distances of target points from the disc's centre, as fractions of the radius in that direction.
 
     Own definition: the distance divided by the radius in that direction.
     """
     x, y = x_mm - disc.x, y_mm - disc.y
-    away = math.sqrt(x * x + y * y)
-    if disc.edge.size == 0 or away == 0.0:
+    away = np.sqrt(x * x + y * y)
+    if disc.edge.size == 0:
         return away / disc.radius
-    return away / (disc.radius * relative_radius(x / away, y / away, disc.edge))
-
-
-@njit(**LOOP)
-def radius_fractions(points_mm: FloatArray, disc: Disc) -> FloatArray:
-    """Return ``radius_fraction`` for several points.
-
-    points_mm: (N, 2) float64, points of the target plane.
-    """
-    out = np.empty(points_mm.shape[0])
-    for i in range(points_mm.shape[0]):
-        out[i] = radius_fraction(points_mm[i, 0], points_mm[i, 1], disc)
-    return out
+    length = np.maximum(away, np.finfo(float).tiny)
+    return away / (disc.radius * relative_radius(x / length, y / length, disc.edge))
 
 
 def _glass(collimator: CollimatorTruth, along: tuple[float, float]) -> tuple[float, float]:
@@ -375,13 +357,12 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
     return field_coefficients(place, c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
 
 
-@njit(**INNER)
-def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
-    """Return the apparent displacement of a reticle point; the module's docstring has the equation.
+def displacement(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[FloatArray, FloatArray]:
+    """Return the apparent displacements of reticle points; the module's docstring has the equation.
 
     Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
 
-    x_mm, y_mm: True position on the target plane.
+    x_mm, y_mm: True positions on the target plane, two arrays of one shape (...,).
     """
     larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
     x_mm, y_mm = x_mm + larger_x, y_mm + larger_y
@@ -393,15 +374,14 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
     from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
     own_x, own_y = displacement_field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
     dx, dy = dx + own_x + larger_x, dy + own_y + larger_y
-    rho = math.sqrt(from_x * from_x + from_y * from_y)
-    near = min(rho / e.disc_radius, ROLL_TO)
-    roll = e.roll_mm * near**3 / e.disc_radius
+    rho = np.sqrt(from_x * from_x + from_y * from_y)
+    near = np.minimum(rho / e.disc_radius, ROLL_TO)
+    roll = e.roll_mm * (near * near * near) / e.disc_radius
     return dx + roll * from_x, dy + roll * from_y
 
 
-@njit(**INNER)
-def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
-    """Return the reticle point that appears at (x, y): the inverse of P + `displacement`, to about 1e-6 mm.
+def reticle_point(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[FloatArray, FloatArray]:
+    """Return the reticle points that appear at (x, y): the inverse of P + `displacement`, to about 1e-6 mm.
 
     Own derivation: the fixed point of P <- (x, y) - displacement(P).
     """
@@ -412,7 +392,6 @@ def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, floa
     return p_x, p_y
 
 
-@njit(**INNER)
 def is_ideal(e: Aberrations) -> bool:
     """Return whether the collimator displaces no point."""
     return (

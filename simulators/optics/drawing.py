@@ -178,7 +178,7 @@ CHORD_PX: Final = 1e-3
 
 
 class Projection(NamedTuple):
-    """Projection by a camera in one pose, as the compiled functions take it."""
+    """Projection by a camera in one pose."""
 
     lens: Lens
     rotation: FloatArray  # (3, 3) float64, rotation R
@@ -193,14 +193,16 @@ class Cells(NamedTuple):
     margin_px: int
 
 
-@njit(**INNER)
-def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[float, float]:
-    """Return the image point of a point of the plane.
+def plane_to_image(
+    x_mm: FloatArray, y_mm: FloatArray, projection: Projection
+) -> tuple[FloatArray, FloatArray]:
+    """Return the image points of points of the plane.
 
     X_cam = R (P + displacement - c): spherical motion of arXiv:2512.16092, eq. 2, if c is the collimator's centre.
     Projection: Hartley and Zisserman (2004), section 6.1.
 
-    Returns: u and v, px; NaN if the point does not lie in front of the camera.
+    x_mm, y_mm: Two arrays of one shape (...,).
+    Returns: u and v, px; NaN for a point that does not lie in front of the camera.
     """
     dx, dy = displacement(x_mm, y_mm, projection.aberrations)
     x, y, z = x_mm + dx - projection.centre[0], y_mm + dy - projection.centre[1], -projection.centre[2]
@@ -213,19 +215,14 @@ def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[fl
     )
 
 
-@njit(**LOOP)
 def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
     """Return the image points of points of the plane.
 
     points_mm: (N, 2) float64, points of the plane.
     """
-    out = np.empty((points_mm.shape[0], 2))
-    for i in range(points_mm.shape[0]):
-        out[i, 0], out[i, 1] = plane_to_image(points_mm[i, 0], points_mm[i, 1], projection)
-    return out
+    return np.stack(plane_to_image(points_mm[:, 0], points_mm[:, 1], projection), axis=1)
 
 
-@njit(**LOOP)
 def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
     """Return the points of the plane that rays meet.
 
@@ -233,20 +230,15 @@ def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
 
     rays: (rows, columns, 2) undistorted normalised coordinates.
     """
-    out = np.empty_like(rays)
     r, c = projection.rotation, projection.centre
-    ideal = is_ideal(projection.aberrations)
-    for i in range(rays.shape[0]):
-        for j in range(rays.shape[1]):
-            xn, yn = rays[i, j]
-            dz = r[0, 2] * xn + r[1, 2] * yn + r[2, 2]
-            scale = -c[2] / dz if dz > 1e-6 else math.nan
-            x = c[0] + scale * (r[0, 0] * xn + r[1, 0] * yn + r[2, 0])
-            y = c[1] + scale * (r[0, 1] * xn + r[1, 1] * yn + r[2, 1])
-            if not ideal:
-                x, y = reticle_point(x, y, projection.aberrations)
-            out[i, j, 0], out[i, j, 1] = x, y
-    return out
+    xn, yn = rays[..., 0], rays[..., 1]
+    dz = r[0, 2] * xn + r[1, 2] * yn + r[2, 2]
+    scale = -c[2] / np.where(dz > 1e-6, dz, np.nan)
+    x = c[0] + scale * (r[0, 0] * xn + r[1, 0] * yn + r[2, 0])
+    y = c[1] + scale * (r[0, 1] * xn + r[1, 1] * yn + r[2, 1])
+    if not is_ideal(projection.aberrations):
+        x, y = reticle_point(x, y, projection.aberrations)
+    return np.stack([x, y], axis=-1)
 
 
 def draw(
@@ -264,53 +256,49 @@ def draw(
     steps: (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
     """
     reach = float(np.linalg.norm(rays, axis=-1).max())
-    _draw(np.ascontiguousarray(polygons_mm, np.float64), projection, reach, cells, steps)
+    shown = polygons_mm[_within(polygons_mm, projection, reach).any(axis=1)]
+    a, b = shown.reshape(-1, 2), np.roll(shown, -1, axis=1).reshape(-1, 2)
+    edges = (a != b).any(axis=1)
+    _add_edges(steps, *_chords(a[edges], b[edges], projection, cells))
+
+
+def _within(points_mm: FloatArray, projection: Projection, reach: float) -> NDArray[np.bool_]:
+    """Return which points lie in front of the camera and at most at that tangent from its optical axis.
+
+    points_mm: (..., 2), points of the plane.
+    """
+    seen = np.concatenate([points_mm, np.zeros((*points_mm.shape[:-1], 1))], axis=-1) - projection.centre
+    depth = seen @ projection.rotation[2]
+    return np.asarray((depth > 0.0) & ((seen * seen).sum(axis=-1) < (1.0 + reach * reach) * depth * depth))
+
+
+def _chords(
+    a: FloatArray, b: FloatArray, projection: Projection, cells: Cells
+) -> tuple[FloatArray, FloatArray]:
+    """Return begin and end of the chords that replace edges from a to b in the image, one edge after the other.
+
+    Own rule: n chords of a curve lie about 1 / n^2 of the distance of a single chord from it.
+
+    a, b: (N, 2), points of the plane, mm.
+    Returns: Two arrays (M, 2), in cells.
+    """
+    first, last, middle = (image_points(points, projection) for points in (a, b, 0.5 * (a + b)))
+    off = np.hypot(*(middle - 0.5 * (first + last)).T)
+    count = np.where(np.isfinite(off), 1 + np.sqrt(off / CHORD_PX), 0).astype(np.int64)
+    edge = np.repeat(np.arange(len(a)), count)
+    step = 1 + np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    share = (step / count[edge])[:, None]
+    ends = image_points((1 - share) * a[edge] + share * b[edge], projection)
+    whole = step == count[edge]
+    ends[whole] = last[edge[whole]]
+    begins = np.roll(ends, 1, axis=0)
+    begins[step == 1] = first[edge[step == 1]]
+    shift = (cells.margin_px + 0.5) * cells.per_px
+    return begins * cells.per_px + shift, ends * cells.per_px + shift
 
 
 @njit(**LOOP)
-def _draw(
-    polygons: FloatArray, projection: Projection, reach: float, cells: Cells, steps: NDArray[np.float32]
-) -> None:
-    """Loop of ``draw``."""
-    corners = polygons.shape[1]
-    for n in range(polygons.shape[0]):
-        shown = False
-        for k in range(corners):
-            shown = shown or _within(polygons[n, k, 0], polygons[n, k, 1], projection, reach)
-        if not shown:
-            continue
-        for k in range(corners):
-            a, b = polygons[n, k], polygons[n, (k + 1) % corners]
-            if a[0] != b[0] or a[1] != b[1]:
-                _draw_edge(a, b, projection, cells, steps)
-
-
-@njit(**INNER)
-def _within(x_mm: float, y_mm: float, projection: Projection, reach: float) -> bool:
-    """Return whether a point lies in front of the camera and at most at that tangent from the optical axis."""
-    x, y, z = x_mm - projection.centre[0], y_mm - projection.centre[1], -projection.centre[2]
-    r = projection.rotation
-    depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
-    return depth > 0.0 and x * x + y * y + z * z < (1.0 + reach * reach) * depth * depth
-
-
-@njit(**INNER)
-def _draw_edge(
-    a: FloatArray, b: FloatArray, projection: Projection, cells: Cells, steps: NDArray[np.float32]
-) -> None:
-    """Add an edge from a to b, as chords of its curve in the image.
-
-    Own rule: n chords of a curve lie about 1 / n^2 of the distance of a single chord from it.
-    """
-    u0, v0 = plane_to_image(a[0], a[1], projection)
-    u1, v1 = plane_to_image(b[0], b[1], projection)
-    um, vm = plane_to_image(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), projection)
-    chords = 1 + int(math.sqrt(math.hypot(um - 0.5 * (u0 + u1), vm - 0.5 * (v0 + v1)) / CHORD_PX))
-    scale, shift = cells.per_px, (cells.margin_px + 0.5) * cells.per_px
-    for k in range(1, chords + 1):
-        u, v = u1, v1
-        if k < chords:
-            s = k / chords
-            u, v = plane_to_image((1 - s) * a[0] + s * b[0], (1 - s) * a[1] + s * b[1], projection)
-        add_edge(steps, u0 * scale + shift, v0 * scale + shift, u * scale + shift, v * scale + shift, 1.0)
-        u0, v0 = u, v
+def _add_edges(steps: NDArray[np.float32], begins: FloatArray, ends: FloatArray) -> None:
+    """Add edges to a picture; see `add_edge`."""
+    for n in range(begins.shape[0]):
+        add_edge(steps, begins[n, 0], begins[n, 1], ends[n, 0], ends[n, 1], 1.0)

@@ -28,12 +28,10 @@ from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import j1
 
-from simulators.compiled import INNER, LOOP
 from simulators.errors import ConfigError
 from simulators.world.board import placement_record, view_of
 from simulators.world.truth import (
@@ -60,7 +58,7 @@ GRID_PX: Final = 8
 
 
 class Lens(NamedTuple):
-    """Parameters of a lens, as the compiled functions take them."""
+    """Parameters of a lens."""
 
     # fx, fy, cx, cy: Focal lengths and principal point, px.
     fx: float
@@ -84,22 +82,19 @@ def lens_of(camera: CameraTruth) -> Lens:
     return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
 
 
-@njit(**INNER)
-def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
+def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
     """Return distorted normalised coordinates.
 
     Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
     and Brandt 2006, radial part, as in OpenCV): with theta = atan r, the point lies at
     theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
-    xn, yn: Undistorted normalised coordinates x/z and y/z.
+    xn, yn: Undistorted normalised coordinates x/z and y/z, two arrays of one shape (...,).
     """
     r2 = xn * xn + yn * yn
     if lens.fisheye:
-        if r2 < 1e-16:
-            return xn, yn
-        r = math.sqrt(r2)
-        theta = math.atan(r)
+        r = np.sqrt(np.maximum(r2, 1e-16))
+        theta = np.arctan(r)
         t2 = theta * theta
         scale = theta * (1.0 + t2 * (lens.k1 + t2 * (lens.k2 + t2 * (lens.k3 + t2 * lens.k4)))) / r
         return scale * xn, scale * yn
@@ -109,17 +104,16 @@ def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     return xd, yd
 
 
-@njit(**INNER)
-def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]:
-    """Return the image point of a point in the camera's frame.
+def image_point(x: FloatArray, y: FloatArray, z: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+    """Return the image points of points in the camera's frame.
 
     Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: Brown (1971), or Kannala and Brandt
     (2006), as in `distort`.
 
-    Returns: u and v, px; NaN if the point does not lie in front of the camera.
+    x, y, z: Three arrays of one shape (...,).
+    Returns: u and v, px; NaN for a point that does not lie in front of the camera.
     """
-    if not z > 0.0:
-        return math.nan, math.nan
+    z = np.where(z > 0.0, z, np.nan)
     xd, yd = distort(x / z, y / z, lens)
     return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy
 
@@ -140,7 +134,7 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
         return _undistort_fisheye(xd, yd, lens)
     xn, yn = xd.copy(), yd.copy()
     for _ in range(200):
-        xe, ye = distort_arrays(xn, yn, lens)
+        xe, ye = distort(xn, yn, lens)
         step_x, step_y = xd - xe, yd - ye
         xn += step_x
         yn += step_y
@@ -150,24 +144,6 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
         if worst < 1e-13:
             return xn, yn
     raise _not_invertible()
-
-
-def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return ``distort`` for arrays.
-
-    xn, yn: Undistorted normalised coordinates, two arrays of one shape (...,).
-    """
-    flat = _distort(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
-    return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
-
-
-@njit(**LOOP)
-def _distort(points: FloatArray, lens: Lens) -> FloatArray:
-    """Loop of ``distort_arrays``."""
-    out = np.empty_like(points)
-    for i in range(points.shape[0]):
-        out[i, 0], out[i, 1] = distort(points[i, 0], points[i, 1], lens)
-    return out
 
 
 def _undistort_fisheye(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:

@@ -18,17 +18,14 @@ from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from calib.target import StarTarget
-from simulators.compiled import INNER, LOOP
 from simulators.optics.collimator_errors import (
     Disc,
     aberrations_of,
     disc_of,
     radius_fraction,
-    radius_fractions,
 )
 from simulators.optics.drawing import (
     Cells,
@@ -54,6 +51,9 @@ PERFECT_GIMBAL: Final = GimbalTruth()
 
 _COARSE_FROM_PX: Final = 4.0
 """Diameter of a blur from which on two cells along a pixel's side suffice."""
+
+_BLOCK_ROWS: Final = 16
+"""Rows that are computed at a time: their numbers stay in the processor's cache."""
 
 _black_polygons = lru_cache(maxsize=4)(black_polygons)
 
@@ -144,7 +144,9 @@ def star_centres(
     disc = disc_of(collimator, rotation)
     bright = 1.0 - collimator.rim - clearance * truth.target.pitch_mm / disc.radius
     low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
-    seen = (radius_fractions(positions, disc) <= bright) & ((points >= low) & (points <= high)).all(axis=1)
+    seen = (radius_fraction(positions[:, 0], positions[:, 1], disc) <= bright) & (
+        (points >= low) & (points <= high)
+    ).all(axis=1)
     return ids[seen], points[seen]
 
 
@@ -203,47 +205,50 @@ def even_radius(disc: Disc, rim: float) -> float:
     )
 
 
-@njit(**LOOP)
 def _light(
     plane: FloatArray, light: Light, even: float, height: int, width: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
     Closer to the centre than ``even``, in mm, there is no rim; the distance is then not computed, but left at 1.
-    ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly. Own model of the
-    light; the points are interpolated bilinearly.
+    ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly; they are interpolated
+    bilinearly.
     """
-    brightness = np.zeros((height + 1, width + 1), np.float32)
-    distance = np.ones((height + 1, width + 1), np.float32)
-    down, along = (plane.shape[0] - 1) / height, (plane.shape[1] - 1) / width
-    for i in range(height + 1):
-        row = min(int(i * down), plane.shape[0] - 2)
-        v = i * down - row
-        between = (1 - v) * plane[row] + v * plane[row + 1]
-        for j in range(width + 1):
-            column = min(int(j * along), plane.shape[1] - 2)
-            u = j * along - column
-            x = (1 - u) * between[column, 0] + u * between[column + 1, 0]
-            y = (1 - u) * between[column, 1] + u * between[column + 1, 1]
-            dx, dy = x - light.disc.x, y - light.disc.y
-            inside = dx * dx + dy * dy < even * even
-            rho = 0.0 if inside else radius_fraction(x, y, light.disc)
-            x, y = (x - light.disc.x) / light.disc.radius, (y - light.disc.y) / light.disc.radius
-            if rho < 1.0:
-                if not inside:
-                    distance[i, j] = rho
-                brightness[i, j] = _disc_light(x, y, rho, light)
+    rows, v = _between(plane.shape[0], height)
+    columns, u = _between(plane.shape[1], width)
+    brightness, distance = np.zeros((2, height + 1, width + 1), np.float32)
+    for first in range(0, height + 1, _BLOCK_ROWS):
+        block = slice(first, first + _BLOCK_ROWS)
+        above, below = plane[rows[block]], plane[rows[block] + 1]
+        down = (1 - v[block, None, None]) * above + v[block, None, None] * below
+        x, y = (
+            (1 - u) * each[:, columns] + u * each[:, columns + 1] for each in (down[..., 0], down[..., 1])
+        )
+        brightness[block], distance[block] = _disc_light(x, y, light, even)
     return brightness, distance
 
 
-@njit(**INNER)
-def _disc_light(x: float, y: float, rho: float, light: Light) -> float:
-    """Return the disc's brightness at a point inside it, x and y in its radii.
+def _disc_light(
+    x_mm: FloatArray, y_mm: FloatArray, light: Light, even: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the brightness of the disc at target points, and their distances from its centre; see `_light`.
 
-    Own model: a linear gradient, times cos^2 of an angle that grows from 0 to pi / 2 over the rim.
+    A linear gradient, times cos^2 of an angle that grows from 0 to pi / 2 over the rim: own model.
     """
-    brightness = 1.0 + light.gradient_x * x + light.gradient_y * y
-    if rho > 1.0 - light.rim:
-        c = math.cos(0.5 * math.pi * (rho - 1.0 + light.rim) / light.rim)
-        brightness *= c * c
-    return brightness
+    disc, rim = light.disc, light.rim
+    x, y = x_mm - disc.x, y_mm - disc.y
+    outer = ~(x * x + y * y < even * even)
+    rho = radius_fraction(x_mm[outer], y_mm[outer], disc)
+    brightness = 1.0 + light.gradient_x * (x / disc.radius) + light.gradient_y * (y / disc.radius)
+    c = np.cos(0.5 * math.pi * np.clip(rho - 1.0 + rim, 0.0, rim) / (rim or 1.0))
+    brightness[outer] = np.where(rho < 1.0, brightness[outer] * (c * c), 0.0)
+    distance = np.ones_like(brightness)
+    distance[outer] = np.fmin(rho, 1.0)
+    return brightness, distance
+
+
+def _between(points: int, steps: int) -> tuple[Any, Any]:
+    """Return where so many even steps lie among points that cover the same length: the point before, and the share."""
+    at = np.arange(steps + 1) * ((points - 1) / steps)
+    before = np.minimum(at.astype(np.int64), points - 2)
+    return before, np.asarray(at - before)

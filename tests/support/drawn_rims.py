@@ -7,17 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from inner_loops import from_python
 from numpy.typing import NDArray
 
 from calib.model.rim_fit import Disc, fit_rims
 from calib.view import RimPoints
-from simulators.optics.collimator_errors import disc_of
-from simulators.optics.collimator_errors import relative_radius as inner_relative_radius
+from simulators.optics.collimator_errors import disc_of, relative_radius
 from simulators.optics.picture import pose_rotation
 from simulators.world.truth import Truth
-
-relative_radius = from_python(inner_relative_radius)
 
 Array = NDArray[np.float64]
 
@@ -71,9 +67,7 @@ def _rim(truth: Truth, rotation: Array, rng: np.random.Generator) -> RimPoints:
     disc = disc_of(truth.collimator, rotation)
     centre = np.array([disc.x, disc.y])
     phi = (np.arange(SECTIONS) + 0.5) * 2.0 * math.pi / SECTIONS
-    radius = (
-        DARK_AT * disc.radius * np.array([relative_radius(math.cos(a), math.sin(a), disc.edge) for a in phi])
-    )
+    radius = DARK_AT * disc.radius * relative_radius(np.cos(phi), np.sin(phi), disc.edge)
     direction = np.column_stack([np.cos(phi), np.sin(phi)])
     noise = rng.normal(0.0, POINT_SIGMA_MM, (SECTIONS, 1))
     framed = _framed(truth, rotation, centre + radius[:, None] * direction)

@@ -7,22 +7,17 @@ import pytest
 from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
-from inner_loops import from_python
 
 from simulators.errors import ConfigError
 from simulators.optics import picture as optics
 from simulators.optics.collimator_errors import (
     aberrations_of,
     disc_of,
-    radius_fractions,
-)
-from simulators.optics.collimator_errors import (
-    reticle_point as inner_reticle_point,
+    radius_fraction,
+    reticle_point,
 )
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
-
-reticle_point = from_python(inner_reticle_point)
 
 COEFFICIENT = st.floats(-0.3, 0.3)
 TURN = optics.pose_rotation({"pan": 6.0, "tilt": -4.0, "roll": 15.0}, OpticsTruth())
@@ -102,7 +97,7 @@ def test_an_uneven_disc_departs_from_a_circle_by_its_rms_and_otherwise_in_other_
         disc = disc_of(collimator, optics.pose_rotation({"pan": pan}, OpticsTruth()))
         around = np.column_stack([np.cos(turns), np.sin(turns)])
         points = [disc.x, disc.y] + disc.radius * around
-        edges.append(1.0 / radius_fractions(points, disc) - 1.0)
+        edges.append(1.0 / radius_fraction(*points.T, disc) - 1.0)
     assert np.std(edges) == pytest.approx(0.05, rel=0.15)
     assert np.abs(np.mean(edges, axis=1)).max() < 1e-9
     assert np.std(edges, axis=0).min() > 0.02
@@ -119,7 +114,7 @@ def test_light_ends_where_the_uneven_disc_does():
         collimator.x,
         collimator.y,
     )
-    share = radius_fractions(points, disc).reshape(160, 160)
+    share = radius_fraction(*points.T, disc).reshape(160, 160)
     assert (picture[share < 0.97] > 0.5).all()
     assert (picture[share > 1.03] == 0.0).all()
     circle = np.hypot(*(points - (disc.x, disc.y)).T).reshape(160, 160) / disc.radius

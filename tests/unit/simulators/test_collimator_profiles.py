@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from apparent import apparent_points
 
-from simulators.optics.collimator_errors import disc_of, radius_fractions
+from simulators.optics.collimator_errors import disc_of, radius_fraction
 from simulators.optics.picture import projection_of, true_rotation
 from simulators.world.truth import COLLIMATORS, CollimatorTruth, Truth
 from simulators.world.truth_config import truth_from_config
@@ -118,5 +118,5 @@ def test_glass_change_sets_how_far_one_must_turn_to_see_other_glass():
     around = np.array([[one.x + 50.0, one.y], [one.x, one.y + 50.0]])
     still = disc_of(replace(one, glass_change=0.0), rotation(0.1))
     np.testing.assert_array_equal(
-        radius_fractions(around, still), radius_fractions(around, disc_of(one, rotation(0.0)))
+        radius_fraction(*around.T, still), radius_fraction(*around.T, disc_of(one, rotation(0.0)))
     )

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from inner_loops import from_python
 
 from simulators.optics.collimator_errors import (
     DEGREE,
@@ -10,14 +9,10 @@ from simulators.optics.collimator_errors import (
     POWER,
     RIM_FROM,
     RIM_OUTWARDS,
+    displacement_field,
     field_coefficients,
     random_functions,
 )
-from simulators.optics.collimator_errors import (
-    displacement_field as inner_displacement_field,
-)
-
-displacement_field = from_python(inner_displacement_field)
 
 GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 61), np.linspace(-1, 1, 61)), axis=-1).reshape(-1, 2)
 DISC = GRID[np.hypot(*GRID.T) <= 1.0]

@@ -5,14 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from inner_loops import from_python
 
 from simulators.errors import ConfigError
-from simulators.optics.lens_focus import distort_arrays, lens_of, ray_grid, undistort
-from simulators.optics.lens_focus import image_point as inner_image_point
+from simulators.optics.lens_focus import distort, image_point, lens_of, ray_grid, undistort
 from simulators.world.truth import CameraTruth
-
-image_point = from_python(inner_image_point)
 
 K = ("k1", "k2", "k3", "k4")
 FISHEYE = CameraTruth(
@@ -24,7 +20,7 @@ FISHEYE = CameraTruth(
 def test_undistortion_inverts_distortion(camera):
     xd, yd = np.meshgrid(np.linspace(-0.2, 0.2, 9), np.linspace(-0.12, 0.12, 7))
     xn, yn = undistort(xd, yd, camera)
-    back_x, back_y = distort_arrays(xn, yn, lens_of(camera))
+    back_x, back_y = distort(xn, yn, lens_of(camera))
     np.testing.assert_allclose(back_x, xd, atol=1e-12)
     np.testing.assert_allclose(back_y, yd, atol=1e-12)
     assert np.abs(xn - xd).max() > 1e-4

@@ -7,16 +7,12 @@ import pytest
 from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
-from inner_loops import from_python
 
 from simulators.errors import ConfigError
-from simulators.optics.collimator_errors import aberrations_of
-from simulators.optics.collimator_errors import reticle_point as inner_reticle_point
+from simulators.optics.collimator_errors import aberrations_of, reticle_point
 from simulators.optics.picture import project, projection_of, render, star_centres, true_rotation
 from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
 from simulators.world.truth_config import truth_from_config
-
-reticle_point = from_python(inner_reticle_point)
 
 TRUTH = Truth(camera=CameraTruth(k1=0.0, k2=0.0))
 TURN = true_rotation({"pan": 4.0, "tilt": -3.0, "roll": 12.0}, TRUTH)
