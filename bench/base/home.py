@@ -112,6 +112,10 @@ def remove_stale_kernels(root: Path = _ROOT) -> int:
                 if orphaned or index.stat().st_mtime < newest:
                     index.unlink()
                     removed += 1
+        for code in cache.glob("*.nbc"):  # numba writes the index first; x-1.py311.nbi names x-1.py311.1.nbc
+            if not code.with_suffix("").with_suffix(".nbi").exists():
+                with suppress(OSError):
+                    code.unlink()
     return removed
 
 

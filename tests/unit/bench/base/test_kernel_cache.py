@@ -87,8 +87,12 @@ def test_kernels_older_than_a_source_beside_them_or_without_one_are_removed(tmp_
     for index, age_s in ((fresh, -10), (stale, 10), (caller, 10), (orphan, -10)):
         index.touch()
         os.utime(index, (source.stat().st_mtime - age_s,) * 2)
+        index.with_suffix(".1.nbc").touch()
+        index.with_suffix(".2.nbc").touch()
     assert remove_stale_kernels(tmp_path) == 3
-    assert list(cache.iterdir()) == [fresh]
+    assert sorted(cache.iterdir()) == sorted(
+        [fresh, fresh.with_suffix(".1.nbc"), fresh.with_suffix(".2.nbc")]
+    )
     assert remove_stale_kernels(tmp_path / "nowhere") == 0
 
 
