@@ -21,7 +21,6 @@ from bench.run.launch import seal_finished
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
 )
-needs_sha256sum = pytest.mark.skipif(shutil.which("sha256sum") is None, reason="sha256sum is not installed")
 
 
 # ------------------------------------------------------------------ signatures
