@@ -308,6 +308,14 @@ def test_homing_that_does_not_find_its_switch_has_failed(bench, monkeypatch) -> 
     assert not stage.is_homed()
 
 
+def test_homing_that_the_board_refuses_has_failed(bench) -> None:
+    stage = bench.open()
+    bench.board.settings[22] = 0
+    with pytest.raises(DriverError, match="error:5"):
+        stage.home()
+    assert not stage.is_homed()
+
+
 def test_homing_that_never_ends_is_reset(bench, monkeypatch) -> None:
     stage = bench.open()
     bench.line.lose_next(b"$H")

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from bench.history.merged_runs import RunPlace
 from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
 from bench.report.control_chart import MOST_DRAWN, render_charts
+from tests.unit.bench.report.structure import Tags
 
 BEGUN = datetime(2026, 1, 5, tzinfo=UTC)
 DETAILS = {"camera_type": "Prophesee EVK4", "collimator_serial": "C-1", "target_serial": "T-1"}
@@ -157,17 +157,6 @@ def test_a_camera_whose_runs_scatter_more_than_stated_is_told():
         replace(one, parameters={"fx": one.parameters["fx"]._replace(sigma=0.2)}) for one in group.runs
     ]
     assert "times as much as their stated uncertainties predict" in chart_of(find_charts([group]))["verdict"]
-
-
-class Tags(HTMLParser):
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.links = [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.links += [value for name, value in attrs if name in {"src", "href", "xlink:href"}]
 
 
 def test_the_page_loads_nothing_and_no_text_becomes_markup():

@@ -27,3 +27,16 @@ class Structure(HTMLParser):
     def handle_endtag(self, tag):
         if not self.open or self.open.pop() != tag:
             self.wrong.append((tag, self.getpos()))
+
+
+class Tags(HTMLParser):
+    """Tags, and what they load or lead to."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.links = [], []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [value for name, value in attrs if name in {"src", "href", "xlink:href"} and value]

@@ -2,7 +2,6 @@
 
 import math
 from datetime import UTC, datetime, timedelta
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from bench.records.run_facts import Estimate, parameters_data
 from bench.records.run_index import IndexedRun
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, fit_slope, trends_of
+from tests.unit.bench.report.structure import Tags
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
 
@@ -96,22 +96,6 @@ def summary(*items, cameras=(), **facts):
     }  # fmt: skip
 
 
-class Tags(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.tags, self.links = [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.links += [value for name, value in attrs if name in {"src", "href", "xlink:href"} and value]
-
-
-def read(html):
-    tags = Tags()
-    tags.feed(html)
-    return tags
-
-
 def of_runs(runs):
     points = [
         {
@@ -137,7 +121,7 @@ def test_nothing_in_a_summary_becomes_markup():
             requests=[{"word": "add", "by": evil, "taken": True, "why": "", "job": "x"}],
         )
     )
-    assert "script" not in read(html).tags
+    assert "script" not in Tags(html).tags
     assert html.count("&lt;script&gt;") >= 3
 
 
@@ -145,7 +129,7 @@ def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
     html = render_batch(
         summary(item("a-001", report="runs/a-001/report.html"), cameras=[of_runs([run(n) for n in range(4)])])
     )
-    links = [link for link in read(html).links if not link.startswith("#")]
+    links = [link for link in Tags(html).links if not link.startswith("#")]
     assert links == ["runs/a-001/report.html"]
     assert "@import" not in html
 

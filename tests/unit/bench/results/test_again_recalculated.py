@@ -6,44 +6,23 @@ from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
-import numpy as np
 import pytest
 
 from bench.evidence.verify import verify_folder
-from bench.plan.plan import load_documents, make_plan
 from bench.results.again_recalculated import check_recalculated
-from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import write_offline_results
 from bench.results.offline_options import OfflineOptions, options_data, options_of_data
 from bench.results.result import json_bytes
 from calib.boards.board import Board
 from calib.engine import calibrate
-from calib.studies.predicted_views import predicted_view
 from tests.unit.bench.evidence.resealed import Forger, kinds
 
 
 @pytest.fixture(scope="module")
-def sources(tmp_path_factory):
-    """Point files of three views of the bench that the simulated station expects."""
-    folder = tmp_path_factory.mktemp("points")
-    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
-    rng = np.random.default_rng(5)
-    for name, pan, tilt in (("left", -6, 2), ("right", 6, 2), ("below", 0, -3)):
-        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)
-        seen = view.points_px + rng.normal(0, 0.01, view.points_px.shape) + 0.5
-        np.savetxt(
-            folder / f"{name}.csv",
-            np.column_stack([seen, view.target_mm, view.ids]),
-            fmt=["%.6f"] * 4 + ["%d"],
-        )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def results_once(sources, tmp_path_factory, key):
+def results_once(points, tmp_path_factory, key):
     folder = tmp_path_factory.mktemp("recalculated") / "out"
-    result = calibrate_paths([sources], OfflineOptions(image_size=(1280, 720)))
+    result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, folder, key)
     return folder
 
@@ -95,9 +74,9 @@ def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_
 
 @pytest.mark.parametrize("how", ["gone", "changed", "more"])
 def test_where_the_sources_are_not_what_they_were_the_numbers_are_not_compared(
-    sources, tmp_path, signers, key, how
+    points, tmp_path, signers, key, how
 ):
-    copy = Path(shutil.copytree(sources, tmp_path / "points"))
+    copy = Path(shutil.copytree(points, tmp_path / "points"))
     result = calibrate_paths([copy], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, tmp_path / "out", key)
     left = copy / "left.csv"

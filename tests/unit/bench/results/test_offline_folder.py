@@ -2,9 +2,9 @@
 
 import hashlib
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from station_texts import PLAIN
@@ -14,37 +14,25 @@ from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
-from bench.plan.plan import load_documents, make_plan
 from bench.results.again_recalculated import check_recalculated
-from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import require_new, write_offline_results
 from bench.results.offline_options import OfflineOptions
 from bench.results.passports import passport_from_certificate, write_passport
 from bench.results.solve_options import ONE_VIEW
 from calib.errors import DegenerateViews
-from calib.studies.predicted_views import predicted_view
 from tests.support.printed_text import printed_text
 
 
 @pytest.fixture(scope="module")
-def points(tmp_path_factory):
-    """Point files of three views of the bench that the simulated station expects."""
-    from datetime import UTC, datetime
-
-    folder = tmp_path_factory.mktemp("points")
-    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
-    rng = np.random.default_rng(5)
-    for name, pan, tilt in (("left", -6, 2), ("right", 6, 2), ("below", 0, -3)):
-        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)
-        seen = view.points_px + rng.normal(0, 0.01, view.points_px.shape) + 0.5
-        rows = np.column_stack([seen, view.target_mm, view.ids])
-        np.savetxt(folder / f"{name}.csv", rows, fmt=["%.6f"] * 4 + ["%d"])
+def passport(tmp_path_factory):
+    """A passport file of a certificate."""
+    path = tmp_path_factory.mktemp("passport") / "p.json"
     made = passport_from_certificate(
         255, 0.05, number="T-1", issued=None, collimator=None, temperature_c=None, now=datetime.now(UTC)
     )
-    write_passport(folder / "p.json", made)
-    return folder
+    write_passport(path, made)
+    return str(path)
 
 
 def options(points, **given):
@@ -54,8 +42,7 @@ def options(points, **given):
     )
 
 
-def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(points, tmp_path):
-    passport = str(points / "p.json")
+def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(points, passport, tmp_path):
     result = calibrate_paths([points], options(points, passport=passport))
     write_offline_results(result, tmp_path / "out")
     found = json.loads((tmp_path / "out" / "results.json").read_text())
@@ -67,7 +54,7 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(po
     for source in sources:
         data = (points / f"{source['view']}.csv").read_bytes()
         assert (source["size_bytes"], source["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
-    assert (tmp_path / "out" / "passport.json").read_bytes() == (points / "p.json").read_bytes()
+    assert (tmp_path / "out" / "passport.json").read_bytes() == Path(passport).read_bytes()
     assert found["passport"]["source"] == "command line"
     assert len(list((tmp_path / "out" / "exports").iterdir())) >= 5
     text = " ".join(printed_text((tmp_path / "out" / "report.html").read_text()))
@@ -167,8 +154,7 @@ def test_the_command_refuses_the_folder_before_it_calibrates(points, tmp_path):
     assert not (tmp_path / "results.json").exists()
 
 
-def test_a_passport_is_used_and_none_switches_it_off(points):
-    passport = str(points / "p.json")
+def test_a_passport_is_used_and_none_switches_it_off(points, passport):
     assert calibrate_paths([points], options(points, passport=passport)).calibration.model == "joint"
     assert calibrate_paths([points], options(points, passport="none")).passport is None
     spherical = calibrate_paths([points], options(points, passport=passport, model="spherical"))
@@ -177,10 +163,10 @@ def test_a_passport_is_used_and_none_switches_it_off(points):
     assert (planar.calibration.model, planar.passport) == ("planar", None)
 
 
-def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, tmp_path):
-    for passport in (None, str(points / "p.json")):
+def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, passport, tmp_path):
+    for given in (None, passport):
         with pytest.raises(DegenerateViews) as caught:
-            calibrate_paths([points / "left.csv"], options(points, passport=passport))
+            calibrate_paths([points / "left.csv"], options(points, passport=given))
         assert ONE_VIEW in str(caught.value)
     whole = calibrate_paths([points], options(points)).calibration.passport()
     write_passport(tmp_path / "whole.json", whole)
