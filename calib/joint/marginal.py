@@ -141,7 +141,7 @@ class Marginal:
         """Return the cost of all priors at a state."""
         random = self.problem.random
         b = state.shared[random.places]
-        inside, _ = inverse_of(random.covariance(squares))
+        inside, _ = random.information(squares)
         total = self.problem.stated().off(state.shared)[1] + float(b @ inside @ b)
         return total + float((self.problem.own_information(squares) * state.fields**2).sum())
 
@@ -165,7 +165,7 @@ class Marginal:
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
         normal = self._normal(squares, faults)
-        inverse, logs = _inverses(normal.own)
+        inverse, logs = inverse_of(normal.own)
         follow = inverse @ normal.between
         alone = (inverse @ normal.own_pull[:, :, None])[:, :, 0]
         flat = follow.reshape(n * f, size)
@@ -187,7 +187,7 @@ class Marginal:
         n, f, _ = self.dimensions
         star = squares[hyper.at(amp.STAR)]
         w = 1.0 / star
-        inside, logarithm = inverse_of(random.covariance(squares))
+        inside, logarithm = random.information(squares)
         b, fields = self.state.shared[random.places], self.state.fields
         information, pull = stated.information + w * self.shared, stated_pull + w * self.pull
         information[random.places[:, None], random.places] += inside
@@ -283,13 +283,3 @@ class Marginal:
         away = (self.axes @ (predicted - already - by_stars)[:, :, None])[:, :, 0]
         share = squares[self.problem.hyper.at(amp.STAR)] * self.loose * self.reading_weights(squares)
         return np.asarray(by_stars + (np.swapaxes(self.axes, 1, 2) @ (share * away)[:, :, None])[:, :, 0])
-
-
-def _inverses(matrices: Array) -> tuple[Array, float]:
-    """Return the inverses of (n, K, K) positive definite matrices, and the sum of the logarithms of determinants."""
-    found = np.empty_like(matrices)
-    total = 0.0
-    for k, matrix in enumerate(matrices):
-        found[k], logarithm = inverse_of(matrix)
-        total += logarithm
-    return found, total

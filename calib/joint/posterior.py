@@ -9,6 +9,7 @@ both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -114,14 +115,13 @@ class Posterior:
         return self._half_width(row, self.mean)
 
     def _half_width(self, row: Array, mean: Array) -> float:
-        from scipy.special import ndtr
-
         away = (self.means - mean) @ row
         sigmas = np.sqrt(self._covariances @ row @ row)
         low, high = 0.0, float((np.abs(away) + 6.0 * sigmas).max())
         for _ in range(_HALVINGS):
             half = 0.5 * (low + high)
-            inside = ndtr((half - away) / sigmas) - ndtr((-half - away) / sigmas)
+            ends = np.array([half - away, half + away]) / (np.sqrt(2.0) * sigmas)
+            inside = 0.5 * np.array([[math.erf(one) for one in side] for side in ends.tolist()]).sum(axis=0)
             low, high = (low, half) if float(self.weights @ inside) > COVERAGE else (half, high)
         return 0.5 * (low + high)
 

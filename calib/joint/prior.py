@@ -20,21 +20,31 @@ Faults = tuple[tuple[str, str], ...]
 NO_FAULT: Faults = ()
 
 
-def inverse_of(matrix: Array) -> tuple[Array, float]:
-    """Return the inverse of a (K, K) positive definite matrix and the logarithm of its determinant.
+#: Triangles of this size are inverted as a whole; larger ones in halves.
+_WHOLE = 50
 
-    Raises numpy.linalg.LinAlgError: If it is not positive definite.
+
+def inverse_of(matrices: Array) -> tuple[Array, float]:
+    """Return the inverses of (..., K, K) positive definite matrices and the sum of the logarithms of determinants.
+
+    Raises numpy.linalg.LinAlgError: If one is not positive definite.
     """
-    from scipy.linalg.lapack import dpotrf, dpotri
+    lower = np.asarray(np.linalg.cholesky(matrices), np.float64)
+    logarithm = 2.0 * float(np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum())
+    root = _inverse_of_triangle(lower)
+    return np.swapaxes(root, -1, -2) @ root, logarithm
 
-    lower, fault = dpotrf(matrix, lower=1)
-    if fault:
-        raise np.linalg.LinAlgError("not positive definite")
-    logarithm = 2.0 * float(np.log(lower.diagonal()).sum())
-    half = dpotri(lower, lower=1)[0]  # the other triangle is zero
-    inverse = half + half.T
-    inverse.flat[:: len(inverse) + 1] -= half.diagonal()
-    return np.asarray(inverse), logarithm
+
+def _inverse_of_triangle(lower: Array) -> Array:
+    """Return the inverses of (..., K, K) lower triangles, by halves (Golub and Van Loan, 2013)."""
+    half = lower.shape[-1] // 2
+    if half < _WHOLE:
+        return np.asarray(np.linalg.inv(lower))
+    found = np.zeros_like(lower)
+    first = found[..., :half, :half] = _inverse_of_triangle(lower[..., :half, :half])
+    last = found[..., half:, half:] = _inverse_of_triangle(lower[..., half:, half:])
+    found[..., half:, :half] = -last @ (lower[..., half:, :half] @ first)
+    return found
 
 
 @dataclass(frozen=True)
@@ -46,6 +56,7 @@ class RandomPrior:
     amplitudes: Places  # (Q,) place of the amplitude of each column
     stated: Array  # (K, K)
     groups: tuple[str, ...]  # The row of the budget of each unknown
+    blocks: tuple[slice, ...]  # The rows of unknowns that are independent of all others
 
     @classmethod
     def of(cls, blocks: Sequence[RandomBlock]) -> RandomPrior:
@@ -55,7 +66,7 @@ class RandomPrior:
         shapes = np.zeros((len(places), sum(shape.shape[1] for *_, shape in columns)))
         stated = np.zeros((len(places), len(places)))
         ends = np.cumsum([len(block.places) for block in blocks])
-        own = [slice(end - len(block.places), end) for end, block in zip(ends, blocks, strict=True)]
+        own = tuple(slice(end - len(block.places), end) for end, block in zip(ends, blocks, strict=True))
         for rows, block in zip(own, blocks, strict=True):
             stated[rows, rows] = block.stated
         begin = 0
@@ -64,11 +75,19 @@ class RandomPrior:
             begin += shape.shape[1]
         amplitudes = np.repeat([at for _, at, _ in columns], [shape.shape[1] for *_, shape in columns])
         groups = tuple(block.group for block in blocks for _ in block.places)
-        return cls(places, shapes, amplitudes, stated, groups)
+        return cls(places, shapes, amplitudes, stated, groups, own)
 
-    def covariance(self, squares: Array) -> Array:
-        """Return the (K, K) prior covariance for (A,) squares of the amplitudes."""
-        return np.asarray((self.shapes * squares[self.amplitudes]) @ self.shapes.T + self.stated)
+    def information(self, squares: Array) -> tuple[Array, float]:
+        """Return the (K, K) prior information, and the logarithm of the determinant of the covariance.
+
+        squares: (A,) of the amplitudes.
+        """
+        covariance = (self.shapes * squares[self.amplitudes]) @ self.shapes.T + self.stated
+        found, logarithm = np.zeros_like(covariance), 0.0
+        for own in self.blocks:
+            found[own, own], more = inverse_of(covariance[own, own])
+            logarithm += more
+        return found, logarithm
 
 
 @dataclass(frozen=True)

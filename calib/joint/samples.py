@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,10 +113,9 @@ def _by_readings(marginal: Marginal, squares: Array, found: Solution, row: Array
 @cache
 def _design(size: int, pairs: int) -> list[tuple[Array, Array]]:
     """Return for each sample its coordinates along the main directions, and another direction; in pairs."""
-    from scipy.special import ndtri
-
     rng = np.random.default_rng(0)
-    heights = ndtri(0.5 + (np.arange(pairs) + 0.5) / (2 * pairs))
+    normal = NormalDist()
+    heights = np.array([normal.inv_cdf(0.5 + (k + 0.5) / (2 * pairs)) for k in range(pairs)])
     heights *= np.sqrt(pairs / (heights**2).sum())
     along = np.column_stack(
         [rng.permutation(heights) * rng.choice((-1.0, 1.0), pairs) for _ in range(_DIRECTIONS)]

@@ -12,9 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from calib.model.median import median
 
@@ -94,6 +91,8 @@ def nearest_stars(target: Array) -> Nearest:
 
 def _nearest(target: Array, most: int) -> Nearest:
     """Return at most so many neighbours of each star."""
+    from scipy.spatial import KDTree
+
     target, count = np.ascontiguousarray(target, np.float64), min(most, len(target) - 1)
     _, which = KDTree(target).query(target, k=min(count + 1 + _EQUALLY_FAR, len(target)))
     offsets = target[which] - target[:, None]
@@ -187,6 +186,9 @@ def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> B
 
     mapped, off: (N, 2) mapped positions, and what the stars are off them, px.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     which = nearest.which
     beside = nearest.distance <= _BESIDE * nearest.spacing
     apart = np.linalg.norm(mapped[:, None] - mapped[which], axis=2)
