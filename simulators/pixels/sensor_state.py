@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.pixels.fast_math import INNER, JIT
+from simulators.pixels.fast_math import INNER
 
 BLOCK: Final = 32
 """Pixels of a block: one vector triple of the EVT3 format."""
@@ -151,23 +151,10 @@ def row_at(px: Pixels, oldest: float) -> int:
     return g * GROUP + _first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
 
 
-@njit(**JIT)
 def move_epoch(px: Pixels, state: NDArray[np.float64], by_us: float) -> None:
     """Move the epoch to a later time, so that float32 keeps resolving the times."""
-    shift = np.float32(by_us)
-    rows, columns = px.t_next.shape
-    for r in range(rows):
-        for c in range(columns):
-            px.t_next[r, c] -= shift
-            px.cell[r, c, T_LIVE] -= shift
-        for b in range(px.block_min.shape[1]):
-            px.block_min[r, b] -= shift
-        px.row_min[r] -= shift
-    for g in range(px.group_min.size):
-        px.group_min[g] -= shift
-    for k in range(AHEAD):
-        px.noise_t[k] -= by_us
+    for times in (px.t_next, px.cell[..., T_LIVE], px.block_min, px.row_min, px.group_min):
+        np.subtract(times, np.float32(by_us), out=times)
+    px.noise_t[:] -= by_us
     state[EPOCH] += by_us
-    state[FREE] -= by_us
-    state[NOISE] -= by_us
-    state[FIFO_T] -= by_us
+    state[[FREE, NOISE, FIFO_T]] -= by_us
