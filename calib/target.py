@@ -46,7 +46,7 @@ TAG_FAMILIES: Mapping[str, TagFamily] = {
 
 
 class TargetLayout(NamedTuple):
-    """The pattern as `calib.reflectance` takes it: plain numbers and one small array, which numba can compile."""
+    """The pattern: plain numbers and one small array."""
 
     pitch_mm: float  # Distance of neighbouring stars, mm
     columns: int
@@ -256,7 +256,7 @@ class StarTarget:
 
     @cached_property
     def layout(self) -> TargetLayout:
-        """The pattern in the form that `calib.reflectance` takes."""
+        """The pattern as plain numbers."""
         import cv2
 
         family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{self.tag_family}"))
@@ -290,7 +290,18 @@ class StarTarget:
             float64, 0 (black) or 1 (white), in the broadcast shape.
         """
         x, y = np.broadcast_arrays(np.asarray(x_mm, float), np.asarray(y_mm, float))
-        from calib.reflectance import reflectances_at
-
-        values = reflectances_at(x.ravel(), y.ravel(), self.layout)
-        return np.asarray(values).reshape(x.shape)
+        layout, side = self.layout, self.layout.tag_squares
+        column, row = x / layout.pitch_mm, y / layout.pitch_mm
+        node_x, node_y = np.floor(column + 0.5), np.floor(row + 0.5)
+        # Segments are counted from +Y. The first one is white.
+        turns = np.arctan2(row - node_y, column - node_x) / (2.0 * np.pi) - 0.25
+        segment = np.floor(layout.segments * (turns - np.floor(turns)))
+        printed = (node_x >= 0) & (node_x < layout.columns) & (node_y >= 0) & (node_y < layout.rows)
+        tag_x, tag_y = column - layout.tag_column, row - layout.tag_row
+        around = (tag_x >= -0.5) & (tag_x < side + 0.5) & (tag_y >= -0.5) & (tag_y < side + 0.5)
+        values = np.where(printed & ~around & (segment % 2 != 0), 0.0, 1.0)
+        inside = (tag_x >= 0.0) & (tag_x < side) & (tag_y >= 0.0) & (tag_y < side)
+        modules = layout.tag_modules
+        module_x, module_y = ((tag[inside] * len(modules) / side).astype(int) for tag in (tag_x, tag_y))
+        values[inside] = modules[module_y, module_x]
+        return values

@@ -176,7 +176,6 @@ MOST_BYTES = 1 << 30
 DETECTOR_SOURCES = (
     "calib/compiled.py",
     "calib/errors.py",
-    "calib/reflectance.py",
     "calib/target.py",
     "calib/view.py",
     "calib/model/homography.py",

@@ -6,16 +6,13 @@ The module uses the printed target, a pitch and a blur. It uses no image and no 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from calib.compiled import KERNEL
-from calib.reflectance import reflectance_at
 from calib.target import StarTarget
 
 #: Samples of the printed star per px.
@@ -24,8 +21,6 @@ OVERSAMPLING = 6
 REACH = 0.62
 #: Largest distance from an edge that is used, in units of the blur.
 TAU_LIMIT_BLURS = 3.2
-#: Largest error of the rough angle with which the print is drawn, rad.
-_ANGLE_ERROR = 0.005
 #: Number of steps of the brightness for which the distance from an edge is tabulated.
 _QUANTILES = 1 << 16
 #: Least brightness for which a distance is computed, and least darkness.
@@ -56,45 +51,14 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
         for dr in (-1, 0, 1):
             surrounded &= target.id_at(columns + dc, rows + dr) >= 0
     at = int(np.argmax(surrounded))
-    return np.asarray(
-        _drawn(_steps(pitch_px), int(columns.ravel()[at]), int(rows.ravel()[at]), target.layout)
-    )
-
-
-@njit(**KERNEL)
-def _drawn(steps: Any, column: int, row: int, layout: Any) -> Any:
-    """Return the brightness around the star of a node, (S, S) float32; the samples are ``steps`` pitches apart.
-
-    By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the star symmetric.
-    Elsewhere half a turn changes nothing, and a rough angle is enough: the arc tangent of x is about
-    x / (1 + 0.28125 x^2), right to `_ANGLE_ERROR`.
-    """
-    side = len(steps)
-    drawn = np.empty((side, side), np.float32)
-    unsure = 1.5 * _ANGLE_ERROR / (2.0 * np.pi) * layout.segments
-    for i in range(side // 2 + 1):
-        for j in range(side):
-            u, v = steps[j] - np.floor(steps[j] + 0.5), steps[i] - np.floor(steps[i] + 0.5)
-            long, short = max(abs(u), abs(v)), min(abs(u), abs(v))
-            ratio = short / max(long, 1e-9)
-            angle = ratio / (1.0 + 0.28125 * ratio * ratio)
-            angle = angle if abs(u) >= abs(v) else 0.5 * np.pi - angle
-            angle = angle if u >= 0.0 else np.pi - angle
-            turns = (angle if v >= 0.0 else -angle) / (2.0 * np.pi) + 0.75  # counted from +Y, plus one turn
-            segment = turns * layout.segments
-            off = abs(segment - np.floor(segment + 0.5))
-            if off < unsure or long > 0.5 - 1e-6 or long < 1e-6:
-                one = reflectance_at(
-                    (column + steps[j]) * layout.pitch_mm, (row + steps[i]) * layout.pitch_mm, layout
-                )
-                other = reflectance_at(
-                    (column - steps[j]) * layout.pitch_mm, (row - steps[i]) * layout.pitch_mm, layout
-                )
-                value = (one + other) / 2.0
-            else:
-                value = 1.0 if int(np.floor(segment)) % 2 == 0 else 0.0
-            drawn[i, j] = drawn[side - 1 - i, side - 1 - j] = value
-    return drawn
+    steps = _steps(pitch_px)
+    v, u = np.meshgrid(steps[: len(steps) // 2 + 1], steps, indexing="ij")
+    x, y, pitch_mm = float(columns.ravel()[at]), float(rows.ravel()[at]), target.layout.pitch_mm
+    one = target.reflectance((x + u) * pitch_mm, (y + v) * pitch_mm)
+    other = target.reflectance((x - u) * pitch_mm, (y - v) * pitch_mm)
+    # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the star symmetric.
+    upper = (0.5 * (one + other)).astype(np.float32)
+    return np.concatenate([upper, upper[-2::-1, ::-1]])
 
 
 def _steps(pitch_px: float) -> NDArray[np.float64]:

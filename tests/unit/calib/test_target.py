@@ -3,10 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from inner_loops import from_python
 
 from calib.errors import InputMismatch
-from calib.reflectance import reflectance_at
 from calib.target import TAG_FAMILIES, StarTarget
 
 TARGET = StarTarget()
@@ -109,11 +107,3 @@ def test_opencv_reads_the_printed_tag_upright_and_not_mirrored(family_name, tag_
     found_mm = corners[0][0] * step_mm + [x[0], y[0]]
     assert np.abs(found_mm - target.tag_corners_mm).max() < 2 * step_mm
     assert detector.detectMarkers(image[:, ::-1].copy())[1] is None
-
-
-def test_compiled_and_array_forms_agree():
-    rng = np.random.default_rng(2)
-    x, y = rng.uniform(-10, 210, 3000), rng.uniform(-10, 300, 3000)
-    one = from_python(reflectance_at)
-    one_by_one = [one(a, b, TARGET.layout) for a, b in zip(x, y, strict=True)]
-    assert np.array_equal(TARGET.reflectance(x, y), one_by_one)
