@@ -21,9 +21,9 @@ from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
 from calib.joint.layout import POSE_PLACES, RIM, Layout
 from calib.joint.marginal import Problem
+from calib.joint.pupils import Pupils, rims_and_pupils
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
-from calib.model.beam import visible_discs
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -34,12 +34,6 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 ROUNDS = 40
-#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
-_WANDERS = 0.012
-#: A wander counts if it is more than this share of the discs' uncertainty; discs that are known worse would be noise.
-_SEEN = 1.0 / 3.0
-#: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
-_AS_TURNS = 3.0
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
 
@@ -73,11 +67,11 @@ def posed(
     start: AdjustmentParameters,
     lens: Sequence[str],
     discs: Sequence[Disc] = (),
-    pupils: Array | None = None,
+    pupils: Pupils | None = None,
 ) -> tuple[Problem, State]:
     """Return the problem and its first state.
 
-    discs: Of the views, if their rim counts. pupils: (n, 2) as turns, if they wander.
+    discs: Of the views, if their rim counts. pupils: If they wander.
     """
     passport = options.passport
     centre = start.collimator
@@ -117,40 +111,12 @@ def posed(
         readings,
         turns,
         axes,
-        turns if pupils is None else pupils,
+        pupils.shown if pupils else turns,
         tuple(discs),
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
-    return Problem(bench, knowledge, blocks, hyper), state
-
-
-def rims_and_pupils(
-    views: Sequence[View], poses: NDArray[np.int64], r_mm: float
-) -> tuple[tuple[Disc, ...], Array | None]:
-    """Return the visible discs, and where the pupils are if they wander farther than on a gimbal.
-
-    On a gimbal the pupil follows the turn, which is known far better than a disc.
-
-    Returns: Discs, none if the rim is nowhere in view; and (n, 2) places as turns, or None.
-    """
-    first = np.unique(poses, return_index=True)[1]  # repeats of a pose show the same rim
-    of_poses = visible_discs([views[v] for v in first])
-    if not of_poses:
-        return (), None
-    discs = tuple(of_poses[pose] for pose in poses)
-    middles = np.array([disc.centre_mm for disc in of_poses])
-    aside = middles - np.array([disc.expected_mm for disc in of_poses])
-    wander = _rms(aside - aside.mean(axis=0))
-    sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in of_poses]))
-    if wander < max(_WANDERS * r_mm, _SEEN * sigma):
-        return discs, None
-    return discs, _AS_TURNS * (middles - middles.mean(axis=0)) / r_mm
-
-
-def _rms(vectors: Array) -> float:
-    """Return the RMS length of (n, 2) vectors."""
-    return float(np.sqrt((vectors**2).sum(axis=1).mean()))
+    return Problem(bench, knowledge, blocks, hyper, pupils), state
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
@@ -197,5 +163,5 @@ def _searched(
     if problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
         return search(*posed(views, options, start, lens), rounds)
     poses = np.array(poses_of(start.rotations), np.int64)
-    seen = rims_and_pupils(views, poses, start.collimator.r)
-    return search(*posed(views, options, start, lens, *seen), rounds)
+    discs, pupils = rims_and_pupils(views, poses, start.collimator.r)
+    return search(*posed(views, options, start, lens, discs, pupils), rounds)

@@ -31,6 +31,7 @@ _SOURCES = {
     names.POSE_FIELDS: ("A", "residuals that differ from pose to pose"),
     names.COMMON_FIELD: ("A", "residuals that all poses share"),
     names.TURN_FIELDS: ("A", "residuals that follow the turn"),
+    names.PUPILS: ("A", "visible discs"),
     names.AMPLITUDES: ("A", "the sizes of these errors are known only so well"),
     names.LENS: ("B", "expected sizes of lens coefficients"),
     names.UNBOUNDED_PARALLAX: ("B", "not stated; its size follows from the collimator's errors"),
@@ -49,6 +50,8 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
         for group, own in _at_node(posterior.optimum.marginal, node, gradients).items():
             found[group] = found.get(group, 0.0) + weight * own
     away = (posterior.means - posterior.mean) @ gradients.T
+    if posterior.pupils is not None:
+        found[names.PUPILS] = ((gradients @ posterior.pupils) * gradients).sum(axis=1)
     found[names.AMPLITUDES] = posterior.counted @ away**2
     return found
 

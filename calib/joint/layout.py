@@ -64,6 +64,25 @@ class RandomBlock:
 
 
 @dataclass(frozen=True)
+class Turned:
+    """The coefficients of the Q fields that follow the turn."""
+
+    rows: Places  # (Q,) places in a pose's basis
+    columns: Places  # (Q,) of the shared unknowns
+    powers: Places  # (Q, 2) of the turns along X and Y
+
+    def sizes(self, turns: Array) -> Array:
+        """Return (n, Q) factors of the fields at (n, 2) turns."""
+        return np.asarray(np.prod((turns[:, None] / amp.UNIT_TURN) ** self.powers, axis=2))
+
+    def slopes(self, turns: Array) -> Array:
+        """Return (n, 2, Q) derivatives of the factors by the (n, 2) turns."""
+        less = np.maximum(self.powers - np.eye(2, dtype=np.int64)[:, None], 0)
+        factors = np.prod((turns[:, None, None] / amp.UNIT_TURN) ** less, axis=3)
+        return np.asarray(self.powers.T / amp.UNIT_TURN * factors)
+
+
+@dataclass(frozen=True)
 class Layout:
     """Names and places of the S shared unknowns."""
 
@@ -132,10 +151,8 @@ class Layout:
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
         found[:, field:, self.places(RADIAL)] = self.basis.radial
         found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
-        for name, powers in {**_TURNS, **_TURNS_2}.items():
-            places = both((amp.TURN_DEGREE if name in _TURNS else amp.TURN_2_DEGREE) >= DEGREES)
-            size = np.prod((pupils / amp.UNIT_TURN) ** powers, axis=1)
-            found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
+        turned = self.turned
+        found[:, turned.rows, turned.columns] = turned.sizes(pupils)
         times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
             found[pose, field:, self.index[DRIFT]] = times[pose] * self.basis.shape(partial(_scale, turn))
@@ -146,6 +163,17 @@ class Layout:
         for name, shape in self.terms.items():
             found[:, field:, self.index[name]] = shape
         return found
+
+    @cached_property
+    def turned(self) -> Turned:
+        """The fields that follow the turn."""
+        parts = []
+        for names, degree in ((_TURNS, amp.TURN_DEGREE), (_TURNS_2, amp.TURN_2_DEGREE)):
+            places = both(degree >= DEGREES)
+            for name, powers in names.items():
+                columns = self.places([f"{name}_{j}" for j in places])
+                parts.append((self.field + places, columns, np.tile(powers, (len(places), 1))))
+        return Turned(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def random_blocks(
         self, hyper: amp.Hyperprior, known: frozenset[str], *, parallax_known: bool

@@ -20,6 +20,7 @@ from calib.joint.fields import DEGREES
 from calib.joint.knowledge import Knowledge
 from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RandomBlock
 from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_of
+from calib.joint.pupils import Pupils
 
 Array = NDArray[np.float64]
 
@@ -34,6 +35,7 @@ class Problem:
     knowledge: Knowledge
     blocks: Sequence[RandomBlock]
     hyper: amp.Hyperprior
+    pupils: Pupils | None = None  # What the visible discs show, if the camera is moved by hand
 
     @cached_property
     def random(self) -> RandomPrior:

@@ -21,6 +21,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.prior import NO_FAULT, Faults
+from calib.joint.pupil_spread import spread_of_pupils
 from calib.joint.samples import HOLDS, Mode, Node, nodes_about
 from calib.joint.solve import Optimum, relative_step
 from calib.model.budget_row import GIMBAL_SCALE
@@ -80,7 +81,14 @@ class Posterior:
     @cached_property
     def _covariances(self) -> Array:
         """(K, S, S) of the nodes."""
-        return np.array([node.solution.covariance for node in self.nodes])
+        found = np.array([node.solution.covariance for node in self.nodes])
+        return found if self.pupils is None else found + self.pupils
+
+    @cached_property
+    def pupils(self) -> Array | None:
+        """(S, S) covariance by the places of the pupil, if these are unknowns."""
+        optimum = self.optimum
+        return spread_of_pupils(optimum.marginal, optimum.eta, optimum.solution)
 
     @cached_property
     def counted(self) -> Array:

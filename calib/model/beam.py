@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, view_homography
-from calib.model.rim_fit import Disc, fit_rims
+from calib.model.rim_fit import Disc, Discs, fit_rims
 from calib.model.star_rim import rims_of_stars
 from calib.view import View
 
@@ -24,25 +24,31 @@ _FEWEST_POINTS = 3
 
 
 def visible_discs(views: Sequence[View]) -> list[Disc]:
+    """Return the disc of each view, as `discs_of`; none if the rim is nowhere in view."""
+    found = discs_of(views)
+    return found.of_views if found else []
+
+
+def discs_of(views: Sequence[View]) -> Discs | None:
     """Fit the discs of views of different poses.
 
     If the images of all views were searched for the rim, and one of them shows it, the discs are fitted to the rims
     found; otherwise to the stars.
 
-    Returns: One for each view, in their order; none if the rim is nowhere in view.
+    Returns: None if the rim is nowhere in view.
     Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
     """
     rims = [view.rim for view in views if view.rim is not None]
     if len(rims) < len(views) or all(len(rim.points_mm) < _FEWEST_POINTS for rim in rims):
         rims = rims_of_stars(views)
     if sum(len(rim.points_mm) for rim in rims) < _FEWEST_POINTS:
-        return []
+        return None
     looks = np.array([_look_mm(view) for view in views])
     stars = np.concatenate([view.target_mm for view in views])
     middle = stars.mean(axis=0)
     reach = float(np.linalg.norm(stars - middle, axis=1).max())
-    discs = fit_rims(rims, looks, middle, reach)
-    return discs if any(disc.rim_visible for disc in discs) else []
+    found = fit_rims(rims, looks, middle, reach)
+    return found if any(disc.rim_visible for disc in found.of_views) else None
 
 
 def _look_mm(view: View) -> Array:

@@ -14,6 +14,7 @@ ROW_QUANTITIES = ("fx", "fy", "cx", "cy", WORST_CORNER)
 STARS, READINGS = "stars", "readings of the gimbal"
 POSE_FIELDS, COMMON_FIELD = "disagreement of the views", "errors that all views share"
 TURN_FIELDS, AMPLITUDES = "errors that follow the turn", "sizes of the errors"
+PUPILS = "places of the pupil"
 PASSPORT, PRIORS, LENS = "passport of the collimator", "known beforehand", "expected lens"
 PARALLAX, UNBOUNDED_PARALLAX = "parallax", "parallax, not bounded"
 GIMBAL_SCALE, GIMBAL_AXES = "scale and eccentricity of the gimbal", "mounting and axes of the gimbal"

@@ -116,6 +116,7 @@ class _Posterior(NamedTuple):
     # shared, shared_covariance: (Q,) and (Q, Q), of the common values.
     shared: Array
     shared_covariance: Array
+    centres: Array  # (2 V, 2 V) covariance of the centres of all views
     log_likelihood: Array  # (), logarithm of the marginal likelihood, without a constant
 
 
@@ -127,7 +128,20 @@ class _Common(NamedTuple):
     sigmas: Array
 
 
-def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float) -> list[Disc]:
+@dataclass(frozen=True)
+class Discs:
+    """The discs of all views, in their order, and what they have in common.
+
+    A line through the discs would take their errors as independent. They are not: if the radius is too large, the discs
+    of all views that show the right rim lie too far left, and those of all views that show the left rim too far right.
+    """
+
+    of_views: list[Disc]
+    covariance_mm2: Array  # (2 V, 2 V) float64, covariance of the centres of all views, mm^2
+    motion: DiscMotion  # With the look of the camera; its prior is zero with a 1-sigma of 0.3 for each entry
+
+
+def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float) -> Discs:
     """Fit the discs of all views together.
 
     The head of the module gives model and sources. The points enter with weights of Huber (1981).
@@ -136,26 +150,6 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach
     looks_mm: (V, 2) float64, mm, points of the target at which the camera looks.
     middle_mm: (2,) float64, mm, a point well inside the beam.
     reach_mm: First guess of the radius, mm.
-    Returns: One for each view, in their order.
-    """
-    return fit_rims_and_motion(rims, looks_mm, middle_mm, reach_mm)[0]
-
-
-def fit_rims_and_motion(
-    rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float
-) -> tuple[list[Disc], DiscMotion]:
-    """Fit the discs of all views together, and how they move with the look of the camera.
-
-    The head of the module gives model and sources. A line through the discs would take their errors as independent.
-    They are not: if the radius is too large, the discs of all views that show the right rim lie too far left, and those
-    of all views that show the left rim too far right. So the motion is a common value of the fit.
-
-    rims: Rim points of V views of one bench.
-    looks_mm: (V, 2) float64, mm, points of the target at which the camera looks.
-    middle_mm: (2,) float64, mm, a point well inside the beam.
-    reach_mm: First guess of the radius, mm.
-    Returns: One `Disc` for each view, and the `DiscMotion`. Its prior is zero with a 1-sigma of 0.3 for
-      each entry.
     """
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]
@@ -179,14 +173,17 @@ def fit_rims_and_motion(
         if round_ > 0:
             grid, shares = grid[shares > _LEAST_WEIGHT], shares[shares > _LEAST_WEIGHT]
     own = _own_sigmas(evidence, grid[:, 2], shares, reach_mm)
-    discs = []
+    discs, every = [], found.centres.copy()
     expected = common.designs[:, :2] @ found.shared + middle_mm
     for i, rim in enumerate(rims):
-        covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
+        own_places = slice(2 * i, 2 * i + 2)
+        every[own_places, own_places] += rim.level_sigma_mm**2 * np.eye(2)
+        covariance = every[own_places, own_places]
         centre, radius = found.mean[i, :2] + middle_mm, abs(float(found.mean[i, 2]))
         discs.append(Disc(centre, radius, covariance, float(own[i]), expected[i]))
     motion = slice(2, 6)
-    return discs, DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
+    moved = DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
+    return Discs(discs, every, moved)
 
 
 def _start(
@@ -268,10 +265,14 @@ def _posteriors(evidence: Evidence, scatters: Array, common: _Common) -> _Poster
     shared = (covariance @ g[:, :, None])[..., 0]
     mean = own + (spread @ shared[:, None, :, None])[..., 0]
     whole = inverse + spread @ covariance[:, None] @ spread.swapaxes(2, 3)
+    ahead = spread[:, :, :2].reshape(len(scatters), 2 * views, -1)
+    centres = ahead @ covariance @ ahead.swapaxes(1, 2)
+    for view in range(views):
+        centres[:, 2 * view : 2 * view + 2, 2 * view : 2 * view + 2] += inverse[:, view, :2, :2]
     log_det = np.linalg.slogdet(inverse)[1].sum(axis=1) - 2.0 * views * np.log(scatters).sum(axis=1)
     fit = np.einsum("vi,gvi->g", evidence.product, own)
     likelihood = 0.5 * (log_det + fit + np.sum(g * shared, axis=1) - np.linalg.slogdet(h)[1])
-    return _Posterior(mean, whole, shared, covariance, likelihood)
+    return _Posterior(mean, whole, shared, covariance, centres, likelihood)
 
 
 def _posterior(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
@@ -301,7 +302,9 @@ def _averaged(evidence: Evidence, common: _Common, scatters: Array) -> tuple[_Po
     share = weights[kept] / weights[kept].sum()
     mean, covariance = _mixed(share, every.mean[kept], every.covariance[kept])
     shared, shared_covariance = _mixed(share, every.shared[kept], every.shared_covariance[kept])
-    return _Posterior(mean, covariance, shared, shared_covariance, logs.max()), weights
+    middles = every.mean[kept][:, :, :2].reshape(int(kept.sum()), -1)
+    centres = _mixed(share, middles, every.centres[kept])[1]
+    return _Posterior(mean, covariance, shared, shared_covariance, centres, logs.max()), weights
 
 
 def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ turn, and the disc that the beam lights on the target moves by the opposite amou
 collimator. So the walk measures s. With the collimator's defocus, the parallax follows, an error of the gimbal's
 readings that imitates a scale error (`calib.model.gimbal_readings`).
 
-The walk is a common value of the joint fit of all rims (`calib.model.rim_fit.fit_rims_and_motion`), not the slope of a
+The walk is a common value of the joint fit of all rims (`calib.model.rim_fit.fit_rims`), not the slope of a
 line through the single discs. The errors of the discs are not independent: a radius that is too large moves the discs
 of opposite turns apart, as a walk does. The sigma of such a line would be too small.
 """
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import ParallaxBound
-from calib.model.rim_fit import fit_rims_and_motion
+from calib.model.rim_fit import fit_rims
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -163,7 +163,7 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
     middle = stars.mean(axis=0)
     reach = float(np.linalg.norm(stars - middle, axis=1).max())
     looks = np.array([collimator.x, collimator.y]) + collimator.r * np.array([t for _, _, t in searched])
-    _, motion = fit_rims_and_motion([rim for _, rim, _ in searched], looks, middle, reach)
+    motion = fit_rims([rim for _, rim, _ in searched], looks, middle, reach).motion
     own = np.ix_([0, 3], [0, 3])
     walk = collimator.r * np.diag(motion.matrix)
     covariance = collimator.r**2 * motion.covariance[own]

@@ -42,7 +42,7 @@ class DrawnRims:
         seen = np.concatenate([np.vstack([rim.points_mm, rim.lit_mm]) for rim in self.rims])
         middle = seen.mean(axis=0)
         reach = float(np.linalg.norm(seen - middle, axis=1).max())
-        return fit_rims(self.rims, self.looks_mm, middle, reach)
+        return fit_rims(self.rims, self.looks_mm, middle, reach).of_views
 
 
 def draw_rims(truth: Truth, poses: Sequence[tuple[float, float]], seed: int) -> DrawnRims:

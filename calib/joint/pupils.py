@@ -1,0 +1,71 @@
+"""Where the camera's pupil is in the beam, if the camera is moved by hand: what the visible discs show of it.
+
+The fields by turn follow the pupil. On a gimbal it follows the turn, which is known far better than a disc. If not, the
+discs say where it is, and how well they do adds to the uncertainty (`calib.joint.pupil_spread`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.beam import discs_of
+from calib.model.rim_fit import Disc
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
+_WANDERS = 0.012
+#: A wander counts if it is more than this share of the discs' uncertainty; discs that are known worse would be noise.
+_SEEN = 1.0 / 3.0
+#: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
+_AS_TURNS = 12.0
+#: The mean of the places is held to this, tangents: it does what a common field does.
+_SAME = 4e-3
+
+
+@dataclass(frozen=True)
+class Pupils:
+    """What the visible discs show of the pupils of n poses, in tangents of a turn that would bring them there."""
+
+    shown: Array  # (n, 2) by the discs
+    information: Array  # (2 n, 2 n) of that
+
+
+def rims_and_pupils(
+    views: Sequence[View], poses: NDArray[np.int64], r_mm: float
+) -> tuple[tuple[Disc, ...], Pupils | None]:
+    """Return the visible discs, and where the pupils are if they wander farther than on a gimbal.
+
+    On a gimbal the pupil follows the turn, which is known far better than a disc.
+
+    Returns: Discs, none if the rim is nowhere in view; and the pupils, or None.
+    """
+    first = np.unique(poses, return_index=True)[1]  # repeats of a pose show the same rim
+    found = discs_of([views[v] for v in first])
+    if found is None:
+        return (), None
+    of_poses = found.of_views
+    discs = tuple(of_poses[pose] for pose in poses)
+    middles = np.array([disc.centre_mm for disc in of_poses])
+    aside = middles - np.array([disc.expected_mm for disc in of_poses])
+    wander = _rms(aside - aside.mean(axis=0))
+    sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in of_poses]))
+    if wander < max(_WANDERS * r_mm, _SEEN * sigma):
+        return discs, None
+    as_turns = _AS_TURNS / r_mm
+    n = len(middles)
+    about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
+    covariance = as_turns**2 * about @ found.covariance_mm2 @ about
+    covariance += _SAME**2 * (np.eye(2 * n) - about)
+    shown = as_turns * (middles - middles.mean(axis=0))
+    return discs, Pupils(shown, np.asarray(np.linalg.inv(covariance)))
+
+
+def _rms(vectors: Array) -> float:
+    """Return the RMS length of (n, 2) vectors."""
+    return float(np.sqrt((vectors**2).sum(axis=1).mean()))

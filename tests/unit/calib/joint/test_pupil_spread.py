@@ -1,0 +1,69 @@
+"""What the places of a pupil that is moved by hand add to the uncertainty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import CalibrationOptions
+from calib.joint.adjust import adjust
+from calib.joint.budget import variances
+from calib.joint.marginal import Marginal
+from calib.joint.posterior import posterior
+from calib.joint.pupil_spread import spread_of_pupils
+from calib.model.budget_row import PUPILS
+from tests.benchmarks.worlds.catalogue import WORLDS
+from tests.benchmarks.worlds.knowledge import views_of
+
+
+@pytest.fixture(scope="module")
+def optimum():
+    """The adjustment of nine poses of a mount that is moved by hand."""
+    bench = WORLDS["S1"](3, 9, 1, 0)
+    return adjust(views_of(bench), CalibrationOptions("joint", parallax_sigma=0.01))
+
+
+def with_pupils(optimum, places):
+    """Return the equations at the optimum with the pupils elsewhere."""
+    marginal = optimum.marginal
+    problem = replace(marginal.problem, bench=replace(marginal.problem.bench, pupils=places))
+    equations = problem.bench.linearised(optimum.state, 1.0, marginal.equations)
+    return Marginal(problem, equations, optimum.state)
+
+
+def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
+    found = posterior(optimum)
+    at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
+    parts = variances(found, np.eye(len(found.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+    assert (parts[PUPILS] > 0).all()
+
+
+def test_pupils_that_are_known_exactly_add_nothing(optimum):
+    marginal, solution = optimum.marginal, optimum.solution
+    known = replace(marginal.problem.pupils, information=1e12 * marginal.problem.pupils.information)
+    problem = replace(marginal.problem, pupils=known)
+    exact = Marginal(problem, marginal.equations, marginal.state)
+    spread = spread_of_pupils(exact, optimum.eta, solution)
+    assert np.diag(spread).max() < 1e-6 * np.diag(solution.covariance).max()
+
+
+def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
+    marginal, solution = optimum.marginal, optimum.solution
+    step, n = 1e-4, marginal.problem.bench.n_poses
+    moves = []
+    for k in range(2 * n):
+        ahead, behind = (
+            with_pupils(
+                optimum, marginal.problem.bench.pupils + sign * step * np.eye(2 * n)[k].reshape(n, 2)
+            ).solve(optimum.eta)
+            for sign in (1.0, -1.0)
+        )
+        moves.append((ahead.step - behind.step) / (2.0 * step))
+    tight = 1e4 * marginal.problem.pupils.information  # so that the stars add nothing to what the discs say
+    problem = replace(marginal.problem, pupils=replace(marginal.problem.pupils, information=tight))
+    spread = spread_of_pupils(Marginal(problem, marginal.equations, marginal.state), optimum.eta, solution)
+    expected = np.array(moves).T @ np.linalg.inv(tight) @ np.array(moves)
+    camera = slice(0, 4)
+    sigmas, theirs = (np.sqrt(np.diag(one)[camera]) for one in (spread, expected))
+    assert sigmas == pytest.approx(theirs, rel=0.25)  # residuals bend what the differences see
