@@ -40,9 +40,9 @@ def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
 VARIABLE = "NUMBA_CACHE_DIR"
 _ROOT = Path(__file__).parents[2]
 _BESIDE = _ROOT / "calib"
-_LAST_KERNELS = {"stars": "edge_pixels.edge_scores"}
+_LAST_KERNELS = {"stars": "edge_pixels.edge_scores", "simulator": "evt3_writer._write"}
 PARTS = tuple(_LAST_KERNELS)
-"""Parts of the program with compiled loops that calculate results."""
+"""Parts of the program with compiled loops."""
 _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 

@@ -68,9 +68,10 @@ _MODULES = {
     **dict.fromkeys(("schema", "target", "simulate"), "station"),
 }
 """Modules of the commands that share one; all others have the name of their command."""
-_CALCULATES = dict.fromkeys(
-    ("run", "resume", "verify", "calibrate", "check", "passport", "rig", "compare", "batch"), ("stars",)
-)
+_CALCULATES = {
+    **dict.fromkeys(("run", "resume", "batch"), ("stars", "simulator")),
+    **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig", "compare"), ("stars",)),
+}
 """Parts with compiled loops that a command uses (`bench.terminal.compiling`)."""
 _RENAMED = {
     "recalibrate": "calibrate RUN... --each",

@@ -102,7 +102,8 @@ def test_parts_that_no_process_has_compiled_are_named(tmp_path):
     version = f"py{sys.version_info.major}{sys.version_info.minor}"
     (tmp_path / "stars_1").mkdir()
     (tmp_path / "stars_1" / f"edge_pixels.edge_scores-162.{version}.nbi").touch()
-    assert missing_parts(PARTS, environ) == ()
+    assert missing_parts(PARTS, environ) == ("simulator",)
+    assert missing_parts(("stars",), environ) == ()
 
 
 def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypatch):
