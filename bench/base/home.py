@@ -76,7 +76,7 @@ def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Pat
     if environ.get(VARIABLE):
         caches = [Path(environ[VARIABLE])]
     elif _may_write(root / "calib" / "__pycache__"):
-        caches = [root / "calib"]
+        caches = [root / package for package in _PACKAGES_WITH_KERNELS]
     else:
         caches = [_user_cache(environ) / "numba"]
     ending = f"-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"

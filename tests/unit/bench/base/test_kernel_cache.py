@@ -106,6 +106,18 @@ def test_parts_that_no_process_has_compiled_are_named(tmp_path):
     assert missing_parts(("stars",), environ) == ()
 
 
+def test_kernels_beside_their_sources_are_seen_in_every_package(tmp_path):
+    version = f"py{sys.version_info.major}{sys.version_info.minor}"
+    for kernel in (
+        "calib/stars/__pycache__/edge_pixels.edge_scores",
+        "simulators/pixels/__pycache__/evt3_writer._write",
+    ):
+        (tmp_path / kernel).parent.mkdir(parents=True)
+        (tmp_path / f"{kernel}-1.{version}.nbi").touch()
+    (tmp_path / "calib" / "__pycache__").mkdir()
+    assert missing_parts(PARTS, {}, root=tmp_path) == ()
+
+
 def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypatch):
     begun, said, real = [], [], subprocess.Popen
 
