@@ -31,7 +31,7 @@ def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
         return
     say(
         f"Compiling loops for this processor, once after an installation or an update ({' and '.join(missing)}): "
-        "1 to 3 minutes, longer on a busy computer."
+        "half a minute to two minutes, longer on a busy computer."
     )
     begun_s = said_s = time.monotonic()
     running = {

@@ -64,7 +64,7 @@ class RandomBlock:
 
 
 @dataclass(frozen=True)
-class Turned:
+class TurnFields:
     """The coefficients of the Q fields that follow the turn."""
 
     rows: Places  # (Q,) places in a pose's basis
@@ -151,8 +151,8 @@ class Layout:
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
         found[:, field:, self.places(RADIAL)] = self.basis.radial
         found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
-        turned = self.turned
-        found[:, turned.rows, turned.columns] = turned.sizes(pupils)
+        by_turn = self.by_turn
+        found[:, by_turn.rows, by_turn.columns] = by_turn.sizes(pupils)
         times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
             found[pose, field:, self.index[DRIFT]] = times[pose] * self.basis.shape(partial(_scale, turn))
@@ -165,7 +165,7 @@ class Layout:
         return found
 
     @cached_property
-    def turned(self) -> Turned:
+    def by_turn(self) -> TurnFields:
         """The fields that follow the turn."""
         parts = []
         for names, degree in ((_TURNS, amp.TURN_DEGREE), (_TURNS_2, amp.TURN_2_DEGREE)):
@@ -173,7 +173,7 @@ class Layout:
             for name, powers in names.items():
                 columns = self.places([f"{name}_{j}" for j in places])
                 parts.append((self.field + places, columns, np.tile(powers, (len(places), 1))))
-        return Turned(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        return TurnFields(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def random_blocks(
         self, hyper: amp.Hyperprior, known: frozenset[str], *, parallax_known: bool

@@ -86,7 +86,7 @@ class Posterior:
 
     @cached_property
     def pupils(self) -> Array | None:
-        """(S, S) covariance by the places of the pupil, if these are unknowns."""
+        """(S, S) covariance that the places of the pupil add; None on a gimbal."""
         optimum = self.optimum
         return spread_of_pupils(optimum.marginal, optimum.eta, optimum.solution)
 

@@ -14,18 +14,17 @@ Array = NDArray[np.float64]
 def spread_of_pupils(marginal: Marginal, eta: Array, found: Solution) -> Array | None:
     """Return the (S, S) covariance that the shared unknowns have because the places are known only so well.
 
-    The places are eliminated from the equations linearised in them too, about the fields found. None if they are no
-    unknowns.
+    The places are eliminated from equations that are linear in them too, about the fields found. None on a gimbal.
     """
     problem, equations = marginal.problem, marginal.equations
     if problem.pupils is None:
         return None
-    bench, turned = problem.bench, problem.bench.layout.turned
+    bench, by_turn = problem.bench, problem.bench.layout.by_turn
     squares = np.exp(-2.0 * eta[problem.hyper.at(amp.STAR)]) * equations.squares
     between = squares[:, bench.layout.pose_places]
     squares = squares - between.swapaxes(1, 2) @ found.own @ between
-    b = (marginal.state.shared + found.step)[turned.columns]
-    moved = (turned.slopes(bench.pupils) * b) @ np.eye(bench.layout.size)[turned.rows]
+    b = (marginal.state.shared + found.step)[by_turn.columns]
+    moved = (by_turn.slopes(bench.pupils) * b) @ np.eye(bench.layout.size)[by_turn.rows]
     seen = squares @ moved.swapaxes(1, 2)
     across = np.concatenate(list(equations.maps.swapaxes(1, 2) @ seen), axis=1)
     follow = found.covariance @ across

@@ -184,7 +184,7 @@ def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> B
     Patches are the connected components of the graph of agreeing neighbours. If hardly any neighbours agree, as with
     random ids, all stars that contradict most of their neighbours are returned instead. Own rule.
 
-    mapped, off: (N, 2) mapped positions, and what the stars are off them, px.
+    mapped, off: (N, 2) mapped positions, and the stars minus these, px.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

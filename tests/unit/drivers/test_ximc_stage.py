@@ -1,6 +1,6 @@
 """The XIMC stage on its simulated controllers: what it sends, what it refuses, and how it stops.
 
-What every family does with faults of axis and line: see ``tests/hil/test_every_fault.py``.
+``tests/hil/test_every_fault.py`` shows what each family does with faults of axis and line.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Bench:
         return self.controllers[number].receive(command)[4:-2]
 
     def set_borders(self, number: int, flags: int, lowest: int, highest: int) -> bytes:
-        """Set borders, in steps; bit 0 of the flags says that they are counts, not switches."""
+        """Set the limits of travel, in steps. Bit 0 of the flags: counts are the limits, not switches."""
         data = struct.pack("<BBihih6x", flags, 0, lowest, 0, highest, 0)
         self.controllers[number].receive(b"seds" + data + mutated.crc16(data))
         return data

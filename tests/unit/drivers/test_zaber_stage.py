@@ -1,6 +1,6 @@
 """The Zaber stage on its simulated controllers: what it sends, what it refuses, and how it stops.
 
-What every family does with faults of axis and line: see ``tests/hil/test_every_fault.py``.
+``tests/hil/test_every_fault.py`` shows what each family does with faults of axis and line.
 """
 
 from __future__ import annotations

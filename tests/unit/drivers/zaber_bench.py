@@ -68,7 +68,7 @@ class Bench:
         getattr(self, name).execute(1, ["move", "abs", str(counts)], self.clock.now_s)
 
     def answer(self, words: str, place: int, word: str) -> Callable[[], None]:
-        """Let a reply to a request have another word (verdict 3, state 4, flag 5, data 6); return what ends it."""
+        """Replace a word of the replies to a request (verdict 3, state 4, flag 5, data 6) until the result is called."""
         changed = put(place, lambda _word: word)
         device, _, asked = words.partition(" ")
 
