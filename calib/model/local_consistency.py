@@ -195,7 +195,8 @@ def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> B
     agree = beside & (np.linalg.norm(off[:, None] - off[which], axis=2) <= _PATCH_SHARE * apart)
     if agree.sum() < _ORDERED_SHARE * beside.sum():
         return np.asarray(2 * agree.sum(axis=1) < beside.sum(axis=1))
-    star, neighbour = np.nonzero(agree)[0], which[agree]
+    # SciPy 1.11 finds components of graphs with 32-bit indices only.
+    star, neighbour = np.nonzero(agree)[0].astype(np.int32), which[agree].astype(np.int32)
     graph = coo_array((np.ones(len(star)), (star, neighbour)), shape=(len(off), len(off)))
     _, patch = connected_components(graph, directed=False)
     largest = patch == np.argmax(np.bincount(patch))
