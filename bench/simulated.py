@@ -36,9 +36,7 @@ _START_TIMEOUT_S = 120.0
 class SimulatedBench:
     """A simulated bench in a process of its own, which the constructor starts.
 
-    config: The station file's ``simulation`` section.
     endpoints: Ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
-    Raises SimulationError: When it does not start; the message has the last line of its log.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -123,11 +121,7 @@ class SimulatedBench:
         return self.process.poll() is None
 
     def order(self, line: str) -> str:
-        """Order a fault of a simulated device (docs/simulated-bench.md).
-
-        line: The order, as words or as JSON.
-        Raises SimulationError: When the process has ended.
-        """
+        """Order a fault of a simulated device (docs/simulated-bench.md), as words or as JSON."""
         stdin, stdout = self.process.stdin, self.process.stdout
         assert stdin is not None
         assert stdout is not None
@@ -142,10 +136,10 @@ class SimulatedBench:
     def set_up(self, device: str, what: str, **numbers: float) -> dict[str, Any]:
         """Do at the simulated camera what the hands of a person would do. The image changes at once.
 
-        device, what, numbers: ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the others of
-          docs/simulated-bench.md.
-        Returns: What lens and mount show afterwards.
-        Raises SimulationError: When the simulated bench has ended, or refuses: the ring does not reach that distance.
+        device, what, numbers: ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the
+          others of docs/simulated-bench.md.
+        Raises SimulationError: When the simulated bench has ended, or refuses: the ring does not reach that
+          distance.
         """
         text = self.order(json.dumps({"device": device, "fault": what, **numbers}))
         try:
@@ -188,11 +182,7 @@ class SimulatedBench:
 
 
 def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
-    """Make a simulated world for a rehearsal: without a process, ports or devices.
-
-    config: The station file's ``simulation`` section.
-    Raises SimulationError: When the configuration is not valid.
-    """
+    """Make a simulated world for a rehearsal: without a process, ports or devices."""
     from simulators.errors import ConfigError
     from simulators.rehearsed_world import RehearsedWorld
 
@@ -205,11 +195,7 @@ def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld
 
 
 def virtual_camera(section: Mapping[str, Any], seed: int) -> VirtualCamera:
-    """Make a simulated camera that records at once, in this process and without devices.
-
-    section: As the ``simulation`` section of a station file.
-    Raises SimulationError: If the section is not valid.
-    """
+    """Make a simulated camera that records at once, in this process and without devices."""
     from simulators.errors import ConfigError
     from simulators.virtual_capture import VirtualCamera
 

@@ -30,11 +30,7 @@ _WIDTH, _HEIGHT, _HZ, _SWITCHED, _PIXEL_MM = 1280, 720, 60.0, 7, 255.0 / 3345.0
 
 
 def compile_part(part: str) -> None:
-    """Compile a part in this process, by using it once.
-
-    Raises drivers.errors.DriverError, SimulationError: When the simulated bench does not work on this
-      computer.
-    """
+    """Compile a part in this process, by using it once."""
     gc.disable()  # compiling makes millions of small objects; looking for cycles among them takes 7 % of the time
     with tempfile.TemporaryDirectory() as folder:
         {"stars": _measure, "simulator": _record}[part](Path(folder))

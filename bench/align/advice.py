@@ -72,10 +72,7 @@ _ASIDE: Final = 0.04
 
 
 def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
-    """Return what to do next.
-
-    Returns: Sentences, the most important first; empty if nothing is to be improved.
-    """
+    """Return what to do next: sentences, the most important first; empty if nothing is to be improved."""
     advice = [*_camera(seen.facts)]
     dark = list(_light(seen, setting))
     if dark:

@@ -38,11 +38,7 @@ class _Page:
 
 
 class Owners:
-    """The open pages, and which of them holds the controls.
-
-    on_change: Called after each change, by any thread.
-    monotonic: Returns the time of a monotonic clock, s.
-    """
+    """The open pages, and which of them holds the controls."""
 
     def __init__(
         self, on_change: Callable[[], None], monotonic: Callable[[], float] = time.monotonic
@@ -69,10 +65,7 @@ class Owners:
         self._on_change()
 
     def leave(self, page: str) -> bool:
-        """Note that a stream of a page has closed.
-
-        Returns: Whether that was the page's last stream: the page is closed, or its connection is lost.
-        """
+        """Note that a stream of a page has closed; True if it was the page's last one."""
         with self._lock:
             found = self._pages.get(page)
             if found is None:
@@ -90,20 +83,14 @@ class Owners:
                 found.beat_s = self._monotonic()
 
     def take(self, page: str, what: str = "") -> None:
-        """Give the controls to a page.
-
-        what: Browser and address, if the page is not known yet.
-        """
+        """Give the controls to a page."""
         with self._lock:
             self._page(page, what)
             self._holder = page
         self._on_change()
 
     def require(self, page: str) -> None:
-        """Check that a page holds the controls. If nobody does, it gets them.
-
-        Raises ControlRefused: If another open page holds them.
-        """
+        """Check that a page holds the controls; it gets them if nobody does, else ControlRefused is raised."""
         with self._lock:
             if page == self._holder:
                 return
@@ -117,10 +104,7 @@ class Owners:
         )
 
     def is_lost(self, page: str) -> bool:
-        """Return whether a page has closed or gone silent.
-
-        Returns: True also for a page that is not known.
-        """
+        """Return whether a page has closed or gone silent; True also for a page that is not known."""
         with self._lock:
             found = self._pages.get(page)
             return found is None or self._monotonic() - found.beat_s > BEAT_LIMIT_S
@@ -132,10 +116,7 @@ class Owners:
             return _name(found) if found is not None else "A page"
 
     def as_data(self) -> dict[str, Any]:
-        """Return the pages as a page shows them.
-
-        Returns: ``holder``: id, and ``pages``: number and description of each open page by id.
-        """
+        """Return ``holder``: id, and ``pages``: number and description of each open page by id."""
         with self._lock:
             return {
                 "holder": self._holder if self._is_open(self._holder) else "",
@@ -197,10 +178,7 @@ class StageState:
 
 
 class StageControl:
-    """A stage in the hands of a person.
-
-    on_change: Called after each change of the state, by any thread.
-    """
+    """A stage in the hands of a person."""
 
     def __init__(self, stage: Stage, on_change: Callable[[], None], say: Callable[[str], None]) -> None:
         self._stage = stage
@@ -237,18 +215,11 @@ class StageControl:
         return self._silent or self._state.failure
 
     def known_deg(self) -> Mapping[str, float]:
-        """Return the present angles where they are known.
-
-        Returns: Degrees by axis; empty while the stage is not homed, because its counters then count from
-          anywhere.
-        """
+        """Return the present angles, degrees by axis; empty while the stage is not homed."""
         return self._state.position_deg if self._state.homed else {}
 
     def as_data(self) -> dict[str, Any]:
-        """Return the state as the page shows it.
-
-        Returns: Plain values; an entry an axis in ``axes``.
-        """
+        """Return the state as the page shows it: plain values; an entry an axis in ``axes``."""
         state, limits = self._state, self._stage.limits
         failure = self.failure
         axes = [
@@ -275,12 +246,9 @@ class StageControl:
     def move_by(self, steps_deg: Mapping[str, float], by: str = "") -> dict[str, float]:
         """Turn axes by small steps. Steps given while the stage turns are added to its goal.
 
-        steps_deg: Step of each axis that is to turn, degrees.
-        by: Id of the page that asks; empty for this process.
         Returns: Goal of each of these axes, degrees. The move itself goes on after the return.
         Raises ControlRefused: If a goal lies outside the limits, or the stage cannot move now. Nothing is
           moved.
-        Raises DriverError: If the stage does not answer.
         """
         self._check_steps(steps_deg)
         if not self.moving:
@@ -309,7 +277,6 @@ class StageControl:
     def home(self, by: str = "") -> None:
         """Search the references of all axes. The search goes on after the return.
 
-        by: Id of the page that asks; empty for this process.
         Raises ControlRefused: If the stage moves, or is not open. Nothing is moved then.
         """
         with self._lock:
@@ -329,10 +296,7 @@ class StageControl:
         self._on_change()
 
     def stop(self) -> None:
-        """Stop all axes now, on this thread, and drop every move that waits. For any thread, at any time.
-
-        Raises DriverError: If the stage does not confirm that it stands.
-        """
+        """Stop all axes now, on this thread, and drop every move that waits. For any thread, at any time."""
         with self._lock:
             self._generation = generation = self._generation + 1
             self._wanted.clear()
@@ -359,7 +323,6 @@ class StageControl:
         """Read position, and on request reference and faults too.
 
         thoroughly: Whether to ask for reference and faults; not possible while the stage moves.
-        Raises DriverError: If the stage does not answer.
         """
         try:
             position_deg = dict(self._stage.position_deg())
@@ -378,10 +341,7 @@ class StageControl:
             self._on_change()
 
     def look_safely(self, *, thoroughly: bool) -> None:
-        """Read as `look` does; a stage that does not answer becomes the state's failure.
-
-        thoroughly: As for `look`.
-        """
+        """Read as `look` does; a stage that does not answer becomes the state's failure."""
         try:
             self.look(thoroughly=thoroughly)
         except DriverError as error:

@@ -45,10 +45,7 @@ _IMX636: Mapping[str, tuple[int, int]] = {
 
 
 class CameraControl:
-    """The camera's identity and settings.
-
-    on_change: Called after each change, by any thread.
-    """
+    """The camera's identity and settings."""
 
     def __init__(self, camera: Camera, station: Station, on_change: Callable[[], None]) -> None:
         self._camera = camera
@@ -90,7 +87,6 @@ class CameraControl:
 
         value: Offset from the factory value, in the camera's own steps.
         Raises ControlRefused: If there is no such bias, or the value is outside its range; nothing was sent.
-        Raises DriverError: If the camera refuses the value, or is lost.
         """
         ranges = self._ranges
         if not self.is_event or name not in ranges:
@@ -125,9 +121,7 @@ class CameraControl:
         """Change exposure or gain of a frame camera, and read both back.
 
         name: ``exposure`` or ``gain``.
-        value: New value, in the units of the camera's driver.
         Raises ControlRefused: If this camera has no such setting; nothing was sent.
-        Raises DriverError: If the camera refuses the value, or is lost.
         """
         if name not in self.frame_settings:
             raise ControlRefused(
@@ -182,10 +176,7 @@ class LightReading:
 
 
 class LightControl:
-    """A light in the hands of a person.
-
-    on_change: Called after each change, by any thread.
-    """
+    """A light in the hands of a person."""
 
     def __init__(
         self,
@@ -222,11 +213,8 @@ class LightControl:
     ) -> LightReading:
         """Change the light, and read back what it does.
 
-        on: Whether the output is to be on; None leaves it as it is.
         waveform, frequency_hz, duty_percent, level_percent: New values; None leaves a value as it is.
-        Returns: As the device reports it after the change.
         Raises ControlRefused: If a value is outside its range; nothing was sent.
-        Raises DriverError: If the light refuses or does not answer.
         """
         changes = {
             "waveform": waveform,
@@ -254,10 +242,7 @@ class LightControl:
             return self.reading
 
     def off(self) -> None:
-        """Switch the light off, and check that it is off.
-
-        Raises DriverError: If the light does not confirm.
-        """
+        """Switch the light off, and check that it is off."""
         with self._lock:
             self._light.off()
             self.reading = replace(self.reading, on=False)

@@ -76,7 +76,6 @@ def measure_focus(
     """Measure how sharp a picture is.
 
     image: (H, W) float32, grey values.
-    beam: The beam's disc in it.
     stars: Tag and stars in it; None if they were not searched.
     before: Figures of a picture shortly before, whose regions are kept; None to measure all regions.
     Returns: With the sharpness alone if there are neither tag nor stars.
@@ -217,10 +216,7 @@ class FocusCourse:
         """Most coarse detail seen, likewise."""
 
     def add(self, time_s: float, figures: FocusFigures) -> None:
-        """Add the figures of a picture.
-
-        time_s: Time of the picture, s; it does not decrease.
-        """
+        """Add the figures of a picture; its time, s, does not decrease."""
         self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
         while self._course[0][0] < time_s - self._kept_s:
             self._course.popleft()

@@ -51,18 +51,12 @@ class Sighting(NamedTuple):
 
     @classmethod
     def of(cls, values: NDArray[np.float32], reading_deg: Mapping[str, float]) -> Sighting:
-        """Reduce a picture.
-
-        values: (H, W) float32, grey values.
-        reading_deg: Angles of the stage, degrees; empty if unknown.
-        """
+        """Reduce a picture, (H, W) float32, seen at angles of the stage, degrees; empty if they are unknown."""
         return cls(_reduced(values), dict(reading_deg))
 
     def differs(self, values: NDArray[np.float32], reading_deg: Mapping[str, float]) -> bool:
         """Return whether a picture shows another view.
 
-        values: (H, W) float32, grey values.
-        reading_deg: Angles of the stage, degrees; empty if unknown.
         Returns: By the angles, or by the correlation of the pictures (Pearson's coefficient).
         """
         turned = [abs(angle - self.reading_deg.get(axis, angle)) for axis, angle in reading_deg.items()]
@@ -109,10 +103,7 @@ class StopWatch:
         self._took_ms: dict[str, float] = {}
 
     def lap(self, stage: str) -> dict[str, float]:
-        """Add the time since the last call to a stage.
-
-        Returns: All durations so far, ms.
-        """
+        """Add the time since the last call to a stage, and return all durations so far, ms."""
         now_s = time.perf_counter()
         self._took_ms[stage] = self._took_ms.get(stage, 0.0) + round(1e3 * (now_s - self._last_s), 1)
         self._last_s = now_s

@@ -73,8 +73,6 @@ def measure_signal(
 ) -> SignalFigures:
     """Measure the signal of a slice.
 
-    events, triggers: The decoded slice, with times from 0 on.
-    data_bytes: Length of the file without its header.
     expected_hz: Frequency to which the light is set, Hz; None if unknown.
     compare: Whether the frequency is measured by the events also if the sync edges give it. That takes as
       long as a third of the image.
@@ -105,9 +103,6 @@ def signal_of_counts(
 ) -> SignalFigures | None:
     """Return the signal of a slice whose events were only counted.
 
-    statistics: Counts and times of the slice.
-    data_bytes: Length of the file without its header.
-    expected_hz: Frequency to which the light is set, Hz.
     Returns: Without figures that need the times of events; None if only these can show the flicker.
     """
     count, duration_s = statistics.events, statistics.duration_s
@@ -271,8 +266,6 @@ class LiveSetting:
         """Take from a station file what the figures need.
 
         frequency_hz: Frequency of the light's flicker as set, Hz; None if unknown.
-        light_on: Whether the light is on by its own read-back; None if unknown.
-        level_percent: Level of the light as asked for, percent; None if unknown.
         Returns: With the gates that a sequence has by default.
         """
         expected, collimator = station.expected, station.collimator
@@ -327,12 +320,7 @@ class CountedSlice(NamedTuple):
 
 
 def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
-    """Count the events of a slice.
-
-    period_us: Period of the flicker, us.
-    Returns: The counts.
-    Raises drivers.errors.RecordingFileError: If the file cannot be read, or a word is malformed.
-    """
+    """Count the events of a slice, for a flicker of this period."""
     pieces = list(raw.words())
     words = pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, "<u2"), *pieces])
     end, periods = whole_periods(words, period_us)
@@ -396,10 +384,7 @@ class LiveImage(NamedTuple):
 def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> LiveImage:
     """Read a slice and make its image.
 
-    path: RAW file, or file of frames.
     compare: Whether the frequency is measured by the events also if the sync edges give it.
-    Returns: Also of a slice without any light.
-    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
     if setting.camera == "frame":
         return _read_frames(path)

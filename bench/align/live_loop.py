@@ -40,11 +40,7 @@ _NAME = re.compile(r"starbench-align-(\d+)-\w+")
 
 
 def make_slice_folder() -> Path:
-    """Make a folder that only this user can read; remove those of processes that have ended.
-
-    Returns: The new folder. In memory, if half a gigabyte is free there: hours of slices would wear out a
-      disk.
-    """
+    """Make a folder that only this user can read, in memory if half a GB is free; remove those left behind."""
     in_memory = MEMORY.is_dir() and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > _ROOM
     parent = MEMORY if in_memory else Path(tempfile.gettempdir())
     _remove_left_behind(parent)
@@ -84,20 +80,14 @@ _RATE_OVER_S = 4.0
 
 
 def slice_periods(setting: LiveSetting) -> int:
-    """Return how many flicker periods a short slice holds.
-
-    Returns: At least 1; 0 if there is no flicker.
-    """
+    """Return how many flicker periods a short slice holds: at least 1; 0 if there is no flicker."""
     if not setting.light_on or not setting.frequency_hz:
         return 0
     return max(1, round(SHORT_S * setting.frequency_hz))
 
 
 def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
-    """Return the figures of a short slice, completed by the figures that need a longer slice.
-
-    signal: Figures of the last slice of at least `bench.align.live_loop.SIGNAL_PERIODS`.
-    """
+    """Return the figures of a short slice, completed by those of the last slice of `SIGNAL_PERIODS` or more."""
     kept = [
         one
         for one in signal.advice
@@ -114,32 +104,19 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
 
 
 def learnt_s(known_s: float, newest_s: float) -> float:
-    """Return the expected duration after the newest one.
-
-    known_s: Expected duration so far, s; 0 if none is known.
-    newest_s: The newest duration, s.
-    Returns: Expected duration, s.
-    """
+    """Return the expected duration, s, after the newest one; 0 says that none was known so far."""
     return newest_s if known_s == 0.0 else known_s + _LEARNT * (newest_s - known_s)
 
 
 def slice_duration_s(setting: LiveSetting, periods: float) -> float:
-    """Return the length of a slice.
-
-    periods: Flicker periods that it holds; 0 without flicker.
-    Returns: Length, s.
-    """
+    """Return the length of a slice of some flicker periods, s; 0 periods without flicker."""
     if periods == 0 or not setting.frequency_hz:
         return SHORT_S
     return min(periods / setting.frequency_hz, LONGEST_SLICE_S)
 
 
 def rate_per_s(times_s: Iterable[float]) -> float:
-    """Return how often something happened in the last seconds.
-
-    times_s: Times on the monotonic clock, s, in their order.
-    Returns: Times a second; 0 if it happened less than twice.
-    """
+    """Return how often something happened in a second, from its times in order; 0 if it happened less than twice."""
     now_s = time.monotonic()
     recent = [at for at in list(times_s) if now_s - at < _RATE_OVER_S]
     if len(recent) < 2:
@@ -196,9 +173,7 @@ class LiveLoop:
     """Records and measures slices until it is closed.
 
     camera: The open camera; only this object uses it.
-    reading_deg: Returns the present angles of the stage, degrees.
     on_picture: Called after each new picture or fault, by any thread.
-    moving: Returns whether the stage turns.
     """
 
     def __init__(
@@ -245,10 +220,7 @@ class LiveLoop:
             thread.start()
 
     def on_camera(self, task: Callable[[], T]) -> Future[T]:
-        """Do something with the camera between two slices. The present slice ends early.
-
-        task: What to do; called by the recording thread.
-        """
+        """Let the recording thread do something with the camera between two slices. The present slice ends early."""
         future: Future[T] = Future()
         with self._wake:
             if self._closing:
@@ -265,31 +237,19 @@ class LiveLoop:
         self._course.clear()
 
     def course(self) -> list[tuple[float, float]]:
-        """Return the course of the focus.
-
-        Returns: Time of each slice in which it was measured, s, and edge width, px.
-        """
+        """Return the course of the focus: time of each slice in which it was measured, s, and edge width, px."""
         return list(self._course)
 
     def images_per_s(self) -> float:
-        """Return how many pictures came in a second, over the last seconds.
-
-        Returns: Pictures in a second.
-        """
+        """Return how many pictures came in a second, over the last seconds."""
         return rate_per_s(self._times_s)
 
     def stars_per_s(self) -> float:
-        """Return how often stars were searched in a second, over the last seconds.
-
-        Returns: Searches in a second.
-        """
+        """Return how often stars were searched in a second, over the last seconds."""
         return rate_per_s([at for at, _ in self._star_times_s])
 
     def close(self) -> bool:
-        """End the recording and both threads, and remove the temporary folder.
-
-        Returns: Whether the recording thread has ended: the camera then records no more.
-        """
+        """End the recording, and remove the temporary folder; True if the camera records no more."""
         with self._wake:
             self._closing = True
             self._wake.notify_all()

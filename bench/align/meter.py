@@ -43,10 +43,7 @@ class Meter(Protocol):
     """Measures one slice after the other."""
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
-        """Measure a slice.
-
-        Raises BenchError: If the slice could not be measured; the next one may be.
-        """
+        """Measure a slice. Raises BenchError if it could not be measured; the next one may be."""
         ...
 
     def forget(self) -> None:
@@ -140,11 +137,7 @@ class MeterProcess:
 
 
 def serve_measurements(requests: IO[bytes], answers: IO[bytes]) -> None:
-    """Measure what is asked for until the requests end.
-
-    requests: Where slices come from.
-    answers: Where the figures go.
-    """
+    """Measure what is asked for until the requests end."""
     meter = MeterHere()
     while True:
         try:

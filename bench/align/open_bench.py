@@ -35,10 +35,7 @@ _ALL_OPEN = "All devices are open. Nothing was moved, and the light was not swit
 
 
 def follow(bench: Bench, say: Callable[[str], None]) -> None:
-    """Say when stage and light are open too, or why they could not be opened.
-
-    say: Called with a sentence for the person, by any thread.
-    """
+    """Say when stage and light are open too, or why they could not be opened; ``say`` is called by any thread."""
     if not bench.devices.late:
         say(_ALL_OPEN)
     for name, device in bench.devices.late.items():
@@ -46,10 +43,7 @@ def follow(bench: Bench, say: Callable[[str], None]) -> None:
 
 
 def try_again(bench: Bench) -> bool:
-    """Begin to open again what could not be opened.
-
-    Returns: Whether there was anything.
-    """
+    """Begin to open again what could not be opened; False if there was nothing."""
     failed = [device for device in bench.devices.late.values() if device.state == "failed"]
     for device in failed:
         device.start()
@@ -57,18 +51,12 @@ def try_again(bench: Bench) -> bool:
 
 
 def failures_of(bench: Bench) -> list[Failure]:
-    """Return why stage or light cannot be used now.
-
-    Returns: Empty if both answer, or are still being opened.
-    """
+    """Return why stage or light cannot be used now; empty if both answer, or are still being opened."""
     return [one for one in _failures(bench) if one.kind != StillOpening.__name__]
 
 
 def is_opening(bench: Bench) -> bool:
-    """Return whether stage or light is still being opened, or has not been read since.
-
-    Returns: False also if one of them could not be opened.
-    """
+    """Return whether stage or light is being opened or not read yet; False if one could not be opened."""
     if any(device.state == "opening" for device in bench.devices.late.values()):
         return True
     return any(one.kind == StillOpening.__name__ for one in _failures(bench))
@@ -103,10 +91,7 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
 
 
 class SimulatedHands:
-    """Hands at the simulated camera.
-
-    simulation: The running simulated bench; None on a real bench.
-    """
+    """Hands at the simulated camera; on a real bench, ``simulation`` is None."""
 
     def __init__(self, simulation: SimulatedBench | None) -> None:
         self._simulation = simulation
@@ -122,11 +107,8 @@ class SimulatedHands:
     def do(self, action: str, numbers: Mapping[str, float]) -> dict[str, Any]:
         """Do something with the hands.
 
-        action: One of `ACTIONS`.
-        numbers: The action's numbers by name.
         Raises ControlRefused: On a real bench, and if there is no such action or the simulated bench refuses
           it.
-        Raises SimulationError: If the simulated bench has ended.
         """
         if self._simulation is None:
             raise ControlRefused(
@@ -195,7 +177,6 @@ def open_bench(
 ) -> Bench:
     """Open the devices and make their controls. The loop is not started yet.
 
-    on_change: Called after each change, by any thread.
     Raises DriverError, SimulationError: If a device cannot be opened; the others are then closed.
     """
     clock = BenchClock()

@@ -60,7 +60,6 @@ class PageFiles:
         """Return the path of a file that the page names.
 
         name: Name of the file, without a folder; the ending ``.yaml`` is added if it is missing.
-        Returns: The file in ``folder``.
         Raises ControlRefused: If the name is not a plain file name.
         """
         if not _FILE_NAME.fullmatch(name) or ".." in name:
@@ -90,10 +89,7 @@ class PageFiles:
 
 
 def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
-    """Return what the page can ask for.
-
-    files: The files that the page may read and write.
-    """
+    """Return what the page can ask for."""
     return {
         **_stage_actions(session),
         **_light_actions(session),
@@ -232,10 +228,7 @@ def _told(session: Session, page: str, what: str, topic: str = "") -> None:
 
 
 def read_page(body: Mapping[str, Any]) -> str:
-    """Return the id of the page that sends a request.
-
-    Raises UsageError: If the request names no page.
-    """
+    """Return the id of the page that sends a request."""
     page = body.get("page")
     if not isinstance(page, str) or not _PAGE_ID.fullmatch(page):
         raise UsageError("The request does not say which page sends it.", remedy=_AGAIN)

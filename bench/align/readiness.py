@@ -52,8 +52,6 @@ def check_readiness(
 
     sequence: Sequence that shall run on the station; None checks the bench only.
     station_file: Path or name of the station file; None for the one of the session.
-    Returns: In the order in which a run makes them.
-    Raises ControlRefused: If the devices are not open.
     """
     bench = session.bench
     checks = [_station(session), *_stage(bench), *_light(bench), *_camera(bench)]

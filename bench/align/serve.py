@@ -56,7 +56,6 @@ def align_app(session: Session, files: PageFiles | None = None) -> Starlette:
     """Make the application of the align page.
 
     files: Where the page may write; None for the session's station file and the working directory.
-    Returns: The application, to be served by `bench.web.server`.
     """
     pages = _Pages(session, files or PageFiles(session.station.file))
     return page_app(
@@ -227,11 +226,8 @@ def align_on_page(
 ) -> int:
     """Serve the align page of a station until Ctrl-C.
 
-    station: Station file, or name of a shipped one.
     settings: Values that replace those of the file, as ``PATH=VALUE``.
-    host, port: Address and port of the page; port 0 takes a free one.
     token: The token of the page; None if it needs none.
-    open_browser: Whether to open a browser of this computer.
     Returns: Exit status: 0 if every device confirmed a safe state, 1 if not.
     Raises UsageError: If the port is in use, or other computers could use the page without a token.
     Raises DocumentFaults: If the station file is not valid.
@@ -263,12 +259,9 @@ def align_on_page(
 def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> Session:
     """Read the station file and make a session; no device is opened yet.
 
-    station: Station file, or name of a shipped one.
     settings: Values that replace those of the file, as ``PATH=VALUE``; ``station.`` may stand before the
       path.
     Raises UsageError: If a setting does not have the form ``PATH=VALUE``.
-    Raises DocumentFaults: If the station file is not valid.
-    Raises ScriptError: If values of the station file are not filled in yet.
     """
     given = {}
     for text in settings:
@@ -284,11 +277,7 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
 
 
 def leave(session: Session) -> int:
-    """Leave the bench safe, and print what each device confirmed.
-
-    session: The session; it is closed.
-    Returns: Exit status: 0 if every device confirmed, 1 if not.
-    """
+    """Leave the bench safe, and print what each device confirmed; exit status 1 if one did not."""
     with _ignored_signals():
         confirmed = session.close()
     for line in confirmation_lines(confirmed):

@@ -49,7 +49,6 @@ _SAME_S: Final = 10.0
 class Happened:
     """The list of what happened.
 
-    on_change: Called after each change, by any thread.
     clock: Returns the time, s since 1970.
     """
 
@@ -79,10 +78,7 @@ class Happened:
         self._on_change()
 
     def as_data(self) -> list[dict[str, Any]]:
-        """Return the newest entries.
-
-        Returns: Number, time (s since 1970) and text of each, the newest last.
-        """
+        """Return the newest entries: number, time (s since 1970) and text of each, the newest last."""
         with self._lock:
             return list(self._entries)[-SHOWN:]
 
@@ -142,10 +138,7 @@ class Session:
         return self._bench
 
     def open(self) -> Failure | None:
-        """Open the devices, and begin to record. Nothing moves, and no light goes on.
-
-        Returns: Why they cannot be opened; None if they are open.
-        """
+        """Open the devices, and begin to record; nothing moves. Returns why they cannot be opened."""
         with self._lock:
             if self._bench is not None or self._opening or self._ended.is_set():
                 return self._failure
@@ -174,10 +167,7 @@ class Session:
         return self._failure
 
     def reopen(self) -> Failure | None:
-        """Open again what is not open; if that is not all, close the devices safely and open all of them again.
-
-        Returns: Why they cannot be opened; None if they are open.
-        """
+        """Open again what is not open; if that is not all, close the devices safely and open all of them again."""
         bench = self._bench
         if bench is not None and bench.loop.failure is None and try_again(bench):
             self.changes.tell()
@@ -186,11 +176,7 @@ class Session:
         return self.open()
 
     def wait_for_devices(self, timeout_s: float = 60.0) -> bool:
-        """Wait until stage and light are open, or could not be opened.
-
-        timeout_s: Longest wait, s.
-        Returns: Whether all devices are open and answer.
-        """
+        """Wait until stage and light are open, or could not be opened; True if all devices are open and answer."""
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s and not self._ended.wait(_WATCH_S):
             bench = self._bench
@@ -199,10 +185,7 @@ class Session:
         return False
 
     def failures(self) -> list[Failure]:
-        """Return why stage or light cannot be used now, the camera's pictures apart.
-
-        Returns: Empty if both answer, or are still being opened.
-        """
+        """Return why stage or light cannot be used now; empty if both answer, or are still being opened."""
         bench = self._bench
         return [] if bench is None else failures_of(bench)
 
@@ -228,19 +211,12 @@ class Session:
     # ------------------------------------------------------------------ what it shows
 
     def latest(self) -> tuple[int, NDArray[np.uint8], LiveFigures]:
-        """Return the newest picture.
-
-        Returns: Counts the pictures, from 1; 0 before the first one.
-        Returns: (H, W) uint8.
-        """
+        """Return number (0 before the first one), picture (H, W) uint8, and figures of the newest picture."""
         picture = self.picture()
         return picture.number, picture.image, picture.figures
 
     def picture(self) -> LivePicture:
-        """Return the newest picture with its JPEG and times.
-
-        Returns: Number 0 if there is none.
-        """
+        """Return the newest picture with its JPEG and times; number 0 if there is none."""
         bench = self._bench
         return bench.loop.latest if bench is not None else LivePicture()
 
@@ -286,36 +262,21 @@ class Session:
         return shown
 
     def say(self, text: str, topic: str = "") -> None:
-        """Show a sentence on the pages. See `Happened.say`.
-
-        topic: What it is about; empty for an entry of its own.
-        """
+        """Show a sentence on the pages. See `Happened.say`."""
         self._happened.say(text, topic)
 
     # ------------------------------------------------------------------ what a person asks for
 
     def jog(self, axis: str, step_deg: float, by: str = "") -> dict[str, float]:
-        """Turn one axis by a small step. See `StageControl.move_by`.
-
-        step_deg: Step, degrees.
-        by: Id of the page that asks; empty for this process.
-        Returns: Goal of the axis, degrees.
-        """
+        """Turn one axis by a small step, and return its goal, degrees. See `StageControl.move_by`."""
         return self.bench.stage.move_by({axis: step_deg}, by)
 
     def home(self, by: str = "") -> None:
-        """Search the references of the stage. See `StageControl.home`.
-
-        by: Id of the page that asks; empty for this process.
-        """
+        """Search the references of the stage. See `StageControl.home`."""
         self.bench.stage.home(by)
 
     def stop(self, why: str = "on request") -> None:
-        """Stop the stage now. For any thread, at any time.
-
-        why: Who or what asks, in a few words.
-        Raises DriverError: If the stage does not confirm that it stands.
-        """
+        """Stop the stage now, because of ``why``. For any thread, at any time."""
         bench = self._bench
         if bench is None:
             return
@@ -337,17 +298,13 @@ class Session:
         """Change the light. See `LightControl.set`.
 
         changes: ``on``, ``waveform``, ``frequency_hz``, ``duty_percent``, ``level_percent``.
-        Returns: The light, as `LightControl.as_data` gives it.
         """
         control = self.bench.light
         control.set(**changes)
         return control.as_data()
 
     def bias(self, name: str, value: int) -> Mapping[str, int]:
-        """Change one bias of the camera. See `CameraControl.set_bias`.
-
-        value: Offset from the factory value, in the camera's own steps.
-        """
+        """Change one bias of the camera, in its own steps from the factory value. See `CameraControl.set_bias`."""
         return self.bench.camera.set_bias(name, value)
 
     # ------------------------------------------------------------------ watching

@@ -46,12 +46,7 @@ class SeenMotion:
         self._learnt: dict[str, Array] = {}
 
     def add(self, reading_deg: Mapping[str, float], tag_px: tuple[float, float], focal_px: float) -> None:
-        """Add a sighting of the tag.
-
-        reading_deg: Angles of the stage, degrees.
-        tag_px: Centre of the tag (column, row), px.
-        focal_px: Focal length, px.
-        """
+        """Add a sighting of the tag, its centre at (column, row), px."""
         here = np.array(tag_px)
         before, self._last = self._last, (dict(reading_deg), here)
         if before is None:
@@ -208,7 +203,6 @@ def where_to_turn(
     """Find out where to turn.
 
     size: Width and height of the image, px.
-    beam: The beam's disc in it.
     stars: Tag and stars in it; None if they were not searched.
     motion: How the pattern was seen to move; None to rely on the signs of the bench.
     square: A dark square that looks like the tag, if no tag was recognised.

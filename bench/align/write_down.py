@@ -214,7 +214,6 @@ def propose_values(
 
     values: YAML text by path. Missing keys are added at the end of their mapping.
     target: New file to write instead; needed where the source must not be changed.
-    Returns: The change, not written.
     Raises ControlRefused: If the file must not be changed and no new name is given, or cannot be edited.
     Raises ScriptError: If the new text is not valid, with every fault.
     """
@@ -236,7 +235,6 @@ def propose_pose(
 ) -> Proposal:
     """Propose to add a pose to a list of a sequence, and to set its light.
 
-    angles_deg: Angle by axis, degrees.
     poses: Name of the list; None for the first list of the file. A list that does not exist is made.
     name: Name of the pose; None for none.
     light: YAML text by key of ``defaults.light``; None leaves the light as it is.
@@ -279,10 +277,7 @@ def propose_pose(
 
 
 def must_be_copied(path: Path) -> str:
-    """Return why a file must not be changed.
-
-    Returns: The reason, as a sentence; empty if the file may be changed.
-    """
+    """Return why a file must not be changed, a sentence; empty if the file may be changed."""
     folder = path.resolve().parent
     if folder in {SHIPPED_STATIONS.resolve(), SHIPPED_SEQUENCES.resolve()}:
         return "This file came with Starbench and is not changed."

@@ -23,10 +23,7 @@ from drivers.lateness import own_lateness
 
 
 class Aborted(Exception):
-    """The operator or the system has asked the run to stop.
-
-    reason: Who asked, in a few words.
-    """
+    """The operator or the system, named by ``reason``, has asked the run to stop."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -34,10 +31,7 @@ class Aborted(Exception):
 
 
 class Interrupted(Exception):
-    """An interlock has asked the work to pause; the work continues afterwards.
-
-    reason: Which interlock, in a few words.
-    """
+    """An interlock, named by ``reason``, has asked the work to pause; the work continues afterwards."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -105,10 +99,7 @@ class BenchClock:
         return now_s
 
     def utc_now(self) -> datetime:
-        """Return the system's time.
-
-        Returns: With time zone UTC.
-        """
+        """Return the system's time in UTC."""
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
@@ -130,51 +121,33 @@ class BenchClock:
             self._asleep = False
 
     def check(self) -> None:
-        """Obey a request to stop or to pause between two pieces of work, unless the clock is shielded.
-
-        Raises Aborted, Interrupted, Exception: As ``sleep``.
-        """
+        """Obey a request to stop or to pause between two pieces of work, unless the clock is shielded."""
         self._asked_s = time.monotonic()
         if self._requested.is_set() and not self._shields:
             self._raise_request()
 
     def inactive_s(self) -> float:
-        """Return for how long the work has neither waited, nor checked, nor read the time.
-
-        Returns: Seconds; 0 while the work waits.
-        """
+        """Return for how long, s, the work has not waited, checked or read the time; 0 while it waits."""
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
     def lateness(self) -> Mapping[str, Any]:
-        """Return how late a busy computer woke this process; the first call begins to measure.
-
-        Returns: As `drivers.lateness.Lateness.summary`; empty for a virtual clock.
-        """
+        """Return how late a busy computer woke this process; the first call begins to measure."""
         return own_lateness().summary()
 
     def request_stop(self, reason: str) -> None:
-        """Ask the run to stop at its next wait. Safe to call from a signal handler or another thread.
-
-        reason: Who asks, in a few words. The first request counts.
-        """
+        """Ask the run to stop at its next wait; the first request counts. Safe in a signal handler or thread."""
         if self._stop is None:
             self._stop = reason
             self._requested.set()
 
     def request_failure(self, error: Exception) -> None:
-        """Ask the run to end with an error at its next wait, because a thread beside the work has failed.
-
-        error: The error that ``sleep`` and ``check`` then raise.
-        """
+        """Ask the run to raise this error at its next wait, because a thread beside the work has failed."""
         if self._stop is None:
             self._failure = error
             self.request_stop(str(error))
 
     def interrupt(self, reason: str) -> None:
-        """Ask the work to pause at its next wait. A request to stop takes precedence.
-
-        reason: Which interlock asks, in a few words.
-        """
+        """Ask the work to pause at its next wait. A request to stop takes precedence."""
         if self._interruption is None:
             self._interruption = reason
             self._requested.set()
@@ -196,10 +169,7 @@ class BenchClock:
 
     @contextmanager
     def shielded(self) -> Iterator[None]:
-        """Let no request end the waits in this block, in which the devices are made safe.
-
-        Yields: Requests take effect at the first wait after the block.
-        """
+        """Let no request end the waits in this block, in which the devices are made safe."""
         self._shields += 1
         try:
             yield
@@ -226,25 +196,15 @@ class VirtualClock(BenchClock):
         self._now_s = 0.0
 
     def monotonic(self) -> float:
-        """Return the virtual time, s.
-
-        Returns: Seconds since ``begin``.
-        """
+        """Return the virtual time, s since ``begin``."""
         return self._now_s
 
     def utc_now(self) -> datetime:
-        """Return the virtual time.
-
-        Returns: With time zone UTC.
-        """
+        """Return the virtual time in UTC."""
         return self._begin + timedelta(seconds=self._now_s)
 
     def sleep(self, seconds: float) -> None:
-        """Advance the virtual time; returns at once.
-
-        seconds: Duration, s; a negative one is 0.
-        Raises Aborted, Interrupted, Exception: As `BenchClock.sleep`.
-        """
+        """Advance the virtual time; returns at once. A negative duration is 0."""
         self.check()
         self._now_s += max(0.0, seconds)
 

@@ -51,35 +51,23 @@ class DeviceEnd:
         return (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
 
     def to_dict(self) -> dict[str, str]:
-        """Return the state as the journal and JSON hold it.
-
-        Returns: ``device``, ``state``, ``said``.
-        """
+        """Return the state as the journal and JSON hold it: ``device``, ``state``, ``said``."""
         return {"device": self.device, "state": self.state, "said": self.said}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, str]) -> DeviceEnd:
-        """Read what `to_dict` wrote.
-
-        data: ``device``, ``state`` and ``said``.
-        """
+        """Read what `to_dict` wrote."""
         return cls(cast("DeviceName", data["device"]), cast("EndState", data["state"]), data.get("said", ""))
 
 
 def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
-    """Add the devices that were never opened.
-
-    Returns: One for stage, light and camera, in this order.
-    """
+    """Add the devices that were never opened: one each for stage, light and camera, in this order."""
     by_name = {end.device: end for end in known}
     return [by_name.get(name, DeviceEnd(name, "never opened")) for name in DEVICES]
 
 
 def lost_ends(why: str) -> list[DeviceEnd]:
-    """Return the states of devices that cannot be asked any more.
-
-    Returns: All of them not confirmed.
-    """
+    """Return the states of devices that cannot be asked any more: none is confirmed."""
     return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]
 
 

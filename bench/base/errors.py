@@ -46,10 +46,7 @@ class UsageError(BenchError):
 
 
 class ScriptError(BenchError):
-    """A sequence or station file that cannot be run, with every fault found.
-
-    faults: Lines of the form ``file:line:column: what``.
-    """
+    """Files that cannot be run, with every fault found as ``file:line:column: what``."""
 
     exit_status = 2
 

@@ -35,17 +35,11 @@ class Failure:
 
     @classmethod
     def of(cls, error: BaseException) -> Failure:
-        """Describe an error.
-
-        Returns: With the error's own place and remedy where it has them.
-        """
+        """Describe an error, with its own place and remedy where it has them."""
         if isinstance(error, FORESEEN):
             return cls(type(error).__name__, error.what, error.where, error.remedy)
         return cls(type(error).__name__, str(error), "", "This is a defect of the program. Please report it.")
 
     def to_dict(self) -> dict[str, str]:
-        """Return the failure as JSON holds it.
-
-        Returns: ``kind``, ``what``, ``where``, ``remedy``.
-        """
+        """Return the failure as JSON holds it: ``kind``, ``what``, ``where``, ``remedy``."""
         return asdict(self)

@@ -59,10 +59,7 @@ REPORTED_BY_BATCH = frozenset({"died", "hung", "failed"})
 
 
 class BatchMessages:
-    """Messages of one batch.
-
-    say: Receives reports about messages that could not be stored or sent; these do not end the batch.
-    """
+    """Messages of one batch; ``say`` hears of those that could not be sent, which do not end the batch."""
 
     def __init__(self, clock: BenchClock, say: Callable[[str], None]) -> None:
         self._clock = clock
@@ -72,7 +69,6 @@ class BatchMessages:
     def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
         """Send a message about a run that failed, died or hung.
 
-        end: How the run's process ended.
         line: Hash of the line in the batch's journal that records this end.
         """
         courier = self._courier(station)
@@ -90,7 +86,6 @@ class BatchMessages:
     def batch_ended(self, summary: Mapping[str, Any], folder: Path, line: str) -> None:
         """Send what the terminal prints at the end of the batch to all recipients of its runs.
 
-        summary: Content of summary.json.
         line: Hash of the line in the batch's journal that records the end.
         """
         name, how, why = (summary[key] for key in ("queue", "how", "why"))
@@ -162,7 +157,6 @@ class Batch:
 
     folder: A new or empty folder, or that of an interrupted batch.
     queue: The runs to do. The folder keeps a copy and continues with no other queue.
-    work: Does a run to its end; by default in its own process, under supervision.
     rehearsal: Whether the batch is a rehearsal. A rehearsed batch never continues as a real one, and a real
       one never as a rehearsed one.
     """
@@ -190,7 +184,6 @@ class Batch:
     def run(self) -> dict[str, Any]:
         """Do every run that is not done yet.
 
-        Returns: The summary, as in ``summary.json``.
         Raises RunFolderError: When the folder belongs to something else, or another process works on it.
         """
         make_folder(self.folder / RUNS)
@@ -417,10 +410,7 @@ class Batch:
 
 
 def worker_command(item: Item, run: Path) -> list[str]:
-    """Return the arguments of the command that begins a run, or resumes it if its folder has a journal.
-
-    Returns: Arguments of ``starbench``.
-    """
+    """Return the arguments of ``starbench`` that begin a run, or resume it if its folder has a journal."""
     if (run / JOURNAL).exists():
         return ["resume", str(run)]
     words = ["run", item.job.sequence, "--station", item.job.station, "--output", str(run)]

@@ -101,10 +101,7 @@ WORKER_S = 2.5
 
 
 def read_queue(path: Path) -> Located[Queue]:
-    """Read and check a queue file and all files that it names.
-
-    Returns: The queue. Its jobs have the full paths of their files, except for shipped ones.
-    """
+    """Read and check a queue file and all files that it names; its jobs have full paths, except for shipped files."""
     try:
         read = read_document(path, Queue)
     except DocumentFaults as error:
@@ -120,10 +117,7 @@ def read_queue(path: Path) -> Located[Queue]:
 
 
 def read_job(path: Path) -> JobConfig:
-    """Read and check a file with one job, and all files that it names.
-
-    Returns: The job, with the full paths of its files, except for shipped ones.
-    """
+    """Read and check a file with one job, and all files that it names; it has full paths, except for shipped files."""
     try:
         read = read_document(path, JobFile)
     except DocumentFaults as error:
@@ -164,10 +158,7 @@ def _beside(base: Path, name: str) -> str | None:
 
 
 def job_faults(job: JobConfig) -> list[str]:
-    """Check the files that a job names.
-
-    Returns: Every fault; empty if there is none.
-    """
+    """Return every fault of the files that a job names."""
     try:
         return [
             str(fault) for fault in make_plan(*load_documents(job.sequence, job.station, job.settings)).faults
@@ -177,10 +168,7 @@ def job_faults(job: JobConfig) -> list[str]:
 
 
 def plan_of(job: JobConfig) -> Plan:
-    """Plan one run of a job; the result is cached.
-
-    Raises ScriptError: When a file cannot be read.
-    """
+    """Plan one run of a job; the result is cached."""
     return _plan_of(*_key(job))
 
 
@@ -195,10 +183,7 @@ def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...])
 
 
 def planned_duration_s(job: JobConfig) -> float:
-    """Return the planned duration of one run of a job, with the start of its process, s.
-
-    Returns: Duration, s; 0 if its files cannot be read, because the run itself will report that.
-    """
+    """Return the planned duration of one run with the start of its process, s; 0 if its files cannot be read."""
     try:
         return plan_of(job).duration_s + WORKER_S
     except ScriptError:  # the run itself will report it
@@ -239,18 +224,11 @@ class BatchPlan:
         return sum(self.plans[s.item.job.name].size_bytes for s in self.slots if s.begin_s is not None)
 
     def moment(self, at_s: float) -> datetime:
-        """Convert seconds after the begin to a time.
-
-        at_s: Seconds after the begin of the batch.
-        Returns: The time, in the zone of `begun`.
-        """
+        """Convert seconds after the begin of the batch to a time, in the zone of `begun`."""
         return self.begun + timedelta(seconds=at_s)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plan as JSON holds it.
-
-        Returns: Object of schema ``starbench/night/1``; times in UTC.
-        """
+        """Return the plan as JSON of schema ``starbench/night/1`` holds it; times in UTC."""
         without_time = {item.key for item in self.without_time}
         return {
             "schema": "starbench/night/1",
@@ -281,9 +259,7 @@ def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
 def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
     """Predict when each run of a queue begins and ends, if the batch begins at a given time.
 
-    begun: Begin of the batch, with its time zone.
     paces: How long earlier runs took against their plans, by the name of the station.
-    Raises ScriptError: When a file that the queue names cannot be read.
     """
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
@@ -333,10 +309,7 @@ class Request(BaseModel):
 
 
 def refusal(request: Request, record: BatchRecord) -> str:
-    """Return why a request is refused.
-
-    Returns: The reason; empty if the request is accepted.
-    """
+    """Return why a request is refused; empty if it is accepted."""
     if request.word == "withdraw":
         assert request.name is not None
         if request.name not in record.jobs():
@@ -370,10 +343,7 @@ class RequestInbox:
         self._poller = Poller(self.drain, self._failed, name="requests", period_s=POLL_S)
 
     def drain(self) -> None:
-        """Answer all requests in the folder, oldest first.
-
-        Raises StorageError: When a request cannot be read or removed, or its answer cannot be written.
-        """
+        """Answer all requests in the folder, oldest first."""
         self._inbox.drain(self._answer)
 
     def watch(self) -> None:
@@ -397,11 +367,9 @@ def _inbox_of(folder: Path) -> Inbox[Request]:
 def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> Requested | None:
     """Send a request to a batch, and wait for the answer if a process works on it.
 
-    patience_s: Longest time to wait for the answer, s.
     Returns: The answer in the journal: ``word by taken why`` and ``job`` or ``name``. None if there is no
       answer yet; the request then stays until the batch continues.
     Raises RunFolderError: When there is no batch in the folder, or it is a rehearsal that has ended.
-    Raises StorageError: When the request cannot be written.
     """
     if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
         raise RunFolderError(

@@ -154,10 +154,7 @@ class BatchRecord:
         return found
 
     def pending(self) -> list[Item]:
-        """List the runs that are still to begin or to resume.
-
-        Returns: In the order of the queue.
-        """
+        """List the runs that are still to begin or to resume, in the order of the queue."""
         return [item for item in self.items.values() if not self.is_done(item)]
 
     def is_done(self, item: Item) -> bool:
@@ -180,7 +177,6 @@ class BatchRecord:
     def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
         """Return the expected duration of a run: the mean of its job's finished runs, otherwise the planned duration.
 
-        planned_duration_s: Planned duration, s.
         Returns: Expected duration, s. Only runs that finished in their first attempt enter the mean.
         """
         took = [
@@ -201,19 +197,12 @@ class BatchRecord:
         ]
 
     def seconds(self, moment: datetime) -> float:
-        """Convert a time to seconds after the begin of the batch.
-
-        moment: A time with its time zone.
-        Returns: Seconds after the begin.
-        """
+        """Convert a time to seconds after the begin of the batch."""
         assert self.begun is not None
         return (moment - self.begun).total_seconds()
 
     def apply(self, entry: Entry) -> None:
-        """Update the state with one line of the journal.
-
-        Raises JournalBroken: When the line lacks a field.
-        """
+        """Update the state with one line of the journal. Raises JournalBroken when it lacks a field."""
         try:
             self._apply(entry, datetime.fromisoformat(entry.utc))
         except (KeyError, TypeError, ValueError, ValidationError) as error:
@@ -281,10 +270,7 @@ class BatchRecord:
         self.items |= {item.key: item for item in items}
 
     def moment(self, at_s: float) -> datetime:
-        """Convert seconds after the begin of the batch to a time.
-
-        at_s: Seconds after the begin.
-        """
+        """Convert seconds after the begin of the batch to a time."""
         assert self.begun is not None
         return self.begun + timedelta(seconds=at_s)
 
@@ -312,10 +298,7 @@ def _shortened(keys: list[str], most: int = 8) -> str:
 
 
 def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:
-    """Compute the state of a batch from its journal.
-
-    Raises JournalBroken: When a line lacks a field.
-    """
+    """Compute the state of a batch from its journal. Raises JournalBroken when a line lacks a field."""
     record = BatchRecord(queue)
     for entry in entries:
         record.apply(entry)

@@ -49,11 +49,7 @@ _NO_PLACE = {"ledger_number": None, "ledger_head": None}
 
 
 def read_batch(folder: Path) -> BatchRecord:
-    """Read the state of a batch from its folder; changes nothing and disturbs no process.
-
-    Raises RunFolderError: When there is no batch in the folder.
-    Raises JournalBroken: When its journal is not intact.
-    """
+    """Read the state of a batch from its folder; changes nothing and disturbs no process."""
     if not is_batch(folder):
         raise RunFolderError(
             "There is no batch in this folder.",
@@ -72,10 +68,7 @@ def read_batch(folder: Path) -> BatchRecord:
 
 
 def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
-    """Write ``summary.json`` and ``summary.html``.
-
-    Returns: Content of ``summary.json``.
-    """
+    """Write ``summary.json`` and ``summary.html``, and return the content of the first."""
     summary = summarise(folder, record)
     write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
     write_atomic(folder / PAGE, render_batch(summary).encode())
@@ -83,10 +76,7 @@ def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
 
 
 def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
-    """Summarise a batch, finished or not.
-
-    Returns: Content of ``summary.json``.
-    """
+    """Return the content of ``summary.json`` of a batch, finished or not."""
     runs: dict[str, IndexedRun] = {}
     details: dict[str, dict[str, Any]] = {}
     unread: dict[str, str] = {}
@@ -137,11 +127,7 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
 
 
 def newest_place(summary: Mapping[str, Any]) -> tuple[int, str] | None:
-    """Return the place of the newest run of a batch in the bench's ledger.
-
-    summary: From `summarise`.
-    Returns: Number of the run, and hash of its line; None if no run is in a ledger.
-    """
+    """Return number and hash of the newest run of a batch in the bench's ledger; None if it holds none."""
     places = [
         (item["ledger_number"], item["ledger_head"]) for item in summary["items"] if item["ledger_head"]
     ]
@@ -302,10 +288,7 @@ class BatchStatus:
         return max((run.end for run in self.upcoming if run.end is not None), default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the status as JSON holds it.
-
-        Returns: Object of schema ``starbench/batch-status/1``; times in UTC.
-        """
+        """Return the status as JSON of schema ``starbench/batch-status/1`` holds it; times in UTC."""
         return {
             "schema": "starbench/batch-status/1",
             "folder": self.folder,
@@ -328,11 +311,7 @@ class BatchStatus:
 def read_batch_status(
     folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)
 ) -> BatchStatus:
-    """Read the status of a batch; changes nothing and disturbs no process.
-
-    Raises RunFolderError, JournalBroken, StorageError: When there is no batch in the folder, or it cannot be
-      read.
-    """
+    """Read the status of a batch; changes nothing and disturbs no process."""
     running = is_locked(folder)  # before the journal: a batch that ends meanwhile does not appear as killed
     record = read_batch(folder)
     done = tuple(
@@ -360,7 +339,6 @@ def follow_batch(
 ) -> Iterator[BatchStatus]:
     """Read the status whenever a run begins or ends, until no process works on the batch.
 
-    sleep: Waits for a number of seconds.
     ticks: Whether to read it also when no run has begun or ended, for the course of the run in progress.
     """
     seen, waits = -1, 0

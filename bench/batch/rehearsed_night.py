@@ -38,7 +38,6 @@ def rehearse_batch(
     begin: Virtual time at which the batch begins, with its time zone.
     seed: Random seed of the runs to which the queue gives none. The same seed and begin give the same
       journals, byte for byte.
-    Returns: The summary, as in ``summary.json``.
     Raises RunFolderError: When the folder is not empty, because a rehearsal cannot be continued.
     """
     make_folder(folder)

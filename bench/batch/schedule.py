@@ -42,12 +42,7 @@ class Bounds:
     done_by_s: float = NEVER_S  # No run begins that is expected to end after this time
 
     def fits(self, begin_s: float, expected_duration_s: float) -> bool:
-        """Whether a run may begin at a time.
-
-        begin_s: Begin, s after the begin of the batch.
-        expected_duration_s: Expected duration of the run, s.
-        Returns: False if it would begin or end too late.
-        """
+        """Return whether a run may begin at a time: it does not begin or end too late."""
         return begin_s <= self.last_begin_s and begin_s + expected_duration_s <= self.done_by_s
 
 
@@ -92,11 +87,7 @@ def next_time(at: str, after: datetime, zone: str | None) -> datetime:
 
 
 def bounds_of(queue: Queue, begun: datetime) -> Bounds:
-    """Return the times between which a batch works.
-
-    begun: Begin of the batch, UTC.
-    Returns: The times, s after the begin.
-    """
+    """Return the times between which a batch works, s after its begin."""
     opens = next_time(queue.start_at, begun, queue.zone) if queue.start_at else begun
     opens_s = (opens - begun).total_seconds()
     closes = next_time(queue.stop_by, opens, queue.zone) if queue.stop_by else None
@@ -112,7 +103,6 @@ def items_of(
 ) -> list[Item]:
     """List every run of some jobs.
 
-    begun: Begin of the batch, UTC.
     now_s: Time from which these jobs may begin, s after the begin of the batch: the opening of the batch, or
       the time at which they were added.
     zone: Time zone of times of day; None for this computer's.
@@ -129,10 +119,7 @@ def items_of(
 
 
 def by_priority(items: Sequence[Item]) -> list[Item]:
-    """Sort runs: higher priorities first, otherwise in the given order.
-
-    items: Runs in the order of the queue.
-    """
+    """Sort runs: higher priorities first, otherwise in the given order."""
     return sorted(items, key=lambda item: -item.job.priority)
 
 
@@ -141,10 +128,7 @@ def choose_next(
 ) -> Item | float | None:
     """Decide what to do at a time.
 
-    pending: Runs that are not done.
     at_s: The time, s after the begin of the batch.
-    bounds: Times between which the batch works.
-    duration_of: Returns the expected duration of a run, s.
     Returns: The run to begin now; the time to wait before the next decision, s; None if no more run can
       begin.
     """

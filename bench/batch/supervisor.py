@@ -76,10 +76,7 @@ class WorkerEnd:
         return unsafe_devices(self.devices)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the end as the journal holds it.
-
-        Returns: ``how``, ``why``, ``noticed_s``, ``unsafe``, ``outside``, ``devices``.
-        """
+        """Return the end as JSON holds it: ``how``, ``why``, ``noticed_s``, ``unsafe``, ``outside``, ``devices``."""
         return {**asdict(self), "unsafe": self.unsafe, "devices": [end.to_dict() for end in self.devices]}
 
 
@@ -93,10 +90,7 @@ def supervise(
 ) -> WorkerEnd:
     """Run a worker to its end.
 
-    log: File to which the worker's output is appended.
     clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
-    say: Receives what the operator must know.
-    environ: Environment of the worker; the process id of its supervisor is added.
     Raises Aborted: When a stop was requested; the worker has ended by then.
     """
     killed_for_memory = out_of_memory_kills()
@@ -134,9 +128,7 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Worker
 
     folder: Run folder; its lock shows whether a worker is alive. The folder records how the worker ended.
     clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
-    say: Receives what the operator must know.
     Returns: How it was ended if it hung; None if it did not hang.
-    Raises Aborted: When a stop was requested; the worker has ended by then.
     """
     if not is_locked(folder):
         return None
@@ -145,10 +137,7 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Worker
 
 
 def make_safe_after(folder: Path, clock: BenchClock) -> list[DeviceEnd]:
-    """Make the devices of a dead worker safe.
-
-    Returns: What each device answered; empty if the devices are simulated and have ended with the worker.
-    """
+    """Make the devices of a dead worker safe; empty if they were simulated and have ended with it."""
     if not (folder / STATION_COPY).is_file():  # it died before it could open a device
         return all_ends(())
     try:

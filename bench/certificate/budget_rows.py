@@ -106,10 +106,7 @@ def print_plain(value: float, digits: int = 2) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Return a number with its unit; nothing is written for the unit one.
-
-    unit: ``px``, ``mm``, ``1`` or another unit.
-    """
+    """Return a number with its unit; nothing is written for the unit ``1``."""
     return text if unit == "1" else f"{text} {unit}"
 
 
@@ -157,10 +154,7 @@ class Expanded:
 
 
 def row_names(calibration: CalibrationData) -> list[str]:
-    """Return the names of the rows, to which certificates can be assigned.
-
-    calibration: ``calibration`` of results.json.
-    """
+    """Return the names of the rows, to which certificates can be assigned."""
     return [str(row["name"]) for row in calibration.get("budget_rows") or []]
 
 
@@ -197,7 +191,6 @@ def budget_of(
 ) -> Budget:
     """Return the uncertainty budget of a result.
 
-    calibration: ``calibration`` of results.json.
     Raises EvidenceError: When the results have no budget, or its rows do not add up to the stated
       uncertainty.
     """

@@ -417,23 +417,14 @@ class Certificate:
 
     @classmethod
     def from_json(cls, data: bytes, where: str = CERTIFICATE) -> Certificate:
-        """Read a certificate. Unknown, missing and double keys and values of another type are refused.
-
-        data: Content of `certificate.json`.
-        """
+        """Read a certificate. Unknown, missing and double keys and values of another type are refused."""
         return strict_json.from_json(data, cls, where)
 
     def statement(self, id: str) -> str:  # noqa: A002 - the field's name
-        """Return a fixed text.
-
-        Returns: The text; empty if the certificate does not have it.
-        """
+        """Return a fixed text; empty if the certificate does not have it."""
         return next((one.text for one in self.statements if one.id == id), "")
 
 
 def sha256(data: bytes) -> str:
-    """Return the SHA-256 of bytes.
-
-    Returns: 64 hexadecimal digits.
-    """
+    """Return the SHA-256 of bytes, 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()

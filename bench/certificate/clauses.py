@@ -261,10 +261,7 @@ CLAUSES = (
 
 
 def unanswered(lab: LabConfig, results: Results) -> list[Unanswered]:
-    """Return the clauses that lab.yaml and the run together leave open.
-
-    Returns: In the order of the clauses, one for each missing key.
-    """
+    """Return the clauses that lab.yaml and the run leave open, in order, one for each missing key."""
     return [Unanswered(clause, path) for clause in CLAUSES for path in clause.missing(lab, results)]
 
 
@@ -280,10 +277,7 @@ _NO_NAMES = frozenset({"-", "n/a", "none", "unknown", "tbd", "todo", "?"})
 
 
 def faults_of_lab(lab: Located[LabConfig], found: Results) -> list[Fault]:
-    """Return what prevents a certificate: clauses that are not answered, and contradictions.
-
-    Returns: All of them: contradictions first, then the clauses in their order.
-    """
+    """Return what prevents a certificate: contradictions first, then clauses without an answer, in their order."""
     faults = [lab.fault(path, message) for path, message in _contradictions(lab.value, found)]
     for one in unanswered(lab.value, found):
         spot = lab.position(tuple(one.path[:-1]))

@@ -265,10 +265,7 @@ def _provenance(certificate: Certificate) -> dict[str, str]:
 
 
 def unit_of(unit: str) -> str:
-    """Return the unit of a result in D-SI's notation.
-
-    Raises ValueError: When D-SI does not have it.
-    """
+    """Return the unit of a result in D-SI's notation. Raises ValueError when D-SI does not have it."""
     written = d_si_unit(unit)
     if written is None:
         raise ValueError(f"D-SI has no unit {unit!r}")
@@ -276,11 +273,7 @@ def unit_of(unit: str) -> str:
 
 
 def joined(*parts: str) -> str:
-    """Return texts as one.
-
-    parts: The texts; empty ones are left out.
-    Returns: The text, with a semicolon between parts where there is no full stop.
-    """
+    """Join texts that are not empty, with a semicolon where there is no full stop."""
     whole = ""
     for part in filter(None, map(str.strip, parts)):
         between = "" if not whole else (" " if whole.endswith(".") else "; ")

@@ -65,7 +65,6 @@ def read_reference(data: bytes, where: str, *, wanted: str = "") -> Reference:
     wanted: Id, label or name of the quantity; empty for the focal length, or for the only length.
     Raises EvidenceError: When the DCC cannot be read, hides parts of values in comments, has no number, or
       does not state the length unmistakably.
-    Raises UsageError: When lxml is not installed.
     """
     root = read_dcc(data, where)
     if next(root.iter(library("lxml.etree").Comment), None) is not None:
@@ -113,10 +112,7 @@ def _lengths(root: _Element) -> list[Length]:
 
 
 def number(text: str | None) -> Decimal | None:
-    """Return a number of D-SI.
-
-    Returns: The number; None if the text is not a finite number in decimal notation.
-    """
+    """Return a number of D-SI; None if the text is not a finite number in decimal notation."""
     try:
         found = Decimal((text or "").strip())
     except InvalidOperation:

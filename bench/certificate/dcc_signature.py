@@ -43,8 +43,6 @@ def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | No
 
     path: Its file, PEM, which only its owner can read.
     ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
-    Raises EvidenceError: When others can read the file, it is protected and nobody can be asked, or it is not
-      a key that can sign.
     """
     with storage_errors(path):
         refuse_readable_by_others(path)
@@ -79,7 +77,6 @@ def _load_pem_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], by
 def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
     """Load certificates in PEM: the laboratory's chain, or certificates that a reader trusts.
 
-    Returns: The certificates, in the order of the file.
     Raises EvidenceError: When the file has none, more than ten, or one that cannot be read.
     """
     with storage_errors(path):
@@ -138,11 +135,7 @@ def _issued(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
 
 
 def refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "") -> None:
-    """Refuse a signer's certificate that is not valid at a time or not meant for signatures (RFC 5280, 4.2.1.3).
-
-    when: The time, with its time zone.
-    Raises EvidenceError: When it is one of these.
-    """
+    """Refuse a signer's certificate that is not valid at a time or not meant for signatures (RFC 5280, 4.2.1.3)."""
     name = name_of(certificate.subject)
     if not certificate.not_valid_before_utc <= when <= certificate.not_valid_after_utc:
         raise EvidenceError(
@@ -170,7 +163,6 @@ def leads_to(
 
     certificates: The signer's certificate, then others that came with it.
     when: Time at which the issuers must be valid, with its time zone.
-    Returns: True if it leads to one of them, or is one.
     """
     current, left = certificates[0], list(certificates[1:])
     for _ in range(MOST_CERTIFICATES):
@@ -198,10 +190,7 @@ def _may_issue(certificate: x509.Certificate, when: datetime) -> bool:
 
 
 def name_of(name: x509.Name) -> str:
-    """Return the name of a certificate's owner or issuer for messages.
-
-    Returns: The name, RFC 4514, cut if it is long.
-    """
+    """Return the name of a certificate's owner or issuer for messages, RFC 4514, cut if it is long."""
     return short(name.rfc4514_string()) or "nobody"
 
 
@@ -230,8 +219,6 @@ def signer_of_files(
 
     ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
     Returns: Takes a DCC and the time of signing; returns the signed DCC (see `sign_dcc`).
-    Raises EvidenceError: When key or certificates cannot be used, or do not belong together.
-    Raises UsageError: When signxml is not installed.
     """
     library("signxml")
     key = load_signing_key(key_file, ask_passphrase=ask_passphrase)
@@ -245,13 +232,11 @@ def sign_dcc(
     """Sign a digital calibration certificate.
 
     data: The DCC as `bench.certificate.dcc.render_dcc` wrote it.
-    key: The laboratory's key.
     chain: Its certificate, and those that lead to a certificate that readers trust, in any order.
     signed_utc: Time of signing, with its time zone.
     Returns: The signed DCC; `without_signature` of it gives ``data`` again.
     Raises EvidenceError: When the DCC is signed already or not written by Starbench, no certificate of the
       chain belongs to the key, or that certificate is not valid at the time or not meant for signatures.
-    Raises UsageError: When signxml is not installed.
     """
     root = read_dcc(data, "the DCC")
     if next(root.iter(SIGNATURE), None) is not None:
@@ -321,12 +306,7 @@ def _repeatable(key: PrivateKey) -> Any:
 
 
 def without_signature(data: bytes) -> bytes:
-    """Return a DCC without its signature, to compare it with one that is written anew.
-
-    data: The DCC, signed or not.
-    Returns: The DCC as it was before it was signed.
-    Raises EvidenceError: When it cannot be read.
-    """
+    """Return a DCC as it was before it was signed, to compare it with one that is written anew."""
     root = read_dcc(data, "the DCC")
     for signature in root.findall(SIGNATURE):
         before, tail = signature.getprevious(), signature.tail or ""
@@ -351,7 +331,6 @@ def verify_signature(
     Returns: Who signed; None if the DCC has no signature.
     Raises EvidenceError: When the signature is not valid, does not cover the whole document, or is not of a
       trusted certificate.
-    Raises UsageError: When signxml is not installed.
     """
     root = read_dcc(data, where)
     signatures = list(root.iter(SIGNATURE))

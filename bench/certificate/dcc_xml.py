@@ -54,10 +54,7 @@ _DOCTYPE = re.compile(rb"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 def library(name: str) -> Any:
-    """Import a library of the extra ``certificate``.
-
-    Raises UsageError: When it is not installed.
-    """
+    """Import a library of the extra ``certificate``. Raises UsageError when it is not installed."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -68,13 +65,7 @@ def library(name: str) -> Any:
 
 
 def read_xml(data: bytes, where: str) -> _Element:
-    """Read XML from a source that is not trusted.
-
-    data: The file's content.
-    Raises EvidenceError: When it is not well-formed XML in UTF-8, has a document type or an entity, or is too
-      large.
-    Raises UsageError: When lxml is not installed.
-    """
+    """Read XML from a source that is not trusted: UTF-8 without document type or entity, and not too large."""
     etree = library("lxml.etree")
     if len(data) > MOST_BYTES:
         raise _unreadable(f"it has {len(data)} bytes; at most {MOST_BYTES} are read", where)
@@ -105,12 +96,7 @@ def read_xml(data: bytes, where: str) -> _Element:
 
 
 def read_dcc(data: bytes, where: str) -> _Element:
-    """Read a digital calibration certificate of a version in `VERSIONS`.
-
-    data: The file's content.
-    Raises EvidenceError: When it cannot be read safely, is not a DCC, or has another version.
-    Raises UsageError: When lxml is not installed.
-    """
+    """Read a digital calibration certificate of a version in `VERSIONS`, from a source that is not trusted."""
     root = read_xml(data, where)
     if root.tag != ROOT:
         raise EvidenceError(
@@ -123,10 +109,7 @@ def read_dcc(data: bytes, where: str) -> _Element:
 
 
 def versions_of(root: _Element, where: str) -> Versions:
-    """Return the versions of a DCC.
-
-    Raises EvidenceError: When the version is not in `VERSIONS`.
-    """
+    """Return the versions of a DCC. Raises EvidenceError when they are not in `VERSIONS`."""
     stated = root.get("schemaVersion", "")
     for one in VERSIONS:
         if one.dcc == stated:
@@ -140,10 +123,7 @@ def versions_of(root: _Element, where: str) -> Versions:
 
 
 def short(text: str, most: int = 80) -> str:
-    """Return text of others for a message: printable, on one line, and not long.
-
-    Returns: The text with runs of spaces joined, unprintable characters as ``?``, cut with ``…``.
-    """
+    """Return text of others for a message: on one line, unprintable characters as ``?``, cut with ``…``."""
     joined = "".join(each if each.isprintable() else "?" for each in " ".join(text[: 8 * most].split()))
     return joined if len(joined) <= most else joined[: most - 1] + "…"
 
@@ -163,11 +143,7 @@ def qualified(name: str) -> str:
 
 
 def add(parent: _Element, name: str, content: str | None = None, /, **attributes: str | None) -> _Element:
-    """Add an element as the last child of another.
-
-    content: Its text; None for none.
-    attributes: Its attributes; those that are None are left out.
-    """
+    """Add an element with this text as the last child of another; attributes that are None are left out."""
     child = parent.makeelement(qualified(name), {key: value for key, value in attributes.items() if value})
     parent.append(child)
     if content is not None:
@@ -184,10 +160,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def to_bytes(root: _Element) -> bytes:
-    """Return a DCC as the bytes of its file. Spaces between its elements are written as they are.
-
-    Returns: XML in UTF-8 with its declaration, and a line feed at its end.
-    """
+    """Return a DCC as its file: UTF-8 with declaration and final line feed, spaces between elements as they are."""
     etree = library("lxml.etree")
     body: bytes = etree.tostring(root.getroottree(), encoding="UTF-8", xml_declaration=False)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + body.strip() + b"\n"
@@ -216,11 +189,7 @@ _REMEDY = (
 
 
 def schema_folder(given: Path | None, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the folder of the schemas.
-
-    given: The folder that the user named; None for that of the environment.
-    Returns: The folder; None if none is named.
-    """
+    """Return the folder of the schemas that the user or else the environment names; None if none is named."""
     if given is not None:
         return given
     named = environ.get(SCHEMAS_VARIABLE, "").strip()
@@ -231,8 +200,6 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
     """Check a DCC against the schemas of its version.
 
     Returns: One line a fault, as ``line N: what``; empty if the DCC is valid. At most 50.
-    Raises EvidenceError: When the DCC cannot be read.
-    Raises UsageError: When the folder has no schemas of the DCC's version, or lxml is not installed.
     """
     root = read_dcc(data, where)
     schema = load_schema(folder, versions_of(root, where))

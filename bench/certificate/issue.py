@@ -65,10 +65,7 @@ _UNFINISHED = ".tmp"
 
 
 def require_libraries() -> None:
-    """Refuse to begin without the libraries of PDF and DCC.
-
-    Raises UsageError: When one is missing.
-    """
+    """Refuse to begin without the libraries of PDF and DCC."""
     try:
         import lxml.etree
         import matplotlib as mpl
@@ -92,7 +89,6 @@ def certificate_files(
     """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
 
     sign: Returns the DCC with a signature in it; None for none.
-    Raises UsageError: When a library is missing, or a text has characters that cannot be printed.
     """
     from bench.certificate.dcc import render_dcc
     from bench.certificate.pdf import render_pdf
@@ -111,10 +107,7 @@ def certificate_files(
 
 
 def refuse_occupied(folder: Path) -> None:
-    """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken.
-
-    Raises UsageError: When something has this name, or a folder above it is sealed.
-    """
+    """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken."""
     sealed = next((parent for parent in folder.absolute().parents if is_sealed(parent)), None)
     if sealed is not None:
         raise UsageError(
@@ -131,12 +124,7 @@ def refuse_occupied(folder: Path) -> None:
 
 
 def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str:
-    """Write and seal a folder; it has its final name only when it is complete.
-
-    key: The bench's key.
-    Returns: SHA-256 of its SHA256SUMS.
-    Raises UsageError: When the name is taken.
-    """
+    """Write and seal a folder, named only when it is complete; returns the SHA-256 of its SHA256SUMS."""
     part = unfinished(folder)
     make_folder(folder.parent)
     remove_unfinished(folder)
@@ -215,7 +203,6 @@ def issue(
       run.
     Raises EvidenceError: When the run is refused, it has a certificate already, or the series of numbers is
       not in order.
-    Raises UsageError: When the folder exists, or a library is missing.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -240,7 +227,6 @@ def make_certificate(
     also: Why a second certificate of the run is needed; empty if it is the first one.
     amended: Returns what the certificate amends, given the certificate without that; None if it amends none.
     amends: Number of the certificate that it replaces; empty if none.
-    Raises DocumentFaults, EvidenceError, UsageError, StorageError: As `issue`.
     """
     folder = folder.absolute()
     try:
@@ -287,11 +273,7 @@ def _refuse_second_early(run: Path, ledger: Ledger, also: str) -> None:
 
 
 def complete_open(ledger: Ledger) -> list[str]:
-    """Settle open numbers: enter those whose folder is complete, and remove the half made folders of the others.
-
-    ledger: The laboratory's ledger.
-    Raises EvidenceError, JournalBroken, StorageError: When the ledger is not valid or cannot be written.
-    """
+    """Settle open numbers: enter those whose folder is complete, and remove the half made folders of the others."""
     done = []
     for one in open_numbers(numbers(ledger.entries())):
         certificate = finished_certificate(one)
@@ -306,11 +288,7 @@ def complete_open(ledger: Ledger) -> list[str]:
 
 
 def finished_certificate(one: Numbered) -> Certificate | None:
-    """Return the certificate that lies in the folder of a number, sealed.
-
-    Returns: None if there is none, or if it has another number.
-    Raises EvidenceError: When its certificate.json is not of the expected form.
-    """
+    """Return the certificate that lies in the folder of a number, sealed; None if it has another number."""
     folder = Path(one.folder)
     if not one.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():
         return None
@@ -354,7 +332,6 @@ _MOST_CHARACTERS = 300
 def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str) -> Issued:
     """Issue a certificate that replaces another one.
 
-    Raises DocumentFaults, UsageError, StorageError: As `bench.certificate.issue.issue`.
     Raises EvidenceError: When the old certificate does not verify, is not the newest one, or nothing would
       change.
     """
@@ -375,11 +352,7 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
 
 
 def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
-    """Return the fields that differ between two certificates, except number, time, software and what they amend.
-
-    Returns: Each with its path, sorted as in certificate.json.
-    Raises EvidenceError: When nothing differs.
-    """
+    """Return the fields that differ, sorted, except number, time, software and what they amend."""
     old, new = (_leaves(json.loads(one.to_json())) for one in (before, after))
     paths = dict.fromkeys([*old, *new])
     changes = tuple(

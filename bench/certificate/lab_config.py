@@ -325,8 +325,5 @@ def read_lab(path: Path | str) -> Located[LabConfig]:
 
 
 def lab_of(data: bytes, file: str = "lab.yaml") -> Located[LabConfig]:
-    """Read the bytes of a lab.yaml, such as those in the folder of a certificate.
-
-    Returns: As `read_lab`.
-    """
+    """Read the bytes of a lab.yaml as `read_lab` does, such as those in the folder of a certificate."""
     return check_document(data, file, LabConfig)

@@ -71,10 +71,7 @@ def printable() -> frozenset[int]:
 
 
 def missing(text: str) -> list[str]:
-    """Return the characters of a text that cannot be printed.
-
-    Returns: The characters, each once, in the order of the text.
-    """
+    """Return the characters of a text that cannot be printed, each once, in the order of the text."""
     return list(dict.fromkeys(one for one in text if not _is_printable(one)))
 
 
@@ -98,11 +95,7 @@ def with_codes(text: str) -> str:
 
 
 def faults(certificate: Mapping[str, Any]) -> list[str]:
-    """Return what the laboratory must write in other letters.
-
-    certificate: The certificate as `certificate.json` holds it.
-    Returns: A line for each field, such as ``customer.name has 山 (U+5C71)``.
-    """
+    """Return a line for each field with letters that cannot be printed, as ``customer.name has 山 (U+5C71)``."""
     return [
         f"{path} has {_named(found)}"
         for path, text in _texts(certificate, "")
@@ -118,10 +111,7 @@ def _is_from_run(certificate: Mapping[str, Any], path: str) -> bool:
 
 
 def refuse_missing(certificate: Mapping[str, Any]) -> None:
-    """Refuse a certificate in which the laboratory wrote characters that cannot be printed.
-
-    certificate: The certificate as `certificate.json` holds it.
-    """
+    """Refuse a certificate in which the laboratory wrote characters that cannot be printed."""
     if found := faults(certificate):
         raise UsageError(
             f"The fonts of the certificate cannot print these characters: {'; '.join(found)}.",
@@ -182,9 +172,6 @@ def render_pdf(
     attachments: Files to attach, by name: ``dcc.xml`` and ``results.json``.
     plots: SVG by name, from `bench.certificate.pdf_plots.plots_of_run`; None to draw what follows from
       ``results`` alone.
-    Raises UsageError: When typst is not installed, or the laboratory wrote characters that the fonts do not
-      have.
-    Raises BenchError: When typst refuses the document.
     """
     _typst()
     content = json.loads(certificate.to_json())

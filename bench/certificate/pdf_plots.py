@@ -57,12 +57,7 @@ class Picture:
 
 
 def plots_of_run(run: Path, results: Results) -> dict[str, str]:
-    """Draw the plots of a certificate from a run.
-
-    run: The run's folder.
-    Returns: SVG by name; without `views.h5`, the plots of the stars are missing.
-    Raises RunFolderError: If `views.h5` cannot be read.
-    """
+    """Draw the plots of a certificate from a run's folder: SVG by name. Those of stars need `views.h5`."""
     from bench.report.view_picture import ViewPicture
     from bench.views.views_file import VIEWS, read_views
 
@@ -77,11 +72,7 @@ def plots_of_run(run: Path, results: Results) -> dict[str, str]:
 
 
 def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str, str]:
-    """Draw the plots of a certificate.
-
-    views: The poses with their stars and residuals; without them the plots of the residuals are missing.
-    Returns: SVG by name; a plot without data is missing.
-    """
+    """Draw the plots of a certificate: SVG by name. A plot without data, or without ``views``, is missing."""
     seen = [view for view in views if len(view.detected)]
     drawn = _camera_plots(results, [view.detected for view in seen]) | (
         _star_plots(results, seen) if seen else {}
@@ -146,10 +137,7 @@ def _star_plots(results: Results, seen: Sequence[ViewPicture]) -> dict[str, str]
 
 
 def pictures(certificate: Certificate, plots: Mapping[str, str], words: TargetWords = STARS) -> list[Picture]:
-    """Return the plots with their descriptions.
-
-    Returns: The plots, in the order of `PLOTS`.
-    """
+    """Return the plots with their descriptions, in the order of `PLOTS`."""
     numbers = "; ".join(f"{one.name}: {one.text}" for one in certificate.further)
     return [
         Picture(name, plots[name], f"Plot. {caption} {numbers}.".strip(), caption, name in _WIDE)

@@ -42,10 +42,7 @@ _DEGREE = "\N{DEGREE SIGN}C"
 
 
 def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
-    """Return the results: the camera's values, each with its expanded uncertainty.
-
-    Returns: In the order of results.json.
-    """
+    """Return the camera's values, each with its expanded uncertainty, in the order of results.json."""
     calibration = found["calibration"]
     return tuple(
         _result(calibration, symbol, float(value), supplied=symbol in customer_supplied)
@@ -54,10 +51,7 @@ def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) 
 
 
 def unit_of(symbol: str) -> str:
-    """Return the unit of a result.
-
-    Returns: ``px`` or ``1``.
-    """
+    """Return the unit of a result: ``px`` or ``1``."""
     return "px" if symbol in ("fx", "fy", "cx", "cy") else "1"
 
 
@@ -82,10 +76,7 @@ def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied
 
 
 def covariance_of(found: Results) -> Covariance:
-    """Return the joint covariance of the results; its diagonal holds their standard uncertainties squared.
-
-    Returns: That of results.json, without its enlargement of results with few degrees of freedom.
-    """
+    """Return the joint covariance of results.json, without its enlargement where there are few degrees of freedom."""
     calibration = found["calibration"]
     symbols = tuple(calibration["camera"])
     names, matrix = calibration["covariance"]["names"], calibration["covariance"]["matrix"]
@@ -102,10 +93,7 @@ def covariance_of(found: Results) -> Covariance:
 
 
 def further_of(found: Results) -> tuple[FurtherResult, ...]:
-    """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views.
-
-    Returns: In the order of the certificate.
-    """
+    """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views."""
     calibration = found["calibration"]
     projection: Mapping[str, Any] = found.get("projection") or {}
     rows = _at_centre(calibration)
@@ -196,10 +184,7 @@ def _light_and_camera(found: Results) -> tuple[Mapping[str, Any], Mapping[str, A
 
 
 def camera_identity(found: Results, item: ItemConfig) -> Camera:
-    """Return the camera as it identified itself in the run, or else as the laboratory identified it.
-
-    item: Section ``item`` of lab.yaml.
-    """
+    """Return the camera as it identified itself in the run, or else as section ``item`` of lab.yaml does."""
     camera = dict(found["devices"]["camera"])
     if is_unnamed(found):
         camera |= {"maker": item.maker, "model": item.model, "serial": item.serial or ""}
@@ -292,10 +277,7 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
 
 
 def deviations_of(found: Results) -> tuple[Deviation, ...]:
-    """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates.
-
-    Returns: In the order of the run.
-    """
+    """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates."""
     texts = [str(one) for one in (*(found.get("deviations") or ()), *(found.get("holds") or ()))]
     texts += [f"The run was interrupted: {one.get('what') or one}" for one in found.get("failures") or []]
     if resumed := int(found["run"].get("resumed") or 0):

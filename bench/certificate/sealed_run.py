@@ -72,11 +72,7 @@ def _installed() -> list[Software]:
 
 
 def other_writer(software: tuple[Software, ...]) -> str:
-    """Return how the program that wrote a certificate differs from this one.
-
-    software: The certificate's list of software.
-    Returns: ``typst 0.14 (here 0.15)``, several with commas; empty if all are the same.
-    """
+    """Return how the program that wrote a certificate differs, as ``typst 0.14 (here 0.15)``; empty if it does not."""
     stated = {one.name: one.version for one in software}
     return ", ".join(
         f"{one.name.replace('_', ' ')} {stated.get(one.name, 'not stated')} (here {one.version})"
@@ -128,11 +124,7 @@ def is_statement(text: str) -> bool:
 def check_run_of_certificate(
     folder: Path, ledger: Ledger, verify_run: Callable[[Path], Verification]
 ) -> Findings:
-    """Make the results of a certificate's run again from its recordings, if it lies where the ledger says.
-
-    folder: The certificate's folder; its files have no fault.
-    verify_run: Verifies a run as ``verify --again`` does.
-    """
+    """Make the results of a certificate's run again from its recordings, if it lies where the ledger says."""
     found = Findings()
     certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
     seal = certificate.run.seal_sha256
@@ -179,7 +171,6 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
     accept_not_compared: Whether a run may have parts that could not be made again.
     Raises EvidenceError: When the run is not sealed, does not verify, was not finished, is a rehearsal, or
       has no converged result.
-    Raises RunFolderError, StorageError: When it is no run folder, or cannot be read.
     """
     if not is_sealed(folder):
         raise EvidenceError(
@@ -232,11 +223,7 @@ def run_of(
     signer_fingerprint: str,
     written: tuple[Software, ...],
 ) -> Run:
-    """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give.
-
-    journal_head, seal_sha256, signer, signer_fingerprint: As the attributes of `Run`.
-    written: What writes the certificate, from `bench.certificate.sealed_run`.
-    """
+    """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give."""
     run = found["run"]
     place: Mapping[str, Any] = run.get("ledger") or {}
     return Run(

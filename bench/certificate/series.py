@@ -135,12 +135,7 @@ class Numbered:
 
 
 def numbers(entries: Iterable[Entry]) -> dict[str, Numbered]:
-    """Return all numbers of all series.
-
-    Returns: By number, in the order of the reservations.
-    Raises JournalBroken: When a line about a certificate is not of the expected form, or a number is missing
-      in a series.
-    """
+    """Return all numbers of all series, in the order of the reservations."""
     found: dict[str, Numbered] = {}
     counts: dict[str, int] = {}
     for entry in entries:
@@ -185,10 +180,7 @@ def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], cou
 
 
 def open_numbers(found: Mapping[str, Numbered]) -> list[Numbered]:
-    """Return the numbers that were reserved and neither issued nor declared void.
-
-    Returns: The first reserved one first.
-    """
+    """Return the numbers that were reserved and neither issued nor declared void, in the order of reservation."""
     return [one for one in found.values() if one.how == "reserved"]
 
 
@@ -212,11 +204,7 @@ class Wanted:
 
 @contextmanager
 def one_at_a_time(home: Path) -> Iterator[None]:
-    """Let one process at a time issue certificates. So an open number belongs to a process that has ended.
-
-    Yields: For the block; another process waits until it ends.
-    Raises StorageError: When the lock cannot be made.
-    """
+    """Let one process at a time issue certificates. So an open number belongs to a process that has ended."""
     make_folder(home)
     with storage_errors(home / LOCK):
         lock = os.open(home / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
@@ -230,11 +218,9 @@ def one_at_a_time(home: Path) -> Iterator[None]:
 def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
     """Reserve the next number, or take the open one of the same run.
 
-    ledger: The laboratory's ledger.
     Returns: The number, on the disk as reserved. Numbers that were lost before it are entered as lost.
     Raises EvidenceError: When the clock was set back, another number is open, the run has a certificate
       already, or what is to be amended is not the newest one.
-    Raises JournalBroken, StorageError: When the ledger is not valid or cannot be written.
     """
     with ledger.locked() as journal:
         found = numbers(journal.entries)
@@ -304,10 +290,7 @@ def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered 
 
 
 def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
-    """Refuse a second certificate of a run without a reason, and an amendment of anything but the newest certificate.
-
-    Raises EvidenceError: When it is refused.
-    """
+    """Refuse a second certificate of a run without a reason, and to amend anything but the newest certificate."""
     if wanted.amends:
         refuse_old(found, wanted.amends)
         return
@@ -324,10 +307,7 @@ def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
 
 
 def refuse_old(found: Mapping[str, Numbered], number: str) -> None:
-    """Refuse to amend a certificate that is not the newest one, or is not in this ledger.
-
-    Raises EvidenceError: When it is unknown, void or superseded.
-    """
+    """Refuse to amend a certificate that is unknown, void or superseded."""
     old = found.get(number)
     if old is not None and old.is_newest:
         return
@@ -356,23 +336,13 @@ def _refuse_clock(entries: Sequence[Entry], now: datetime, path: Path) -> None:
 
 
 def enter_issued(ledger: Ledger, number: str, *, seal: str, serial: str, customer: str) -> None:
-    """Enter that a certificate is issued: its sealed folder has its final name.
-
-    ledger: The laboratory's ledger.
-    seal: SHA-256 of its SHA256SUMS.
-    Raises EvidenceError, JournalBroken, StorageError: When the ledger is not valid or cannot be written.
-    """
+    """Enter that a certificate is issued: its sealed folder has its final name, and ``seal`` its SHA256SUMS."""
     with ledger.locked() as journal:
         journal.append(ISSUED, number=number, seal=seal, serial=serial, customer=customer)
 
 
 def declare_void(ledger: Ledger, number: str, *, reason: str, by: str) -> Numbered:
-    """Declare void a number that was reserved and not issued.
-
-    ledger: The laboratory's ledger.
-    Raises EvidenceError: When there is no such number, or it is issued or void.
-    Raises JournalBroken, StorageError: When the ledger is not valid or cannot be written.
-    """
+    """Declare void a number that was reserved and not issued."""
     with ledger.locked() as journal:
         one = numbers(journal.entries).get(number)
         if one is None or one.how != "reserved":

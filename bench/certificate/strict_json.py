@@ -21,18 +21,13 @@ _MOST_FAULTS = 20
 
 
 def to_json(data: Any) -> bytes:
-    """Return a dataclass as JSON; the same data gives the same bytes.
-
-    Returns: JSON, UTF-8, with a line feed at its end.
-    Raises ValueError: When a number is not finite.
-    """
+    """Return a dataclass as JSON with a final line feed; the same data gives the same bytes."""
     return canonical_json(dataclasses.asdict(data), ascii_only=False)
 
 
 def from_json(data: bytes, kind: type[Data], where: str) -> Data:
     """Read a dataclass from JSON.
 
-    Returns: An instance of ``kind``.
     Raises EvidenceError: When it is not JSON, a key is missing, unknown or double, or a value is not of its
       type; the message names up to 20 faults.
     """

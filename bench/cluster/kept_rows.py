@@ -30,11 +30,7 @@ from bench.results.forms import forms
 
 
 def require_program_of(program: str) -> None:
-    """Refuse work of another program, because its results would differ.
-
-    program: Hash of the program that hands out the work.
-    Raises BenchError: If this worker runs another program.
-    """
+    """Refuse work of another program, because its results would differ."""
     if (here := forms()["program"]) != program:
         raise BenchError(
             f"This worker has another Starbench ({here}) than the command ({program}).",
@@ -60,7 +56,6 @@ class Table:
 
     folder: The folder; it is made if it does not exist.
     Raises UsageError: If the folder holds other things, but not the file.
-    Raises RunFolderError: If another process works in the folder.
     """
 
     foreign = "The folder holds something else"
@@ -130,11 +125,7 @@ class KeptRows(Table):
     """Results by their key."""
 
     def get(self, key: str) -> Any:
-        """Return a result.
-
-        key: Its key, of `content_key`.
-        Returns: The result, as JSON holds it; None if it is not known.
-        """
+        """Return a result of this key as JSON holds it; None if it is not known."""
         return self._rows.get(key)
 
     def add(self, key: str, value: Any) -> None:

@@ -35,10 +35,6 @@ def run_blocks(
     """Run a study.
 
     kept: Blocks on the disk: those of an earlier command are used, new ones are kept; None for neither.
-    Raises WorkersLost: If nobody is left who could do the work.
-    Raises BenchError: If a worker runs another program.
-    Raises StorageError: If a block cannot be kept.
-    Raises calib.errors.NotConverged: If no calibration has a result.
     """
     program = forms()["program"]
     blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
@@ -65,11 +61,7 @@ def run_blocks(
 
 
 def calibrate_block(planned: PlannedStudy, runs: range, program: str) -> list[Repetition]:
-    """Do one block of a study.
-
-    program: Hash of the program that hands out the work.
-    Raises BenchError: If this worker runs another program.
-    """
+    """Do one block of a study."""
     require_program_of(program)
     return planned.calibrate(runs)
 
@@ -80,11 +72,7 @@ def _repetition(row: dict) -> Repetition:  # type: ignore[type-arg]
 
 
 def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Located[Station]]:
-    """Return the poses that a sequence records.
-
-    Returns: Poses with an angle in degrees for each axis, named as in the engine (``pan_deg``), and the
-      station file.
-    """
+    """Return the poses that a sequence records, as ``pan_deg`` and others, and the station file."""
     planned = make_plan(*load_documents(sequence, station))
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
     return poses, planned.station
@@ -130,12 +118,7 @@ def plan_study(
     model: str,
     loss: str,
 ) -> PlannedStudy:
-    """Read the files of a study.
-
-    seed, drift_mm, outliers: As `PlannedStudy` has them.
-    noise_px: Standard deviation of a star for each axis, px; None for the station's value.
-    Raises ScriptError, UsageError: When the files cannot be used.
-    """
+    """Read the files of a study; without ``noise_px``, the station's value holds."""
     poses, described = sequence_poses_deg(sequence, station)
     bench = expected_bench(described, noise_px=noise_px)
     options = CalibrationOptions(model=model, loss=loss)  # type: ignore[arg-type]

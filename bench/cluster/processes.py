@@ -146,10 +146,7 @@ def _end_with_the_command() -> None:
 
 
 def limit_memory(memory_bytes: int | None) -> None:
-    """Limit the memory of this process; where the limit is reached, Python raises MemoryError.
-
-    memory_bytes: The limit; None for none. Systems other than Linux ignore it.
-    """
+    """Limit the memory of this process; at the limit Python raises MemoryError. Only Linux has it."""
     if memory_bytes is None:
         return
     try:
@@ -184,8 +181,5 @@ def _one_thread() -> Iterator[None]:
 
 
 def processors() -> int:
-    """Return how many processors this process may use.
-
-    Returns: At least 1.
-    """
+    """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

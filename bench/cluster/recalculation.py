@@ -61,8 +61,6 @@ class ResultsFolders(Table):
       used.
     key: The bench's key; None leaves the results drafts.
     table_only: True writes the table alone, and no folder for a run.
-    Raises UsageError: If the folder holds something else.
-    Raises RunFolderError: If another process works in it.
     """
 
     foreign = "The folder is not that of a recalculation"
@@ -82,11 +80,7 @@ class ResultsFolders(Table):
             raise
 
     def done(self, place: str, key: str) -> dict[str, Any] | None:
-        """Return the row of a calibration that is done already.
-
-        key: Hash of all that decides the calibration.
-        Returns: None if it is to be done: it was not, or its results are not there as they were written.
-        """
+        """Return the row of a calibration of this key; None if it is to be done, or its results have changed."""
         row = self._rows.get(place)
         if row is None or row["state"] != DONE or row["key"] != key:
             return None
@@ -102,12 +96,7 @@ class ResultsFolders(Table):
         return row if whole else None
 
     def name_for(self, place_name: str, key: str) -> str:
-        """Return a free name for a folder of results, which is not given out again.
-
-        place_name: Last part of the name of the calibrated folder.
-        key: Hash of all that decides the calibration.
-        Returns: The name: that of the calibrated folder, and the first digits of the key.
-        """
+        """Return a free name: that of the calibrated folder, and first digits of the key. It is not given out again."""
         name = f"{place_name}-{key[:_KEY_SHOWN]}"
         number = 1
         while name in self._reserved or (self.folder / name).exists():
@@ -117,11 +106,7 @@ class ResultsFolders(Table):
         return name
 
     def write(self, name: str, files: Mapping[str, bytes], row: dict[str, Any]) -> None:
-        """Write, seal and name a folder of results, and add its row.
-
-        name: Its name, of `name_for`.
-        Raises EvidenceError: If it cannot be sealed.
-        """
+        """Write, seal and name a folder of results, and add its row."""
         part = self.folder / f"{_PART}{name}"
         try:
             write_files(part, files)
@@ -235,12 +220,7 @@ class Recalculation:
         self._time = TimeLeft()
 
     def run(self) -> list[Mapping[str, Any]]:
-        """Calibrate all runs.
-
-        Returns: A row for each run, in their order.
-        Raises WorkersLost: If nobody is left who could do the work. The rows so far are in the table.
-        Raises StorageError, EvidenceError: If results cannot be written or sealed.
-        """
+        """Calibrate all runs. A row for each, in their order."""
         source = listed_ahead(self._places, self._task)
         try:
             while self._fill(source):

@@ -37,8 +37,6 @@ class DaskWorkers(Workers):
     address: Address of the scheduler, as ``tcp://host:8786`` or ``tls://host:8786``. The certificates are
       those of Dask's configuration.
     without_worker_s: How long to wait while the scheduler has no worker, s.
-    Raises UsageError: If Dask is not installed.
-    Raises WorkersLost: If nobody answers at the address.
     """
 
     most_deaths = 3  # how often Dask may give a piece of work up, each time after several deaths

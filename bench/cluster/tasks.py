@@ -72,7 +72,6 @@ class Place:
 
         only: Names of the small files that are needed; None for all. On a disk all are there.
         Yields: The folder itself; for a URL a copy, which exists only in the block.
-        Raises UsageError: If there is no such folder.
         """
         if not self.is_remote:
             yield Path(self.name)
@@ -85,21 +84,12 @@ class Place:
             yield copy
 
     def said(self, text: str, folder: Path) -> str:
-        """Return a text with the name of this place where it names the copy.
-
-        text: Any text, such as an error's.
-        folder: The path that `folder` gave.
-        """
+        """Return a text with the name of this place where it names the copy in ``folder``."""
         return text.replace(str(folder), self.name) if self.is_remote else text
 
 
 def find_places(names: Sequence[str]) -> list[Place]:
-    """Return the folders that hold runs or recordings.
-
-    Returns: Each once, in the order of the names; the runs of one folder in natural order.
-    Raises UsageError: If one does not exist, or is a file.
-    Raises StorageError: If one cannot be listed.
-    """
+    """Return the folders that hold runs or recordings: each once, in order; the runs of one in natural order."""
     found: dict[str, Place] = {}
     for name in names:
         place = Place(name)
@@ -231,10 +221,7 @@ class Task:
     kept: str | None = None
 
     def views(self) -> KeptViews | None:
-        """Return the kept views of this worker.
-
-        Returns: None if none are used.
-        """
+        """Return the kept views of this worker; None if none are used."""
         if self.kept is None:
             return KeptViews.of_bench()
         return KeptViews(Path(self.kept)) if self.kept else None
@@ -278,11 +265,7 @@ class Recalculated:
 
 
 def list_recordings(place: Place, task: Task) -> Listed:
-    """Return the recordings of a place that have a view each, and the key of its calibration.
-
-    Raises UsageError, BenchError, drivers.errors.DriverError, sequences.errors.SequencesError: If the place
-      cannot be used.
-    """
+    """Return the recordings of a place that have a view each, and the key of its calibration."""
     with place.folder(only=_READ) as folder:
         sources = list(view_sources(folder, task.choices))
         names = [source.path.relative_to(folder).as_posix() for source in sources]
@@ -294,11 +277,7 @@ def list_recordings(place: Place, task: Task) -> Listed:
 
 
 def calibration_key(content: Mapping[str, str], task: Task) -> str:
-    """Return the hash of all that decides a calibration.
-
-    content: SHA-256 of the files by name.
-    Returns: 64 hexadecimal digits.
-    """
+    """Return the hash of all that decides a calibration, among it the SHA-256 of its files by name."""
     choices = task.choices
     passport = None if choices.passport is None else hashlib.sha256(choices.passport.data).hexdigest()
     options = {**options_data(choices), "target": asdict(choices.target), "passport_sha256": passport}
@@ -307,12 +286,7 @@ def calibration_key(content: Mapping[str, str], task: Task) -> str:
 
 
 def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
-    """Find the stars of one recording.
-
-    number: Number of its view, from 0.
-    Raises BenchError, drivers.errors.DriverError: If the recording cannot be read, or is not the one that the
-      journal names.
-    """
+    """Find the stars of one recording, whose view has this number from 0."""
     require_program_of(task.program)
     kept = task.views()
     with place.folder(capture, only=_READ) as folder, _named(place, folder):
@@ -340,11 +314,8 @@ def calibrate_found(
 ) -> Recalculated:
     """Calibrate from the views of a place.
 
-    found: The views, in the order of its recordings.
     sealed_by: Who will seal the results; None if nobody does.
     files: Whether the files of the results are wanted, which takes longer.
-    Raises BenchError, calib.errors.CalibrationError: If the views do not determine the camera, or a file of
-      the run cannot be read.
     """
     require_program_of(task.program)
     with place.folder() as folder, _named(place, folder):

@@ -47,11 +47,7 @@ class Converted:
 
 
 def plan_targets(sources: Sequence[Path], folder: Path, kind: str) -> list[tuple[Path, Path]]:
-    """Return each source with its new file.
-
-    kind: Their format, of `drivers.camera.formats.event_conversion.KINDS`.
-    Raises UsageError: If two new files would have the same name.
-    """
+    """Return each source with its new file. Raises UsageError if two would have the same name."""
     pairs = [(source, folder / f"{source.stem}{_ENDINGS[kind]}") for source in dict.fromkeys(sources)]
     taken: dict[Path, Path] = {}
     for source, target in pairs:
@@ -72,12 +68,7 @@ def convert_many(
     kept: KeptRows,
     ended: Callable[[Converted], None],
 ) -> None:
-    """Convert files. One that fails stops no other.
-
-    pairs: Source and new file, of `plan_targets`.
-    Raises WorkersLost: If nobody is left who could do the work.
-    Raises StorageError: If a row cannot be kept, or a file not be named.
-    """
+    """Convert files. One that fails stops no other."""
     folder, program = kept.path.parent, forms()["program"]
     for part in folder.glob(f"{_PART}*"):
         part.unlink()
@@ -109,11 +100,7 @@ def convert_one(
     """Convert one file on a worker, unless it is done already.
 
     known: The row of an earlier conversion to the same name; None if there is none.
-    program: Hash of the program that hands out the work.
     Returns: The row, and whether the file was made before.
-    Raises BenchError: If this worker runs another program, or the name of the new file is taken by something
-      else.
-    Raises drivers.errors.DriverError: If the source cannot be converted.
     """
     # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
     from drivers.camera.formats.event_conversion import convert
@@ -139,10 +126,7 @@ def convert_one(
 
 
 def content_hash(path: Path) -> str:
-    """Return the hash of a file, or of a folder's files and their names.
-
-    Returns: 64 hexadecimal digits.
-    """
+    """Return the hash of a file, or of a folder's files and their names."""
     if not path.is_dir():
         return sha256_of(path)
     files = sorted(one for one in path.rglob("*") if one.is_file())
@@ -183,7 +167,6 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
 
     folder: The folder. The ledger of the bench is not compared here, because only the bench has it.
     known: Key and findings of an earlier command; None if there are none.
-    Raises BenchError: If this worker runs another program, or the folder cannot be read.
     """
     require_program_of(check.program)
     made: list[Checked] = []
@@ -219,11 +202,7 @@ def _derive(folder: Path, *, check: Check, known: Mapping[str, Any] | None, made
 
 
 def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
-    """Return what compares the files of a run, or of recalculated results, with each other and with their sources.
-
-    again: Whether to make the results again from the recordings.
-    Returns: In the order in which they are called.
-    """
+    """Return what compares the files of a run or of recalculated results, in order; ``again``: by the recordings."""
     from bench.evidence.seal import kind_of
 
     found: list[Derivation] = []

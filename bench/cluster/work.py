@@ -78,7 +78,6 @@ class Workers:
     def finished(self, timeout_s: float) -> Sequence[Finished]:
         """Wait for the end of any piece of work.
 
-        timeout_s: Longest time to wait, s.
         Returns: What ended; empty after the time, or if a worker died whose work is done again.
         Raises WorkersLost: If nobody is left who could do the work.
         """
@@ -177,10 +176,7 @@ def results_of(
 ) -> Iterator[tuple[int, Any]]:
     """Call a function for many items, as `map_work`; the first call that fails ends it.
 
-    function: A pure function at the top of a module.
     Yields: Number of the item, from 0, and what the function returned, in the order in which the calls end.
-    Raises WorkersLost: If nobody is left who could do the work.
-    Raises BenchError: If a call fails.
     """
     for number, end in map_work(function, items, workers):
         if end.failure is not None:
@@ -190,28 +186,19 @@ def results_of(
 
 
 def most_handed_out(workers: Workers) -> int:
-    """Return how many pieces of work to hand out at once, so that no worker waits and memory stays small.
-
-    Returns: At least 1.
-    """
+    """Return how many pieces of work, at least 1, to hand out at once: no worker waits, and memory stays small."""
     return max(1, _AHEAD * workers.size) if workers.size > 1 else 1
 
 
 class TimeLeft:
-    """Expected time to the end of many pieces of work.
-
-    monotonic: Returns the time, s.
-    """
+    """Expected time to the end of many pieces of work."""
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._monotonic = monotonic
         self._begun_s = monotonic()
 
     def left_s(self, done: float, total: float) -> float | None:
-        """Return the time left, from the time so far.
-
-        Returns: Seconds; None before anything is done.
-        """
+        """Return the time left, s, from the time so far; None before anything is done."""
         if done <= 0:
             return None
         return max(0.0, (self._monotonic() - self._begun_s) * (total - done) / done)

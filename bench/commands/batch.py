@@ -109,7 +109,6 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
 def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
     """Print how a batch ended: every run, and each camera's parameters over the batch.
 
-    summary: Content of `summary.json`.
     Returns: Exit status: 0 every run has a result, 3 stopped on request, 4 a run does not keep its limits,
       else 1.
     """

@@ -45,7 +45,6 @@ def calibrate_each(
 ) -> int:
     """Calibrate runs, and print a line for each; return 1 if a run failed.
 
-    workers: Number of processes, or address of a Dask scheduler.
     output: Folder for a table of all runs, and for the results of each unless ``table_only``.
     find_again: Whether to use no views that an earlier command has kept.
     """
@@ -131,10 +130,7 @@ def run_text(row: Mapping[str, Any]) -> str:
 
 
 def change_text(row: Mapping[str, Any]) -> str:
-    """Return the largest change of a value against the run's own results.
-
-    Returns: In units of the standard uncertainty that the run stated.
-    """
+    """Return the largest change against the run's own results, in the standard uncertainties that it stated."""
     before = row["before"]
     if before is None:
         return "no earlier results to compare"
@@ -155,10 +151,7 @@ class _CountedProgress(LiveLine):
     """Shows how far a recalculation is."""
 
     def counted(self, counts: Counts, left_s: float | None) -> None:
-        """Show the counts, if it is time.
-
-        left_s: Expected time to the end, s; None if unknown.
-        """
+        """Show the counts, if it is time; ``left_s`` is None if unknown."""
         if not self.due():
             return
         left = "" if left_s is None else f", {clock_text(left_s)} left"
@@ -167,10 +160,7 @@ class _CountedProgress(LiveLine):
 
 
 def sum_text(counts: Counts) -> str:
-    """Return how a recalculation ended.
-
-    counts: Its counts.
-    """
+    """Return how a recalculation ended."""
     parts = [f"{counts.done} of {counts.runs} runs calibrated"]
     if counts.skipped:
         parts.append(f"{counts.skipped} were done before")

@@ -54,10 +54,7 @@ def offline_lines(
 
 
 def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
-    """Return a calibration as text: values with uncertainties first, reprojection error second.
-
-    calibration: Calibration as `results.json` holds it.
-    """
+    """Return a calibration of `results.json` as text: values with uncertainties first, reprojection error second."""
     values = {**calibration["camera"], **(calibration["collimator"] or {})}
     views = calibration["views"]
     points = sum(view["n"] for view in views)

@@ -75,10 +75,7 @@ def timestamp(
 
 
 def _write_request(folder: Path, what: str | None, path: Path) -> int:
-    """Write a request for a time stamp, for a laboratory without a network.
-
-    what: ``seal`` or ``authorisation``; None for the authorisation if there is one.
-    """
+    """Write a request for a time stamp; ``what`` is None for the authorisation if there is one, else the seal."""
     from bench.evidence.tsa_client import make_request
     from bench.records.storage import write_atomic
 
@@ -100,10 +97,7 @@ def _stamp_folder(
 
     what: ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is
       of.
-    tsa: Address of the authority to ask; None if there is a token.
     tsa_certificates: Root certificates of trusted authorities; this bench's own where None.
-    Raises EvidenceError: If the folder is not sealed or has the time stamp already, or if the time stamp is
-      not a valid one of this signature by a trusted authority; nothing is written.
     """
     from bench.evidence.seal import add_beside
     from bench.evidence.timestamp import UncheckedError, as_reply, read_authorities
@@ -293,10 +287,7 @@ def _enter(folder: Path, person: str, fingerprint: str) -> bool:
 
 
 def facts_of(folder: Path) -> dict[str, str]:
-    """Return what a person must see before signing: kind, number, item, run, and the seal's hash.
-
-    Returns: Text by name, in the order in which it is shown.
-    """
+    """Return what a person must see before signing, in order: kind, number, item, run, and the seal's hash."""
     from bench.evidence.seal import kind_of
 
     kind = kind_of(folder)

@@ -144,10 +144,7 @@ def cli() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit. Every expected error is printed as one message, without a traceback.
-
-    arguments: Arguments after the program's name; those of the process where None.
-    """
+    """Run the command line and exit. Every expected error is printed as one message, without a traceback."""
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from bench.base.home import remove_stale_kernels, set_kernel_cache

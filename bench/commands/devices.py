@@ -92,7 +92,6 @@ def _show_wiring(station_name: str, seed: int, *, yes: bool) -> int:
     """Ask, test the wiring, and print the result.
 
     Returns: Exit status: 0 if the wiring is right, 1 if it is not, 3 if the person refused.
-    Raises UsageError: If nobody can be asked.
     """
     from bench.run.wiring import FREQUENCY_HZ, check_wiring
     from bench.stations.devices import Devices

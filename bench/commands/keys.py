@@ -248,10 +248,7 @@ def keys_revoke(key: str, reason: str, since: datetime | None) -> int:
 
 
 def key_or_draft() -> BenchKey | None:
-    """Return the bench's key for results that may stay a draft; say on standard error why, if there is none.
-
-    Returns: The key; None if there is no key on this computer, or it cannot be used.
-    """
+    """Return the bench's key, or say on standard error why there is none that can be used: results stay a draft."""
     from bench.evidence.keys import load_key, require_usable
 
     home = home_folder()

@@ -73,11 +73,7 @@ def _one_line(reason: str, option: str) -> str:
 
 
 def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
-    """Compare the ledger with all places that know of it.
-
-    Returns: Breaks that nobody has explained; the last one says what to do.
-    Returns: Explained breaks, and places that could not be asked.
-    """
+    """Return unexplained breaks of the ledger, with what to do; explained ones, and places not asked."""
     from bench.evidence.ledger_check import sealed_strangers
     from bench.records.ledger_breaks import EXPLAIN
 

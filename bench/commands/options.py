@@ -64,12 +64,7 @@ _SMALLEST, _LARGEST = 1e-9, 1e12
 
 
 class Number(click.ParamType):
-    """Finite number between ``least`` and ``most``, as far as these are given.
-
-    least: Smallest number allowed; any where None.
-    above: Whether ``least`` itself is refused.
-    most: Largest number allowed; any where None.
-    """
+    """Finite number between ``least`` and ``most`` if these are given; ``above`` refuses ``least`` itself."""
 
     name = "number"
 
@@ -124,10 +119,7 @@ class ExistingFile(_Path):
     name = "file"
 
     def check(self, path: Path) -> None:
-        """Check that the file exists and is not a folder.
-
-        Raises UsageError: If there is no such file, or it is a folder, a pipe or a device.
-        """
+        """Check that the file exists and is not a folder, a pipe or a device."""
         if not path.exists():
             raise UsageError("There is no such file.", where=str(path), remedy="Check the path.")
         if path.is_dir():
@@ -151,10 +143,7 @@ class ExistingFolder(_Path):
     completed_as = "dir"
 
     def check(self, path: Path) -> None:
-        """Check that the folder exists.
-
-        Raises UsageError: If there is no such folder, or it is a file.
-        """
+        """Check that the folder exists."""
         if not path.is_dir():
             what = "This is a file, not a folder." if path.exists() else "There is no such folder."
             raise UsageError(what, where=str(path), remedy="Check the path.")
@@ -164,10 +153,7 @@ class ExistingPath(_Path):
     """A file or folder that exists."""
 
     def check(self, path: Path) -> None:
-        """Check that the file or folder exists.
-
-        Raises UsageError: If there is no such file or folder, or it is a pipe or a device.
-        """
+        """Check that the file or folder exists and is no pipe or device."""
         if not path.exists():
             raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
         _require_no_device(path)
@@ -179,10 +165,7 @@ class NewFile(_Path):
     name = "file"
 
     def check(self, path: Path) -> None:
-        """Check that the name is free and the folder exists.
-
-        Raises UsageError: If the name is taken, or its folder does not exist.
-        """
+        """Check that the name is free and the folder exists."""
         if path.exists() or path.is_symlink():
             raise UsageError(
                 "A file or folder with this name already exists.",
@@ -202,10 +185,7 @@ class OutputFolder(_Path):
     completed_as = "dir"
 
     def check(self, path: Path) -> None:
-        """Check that neither the path nor a folder above it is a file.
-
-        Raises UsageError: If the path, or what should be a folder above it, is a file.
-        """
+        """Check that neither the path nor a folder above it is a file."""
         there = next((p for p in (path, *path.parents) if os.path.lexists(p)), None)
         if there is not None and not there.is_dir():
             raise UsageError(
@@ -229,11 +209,7 @@ class RunFolder(_Path):
         self._batch, self._journal = batch, journal
 
     def check(self, path: Path) -> None:
-        """Check that the folder is a run, or a batch if that is accepted.
-
-        Raises UsageError: If the path does not exist, is a file, is a batch where a run is needed, or is
-          another kind of folder.
-        """
+        """Check that the folder is a run, or a batch if that is accepted."""
         from bench.records.run_folder import JOURNAL
         from bench.records.run_index import is_batch
         from bench.records.storage import is_locked
@@ -292,10 +268,7 @@ RUN = click.argument("run_folder", metavar="RUN", type=RunFolder())
 
 
 class _NameOrFile(click.ParamType):
-    """Text that names an included file (``three_pose``) or any other file.
-
-    folder: Folder of the included files, below that of Starbench.
-    """
+    """Text that names an included file (``three_pose``), below ``folder`` of Starbench, or any other file."""
 
     name = "text"
 

@@ -67,7 +67,6 @@ def show(
     """Print a result: ``data`` as JSON if that is wanted, else the lines of ``text``.
 
     data, text: A function or a generator does its work only if it is printed.
-    err: Whether the text belongs on standard error.
     """
     if wants_json():
         print_json(data() if callable(data) else data)
@@ -77,19 +76,12 @@ def show(
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """Print one object on standard output.
-
-    Raises ValueError: When a number is not finite.
-    """
+    """Print one object on standard output. Raises ValueError when a number is not finite."""
     click.echo(json.dumps(value, indent=1, allow_nan=False))
 
 
 def ask_passphrase(key: Path) -> bytes:
-    """Ask for the passphrase of a key at the terminal.
-
-    Returns: The passphrase, UTF-8.
-    Raises EvidenceError: If there is no terminal.
-    """
+    """Ask for the passphrase of a key at the terminal, UTF-8. Raises EvidenceError if there is none."""
     if not sys.stdin.isatty():
         raise EvidenceError(
             "The signing key has a passphrase, and there is no terminal to ask for it.",
@@ -112,8 +104,8 @@ def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> 
 def print_error(error: Exception, arguments: Sequence[str]) -> int:
     """Print an error in plain words; with ``--json``, also as an object on standard output.
 
-    arguments: Words of the call. With ``--debug`` among them, the traceback is printed, as always for a defect.
-    Returns: Exit status.
+    arguments: Words of the call. With ``--debug`` among them, the traceback is printed, as always for a
+      defect.
     """
     if isinstance(error, DocumentFaults):
         error = ScriptError([str(fault) for fault in error.faults])
@@ -128,10 +120,7 @@ def print_error(error: Exception, arguments: Sequence[str]) -> int:
 
 
 def error_object(failure: Failure) -> dict[str, str]:
-    """Return an error as JSON output shows it, before a run and at the end of one.
-
-    Returns: ``kind``, ``message`` (all in one sentence or more), ``what``, ``where``, ``remedy``.
-    """
+    """Return an error as JSON: ``kind``, ``message`` (all in one sentence or more), ``what``, ``where``, ``remedy``."""
     return {"kind": failure.kind, "message": failure.message, **failure.to_dict()}
 
 

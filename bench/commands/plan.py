@@ -81,10 +81,7 @@ def plan(
 
 
 def _is_queue(name: str) -> bool:
-    """Whether a file says that it is a queue; `read_queue` checks whether it is a valid one.
-
-    Returns: False also if the file cannot be read.
-    """
+    """Return whether a file says that it is a queue; `read_queue` checks whether it is a valid one."""
     try:
         if not Path(name).is_file():  # a pipe would never answer
             return False

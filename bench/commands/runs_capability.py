@@ -56,12 +56,7 @@ class _Studied:
 
 
 def show_capability(choice: RunChoice, words: str) -> int:
-    """Print the gauge study.
-
-    words: Names of the factors, with commas.
-    Returns: Exit status: 1 if ledgers and folders do not agree, else 0.
-    Raises UsageError: When the runs hold no such study; says what is missing.
-    """
+    """Print the gauge study; exit status 1 if ledgers and folders do not agree."""
     factors = _factors(words)
     merged = find_runs(choice)
     details = RunIndex(home_folder()).details(merged.runs)

@@ -28,10 +28,7 @@ _MOST_GROUPS = 12
 
 
 def find_runs(choice: RunChoice) -> MergedRuns:
-    """Find runs by ledgers and folders, and name what does not agree.
-
-    Raises UsageError: When a named folder holds no ledger.
-    """
+    """Find runs by ledgers and folders, and name what does not agree."""
     home, clock = home_folder(), BenchClock()
 
     def source(folder: Path, *, required: bool) -> LedgerSource:
@@ -52,7 +49,6 @@ def export_runs(choice: RunChoice, path: Path) -> int:
     """Write the table of runs, and say what was written.
 
     Returns: Exit status: 1 if ledgers and folders do not agree, else 0; the table is written in both cases.
-    Raises UsageError: When no table can be written under this name, or a named folder holds no ledger.
     """
     require_writable_table(path)
     merged = find_runs(choice)
@@ -81,12 +77,9 @@ def chart_runs(
     """Write the page of control charts, and print the verdict.
 
     parameter: Name of the parameter; all where None.
-    by: ``camera`` or ``type``; both where None.
     baseline: Number of first runs from which the limits come; all where None.
     Returns: Exit status: 1 if a parameter is out of control or drifts, or ledgers and folders do not agree;
       else 0.
-    Raises UsageError: When no run has a result or this parameter, or the page cannot be written under its
-      name.
     """
     _require_page(page)
     merged = find_runs(choice)

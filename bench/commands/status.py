@@ -193,10 +193,7 @@ def follow(
 ) -> Iterator[Status]:
     """Read the status of a run after every change, as long as a process works on the run.
 
-    sleep: Waits between two reads of the journal.
     ticks: Whether to yield also when nothing has changed, with the remaining time counted down.
-    monotonic: Returns the time since an arbitrary moment, s.
-    Yields: One per change; the last one shows how the run ended.
     """
     for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
         yield status
@@ -207,12 +204,7 @@ def follow_lines(
     sleep: Callable[[float], None] = time.sleep,
     monotonic: Callable[[], float] = time.monotonic,
 ) -> Iterator[tuple[Status, Sequence[str]]]:
-    """Read the status of a run as `follow` does, with the journal lines that are new, as text.
-
-    sleep, monotonic: As for `follow`.
-    Yields: The status, and the new lines, the newest last. The first time these are the last lines of the
-      status.
-    """
+    """Follow a run as `follow` does, with new journal lines as text; the first time those of the status."""
     seen = None
     for status, entries in _followed(folder, sleep, ticks=False, monotonic=monotonic):
         if seen is None:

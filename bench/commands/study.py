@@ -110,11 +110,7 @@ def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row
 
 
 def do_task(task: Task, program: str) -> dict[str, Row]:
-    """Do one task of a comparison, on a worker.
-
-    program: Hash of the program that hands out the work.
-    Raises BenchError: If this worker runs another program.
-    """
+    """Do one task of a comparison, on a worker."""
     from bench.cluster.kept_rows import require_program_of
     from bench.compare.run_comparison import run_task
 
@@ -232,11 +228,7 @@ def study(
 
 
 def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path | None) -> MonteCarloStudy:
-    """Run a study, with its progress.
-
-    folder: Folder that keeps what is done; None to keep nothing.
-    Raises BenchError, calib.errors.CalibrationError: As `bench.cluster.many_calibrations.run_blocks`.
-    """
+    """Run a study, with its progress; ``folder`` keeps what is done, None keeps nothing."""
     from bench.cluster.kept_rows import KeptRows
     from bench.cluster.many_calibrations import STUDY, run_blocks
     from bench.terminal.signals import reliable_interrupts

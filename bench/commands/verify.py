@@ -168,8 +168,6 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
     """Check folders by many workers, and print a line for each; the exit status is as for one folder.
 
     output: Folder that keeps what was derived again; None to keep nothing.
-    Raises WorkersLost: If nobody is left who could do the work.
-    Raises StorageError: If findings cannot be kept.
     """
     from bench.cluster.kept_rows import KeptRows
     from bench.cluster.verifications import VERIFIED, check_one
@@ -244,8 +242,6 @@ def _with(found: Verification, more: Findings) -> Verification:
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     """Return what checks each kind of sealed folder further: ledger, recordings, and with --again the numbers.
 
-    trust: Whom the reader trusts; for the run of a certificate.
-    again: Whether to make the results again from the recordings.
     Returns: Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
     """
     from bench.cluster.verifications import derivations_of

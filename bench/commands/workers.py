@@ -56,8 +56,6 @@ def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
     who: Number of processes, or address of a Dask scheduler; None for one process for each processor.
     most: Number of pieces of work, if it is known: no more processes are started. A single piece is done by
       the command itself, unless a number of processes is asked for.
-    Raises UsageError: If Dask is not installed.
-    Raises WorkersLost: If nobody answers at the address.
     """
     if isinstance(who, str):
         from bench.cluster.scheduler import DaskWorkers
@@ -81,10 +79,7 @@ def _memory_bytes() -> int:
 
 
 class LiveLine:
-    """A line on standard error.
-
-    quiet: Whether nothing is shown.
-    """
+    """A line on standard error; nothing is shown if ``quiet``."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self.quiet = quiet
@@ -93,10 +88,7 @@ class LiveLine:
         self._width = 0
 
     def due(self) -> bool:
-        """Return whether it is time to show the line again.
-
-        Returns: True at most four times a second; without a terminal every half minute.
-        """
+        """Return whether to show the line again: four times a second, without a terminal every half minute."""
         now = time.monotonic()
         if self.quiet or now < self._next_s:
             return False
@@ -121,9 +113,7 @@ class LiveLine:
 class CountLine(LiveLine):
     """Shows how many things of one kind are done, and the time left.
 
-    things: What they are called, such as ``files``.
     before: How many were done before the command began.
-    quiet: Whether nothing is shown.
     """
 
     def __init__(self, total: int, things: str, *, before: int = 0, quiet: bool = False) -> None:
@@ -141,8 +131,5 @@ class CountLine(LiveLine):
             self.show(f"{self.text()}{'' if left is None else f', {clock_text(left)} left'}")
 
     def text(self) -> str:
-        """Return the count in words.
-
-        Returns: As ``3 of 10 files``.
-        """
+        """Return the count in words, as ``3 of 10 files``."""
         return f"{self.done} of {self._total} {self._things}"

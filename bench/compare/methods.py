@@ -52,11 +52,7 @@ _SMALLEST_TURN_DEG = 1.0
 
 
 def bench_time_s(column: ColumnConfig) -> float:
-    """Return how long the images of a column keep a bench busy.
-
-    Returns: Time, s; for boards with the assumption of 20 s a placement, for a moving camera of 2 s a
-      picture.
-    """
+    """Return how long, s, the images of a column keep a bench busy: 20 s a board, 2 s a moving picture (assumed)."""
     if column.method in STAR_METHODS:
         return _BEFORE_S + column.images * _POSE_S
     return column.images * (_PASS_S if column.method == "reconstruction" else _PLACEMENT_S)
@@ -131,10 +127,7 @@ _NAMES = ("fx", "fy", "cx", "cy")
 
 
 def data_digest(data: DataConfig) -> str:
-    """Return a hash of the files of recorded data, so that rows are made again when the data change.
-
-    Returns: Hexadecimal; ``missing`` if there is no such file or folder.
-    """
+    """Return a hash of the files of recorded data, by which rows are made again; ``missing`` if there are none."""
     files = _files(data)
     if not files:
         return "missing"
@@ -146,19 +139,13 @@ def data_digest(data: DataConfig) -> str:
 
 
 def read_data(data: DataConfig) -> tuple[View, ...]:
-    """Read all views.
-
-    data: Where they are.
-    Returns: In order of their names or numbers.
-    Raises BenchError: If there is no such data, or a file is not of the form.
-    """
+    """Read all views, in order of their names or numbers."""
     return _read(data.model_dump_json(), data_digest(data))
 
 
 def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
     """Calibrate two random disjoint subsets of recorded views.
 
-    column: A column with ``data``.
     Returns: A row: camera, sigmas and residuals of the first subset, and its difference from the second; or
       ``error``.
     """
@@ -299,10 +286,7 @@ _FLAT_AT_MM = 40.0
 
 
 def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
-    """Calibrate by the method of a column, and compare with the truth.
-
-    Returns: Values, stated sigmas, errors and residuals; or ``error``, the reason why there is no result.
-    """
+    """Calibrate by the method of a column: values, sigmas, errors and residuals; or ``error``, the reason."""
     row: dict[str, Any] = {"views": len(images.views), "missed": list(images.missed)}
     if len(images.views) < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
         reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"

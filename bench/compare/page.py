@@ -44,10 +44,7 @@ _COLOUR_OF = dict(
 
 
 def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Draw the error of direction of each repetition, on a logarithmic scale.
-
-    columns: Method by name of the column, from top to bottom.
-    """
+    """Draw the error of direction of each repetition, on a logarithmic scale, columns from top to bottom."""
     values = [[row["direction_rms_urad"] for row in _solved(rows, name)] for name in columns]
     return _dots(
         columns,
@@ -60,10 +57,7 @@ def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 
 
 def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states.
-
-    columns: Method by name of the column, from top to bottom.
-    """
+    """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states."""
     chosen = [_solved(rows, name) for name in columns]
     values = [[row["errors"]["fx"] for row in some] for some in chosen]
     stated = [
@@ -83,7 +77,6 @@ def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
     """Draw the error of direction against the number of images, a line for columns that differ in nothing else.
 
-    columns: Columns of the summary, from `bench.compare.table.summarise`.
     Returns: SVG; empty if no line has three points.
     """
     series = _by_images(columns)
@@ -231,11 +224,7 @@ TABLE_1 = "Table 1"
 def render_page(
     summary: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], true: Mapping[str, float]
 ) -> str:
-    """Render the page of a comparison.
-
-    summary: From `bench.compare.table.summarise`.
-    true: True values of the camera.
-    """
+    """Render the page of a comparison from its summary and rows, and the true values of the camera."""
     simulated = [column for column in summary["columns"] if not column["settings"]["data"]]
     methods = {column["settings"]["name"]: column["settings"]["method"] for column in simulated}
     have = {row["column"] for row in rows if "error" not in row}

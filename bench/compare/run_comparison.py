@@ -42,10 +42,7 @@ class Task:
 
 
 def row_key(column: ColumnConfig, seed: int) -> str:
-    """Return the key of a repetition of a column: it changes with everything that the result depends on.
-
-    column: The column; its name does not count.
-    """
+    """Return the key of a repetition of a column: it changes with all that the result depends on, not its name."""
     described: list[Any] = [column.model_dump(exclude={"name"}, exclude_none=True), seed, forms()["program"]]
     if column.data is not None:
         from bench.compare.methods import data_digest
@@ -66,12 +63,9 @@ def compare(
 ) -> list[Row]:
     """Run what is not done yet, and return all rows.
 
-    folder: Folder of the comparison; made if it does not exist.
     do_tasks: Does tasks by `run_task`, in any order, and yields the rows of each.
     on_progress: Called with the number of rows done, of all rows, and the time left in seconds, if known.
     Returns: One row for each repetition of each column, in their order.
-    Raises UsageError: If the folder holds something else.
-    Raises BenchError: If the tasks cannot be done.
     """
     _prepare(folder, text)
     done = _read_rows(folder / ROWS)

@@ -41,18 +41,12 @@ _TURN_DEG_S = 10.0
 
 
 def motion_of(column: ColumnConfig) -> MotionConfig:
-    """Return the motion of a column of the method ``reconstruction``.
-
-    Returns: That of the column, or the default.
-    """
+    """Return the motion of a column of the method ``reconstruction``, or the default."""
     return column.motion or MotionConfig()
 
 
 def reach_px(column: ColumnConfig) -> float:
-    """Return how far the board moves in the picture to either side of its place.
-
-    Returns: Half of the way of one recording, px.
-    """
+    """Return how far the board moves in the picture to either side of its place: half the way, px."""
     return motion_of(column).way_px / 2.0
 
 
@@ -62,8 +56,6 @@ def record_moving(
     """Record a board that moves evenly through its placement, and reconstruct its picture there.
 
     section: Section ``simulation`` of a station, with the placement at the time of the picture.
-    focal_px: Focal length, px.
-    number: Number of the picture, from 1.
     Returns: (H, W) float32 pictures: two-sided (True), and of the filter as published (False).
     """
     motion = motion_of(column)
@@ -168,11 +160,7 @@ class Recordings:
 
 
 def record(column: ColumnConfig, seed: int) -> Recordings:
-    """Record the images of one repetition.
-
-    Returns: The images, which all columns with the same `recordings_key` share.
-    Raises calib.errors.CalibrationError: If a board does not fit into the picture.
-    """
+    """Record the images of one repetition, which all columns with the same `recordings_key` share."""
     if column.method not in STAR_METHODS:
         return _record_boards(column, seed)
     own = _record_stars(column, seed, seed)
@@ -223,10 +211,7 @@ def star_poses(count: int) -> list[tuple[float, float]]:
 
 
 def gimbal_section(seed: int) -> dict[str, Any]:
-    """Return the errors of the gimbal of a repetition, as the station states them in `bench.compare.methods`.
-
-    Returns: Section ``gimbal`` of a simulation.
-    """
+    """Return section ``gimbal`` of a simulation: errors as the station states them in `bench.compare.methods`."""
     rng = np.random.default_rng((seed, 11))
     return {
         "wobble_deg": 0.001,
@@ -335,11 +320,7 @@ def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDA
 
 
 def true_camera(truth: Mapping[str, Any]) -> CameraModel:
-    """Return the true camera as the engine describes cameras.
-
-    truth: Section ``camera`` of the truth.
-    Returns: With k1, k2, p1, p2 and k3.
-    """
+    """Return the true camera (section ``camera`` of the truth) as the engine describes it: k1, k2, p1, p2 and k3."""
     lens = {name: float(truth[name]) for name in ("k1", "k2", "p1", "p2", "k3")}
     fx, fy, cx, cy = (float(truth[name]) for name in ("fx", "fy", "cx", "cy"))
     return CameraModel(fx, fy, cx, cy, (int(truth["width"]), int(truth["height"])), lens)

@@ -184,19 +184,12 @@ class ComparisonConfig(StrictModel):
 
 
 def shipped_names() -> list[str]:
-    """Return the names of the included specifications.
-
-    Returns: In alphabetical order.
-    """
+    """Return the names of the included specifications, in alphabetical order."""
     return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 
 
 def read_spec(name: str) -> Located[ComparisonConfig]:
-    """Read a specification.
-
-    name: Path of a file, or name of an included specification.
-    Raises UsageError: If there is no such file.
-    """
+    """Read a specification by its path, or by the name of an included one."""
     path = SHIPPED / f"{name}.yaml" if name in shipped_names() else Path(name)
     if not path.is_file():
         raise UsageError(

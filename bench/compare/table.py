@@ -19,10 +19,7 @@ PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2")
 
 
 def summarise(spec: ComparisonConfig, rows: Sequence[Row]) -> dict[str, Any]:
-    """Summarise the rows of a comparison.
-
-    Returns: ``columns``: for each column its statistics, in the order of the specification.
-    """
+    """Return ``columns``: for each column of a comparison its statistics, in the order of the specification."""
     return {
         "schema": "starbench/comparison-results/1",
         "name": spec.name,
@@ -143,11 +140,7 @@ Summary = Mapping[str, Any]
 
 
 def table_rows(summary: Summary) -> list[list[str]]:
-    """Return the cells of the table.
-
-    summary: From `bench.compare.table.summarise`.
-    Returns: One row for each column of simulated images: its name, then a cell for each of `HEADS`.
-    """
+    """Return a row for each column of simulated images: its name, then a cell for each of `HEADS`."""
     return [
         _cells(column, summary["repetitions"])
         for column in summary["columns"]
@@ -156,11 +149,7 @@ def table_rows(summary: Summary) -> list[list[str]]:
 
 
 def data_rows(summary: Summary) -> list[list[str]]:
-    """Return the cells of the table of recorded data.
-
-    summary: From `bench.compare.table.summarise`.
-    Returns: One row for each column of recorded data: its name, then a cell for each of `DATA_HEADS`.
-    """
+    """Return a row for each column of recorded data: its name, then a cell for each of `DATA_HEADS`."""
     return [
         _data_cells(column, summary["repetitions"])
         for column in summary["columns"]
@@ -169,11 +158,7 @@ def data_rows(summary: Summary) -> list[list[str]]:
 
 
 def table_text(summary: Summary) -> str:
-    """Return the table for a terminal.
-
-    summary: From `bench.compare.table.summarise`.
-    Returns: Lines of text; the reasons of failures come last.
-    """
+    """Return the table for a terminal; the reasons of failures come last."""
     blocks = [(HEADS, table_rows(summary)), (DATA_HEADS, data_rows(summary))]
     lines = [line for heads, rows in blocks if rows for line in _aligned([["", *heads], *rows])]
     lines += [
@@ -213,11 +198,7 @@ def shown(number: float | None, digits: int = 3) -> str:
 
 
 def share(number: float | None) -> str:
-    """Return a share as per cent; a dash for none.
-
-    number: 0 to 1.
-    Returns: Per cent.
-    """
+    """Return a share, 0 to 1, as per cent; a dash for none."""
     return "-" if number is None else f"{100 * number:.0f} %"
 
 
@@ -260,11 +241,7 @@ def _data_cells(column: Summary, repetitions: int) -> list[str]:
 
 
 def parameter_rows(summary: Summary, names: Sequence[str]) -> list[list[str]]:
-    """Return mean and spread of the parameters, as the paper's Table 1 prints them.
-
-    summary: From `bench.compare.table.summarise`.
-    Returns: One row for each column of the comparison: its name, then ``mean ± spread`` of each parameter.
-    """
+    """Return a row for each column: its name, then ``mean ± spread`` of each parameter, as in the paper's Table 1."""
     rows = []
     for column in summary["columns"]:
         values = column.get("parameters", {})

@@ -50,7 +50,6 @@ _MOST_BYTES = 1 << 20
 def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
     """Load a person's key from a file: in OpenSSH's format, or PEM (PKCS#8).
 
-    ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
     Raises EvidenceError: When other users can read the file, the passphrase is wrong, or it is not a key that
       can sign here.
     """
@@ -95,9 +94,6 @@ def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path
 
     name: File of the private key; or file of the public key, or fingerprint (``SHA256:...``), of a key in
       ssh-agent. None for the only key in ssh-agent.
-    agent: Path of the agent's socket; None if there is no agent.
-    ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
-    Raises EvidenceError: When there is no such key, more than one, or it cannot be used.
     """
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)
@@ -112,11 +108,7 @@ def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path
 
 
 def agent_keys(agent: str) -> list[OpenSshKey]:
-    """List the keys of an agent that can be used here. Keys of other types and certificates are left out.
-
-    agent: Path of the agent's socket.
-    Raises EvidenceError: When the agent does not answer.
-    """
+    """List the keys of an agent that can be used here. Keys of other types and certificates are left out."""
     found = []
     for line in agent_lines(agent):
         try:
@@ -184,11 +176,7 @@ NOTHING_KNOWN: Known = {}
 
 
 def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerprint: str) -> bool:
-    """Enter the authorisation of a folder that was just made.
-
-    Returns: Whether it was entered; False if this bench has no ledger.
-    Raises EvidenceError, JournalBroken, StorageError: When the ledger or the folder cannot be used.
-    """
+    """Enter the authorisation of a folder that was just made; False if this bench has no ledger."""
     if not ledger.path.exists():
         return False
     with storage_errors(folder):
@@ -199,10 +187,7 @@ def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerpri
 
 
 def known_authorisations(home: Path) -> Known:
-    """Return the authorisations that the ledger of this bench names.
-
-    Returns: Empty if there is no ledger, or if it cannot be read, which `bench.records.ledger` tells.
-    """
+    """Return the authorisations that this bench's ledger names; empty if it is missing or cannot be read."""
     path = home / LEDGER
     try:
         status = path.stat()
@@ -243,10 +228,7 @@ _AGREES = Compared()
 
 
 def compare_authorisation(folder: Path, known: Known) -> Compared:
-    """Compare the authorisation of a folder with the one that the ledger names.
-
-    Returns: Empty if they agree, or if the ledger names none for this seal.
-    """
+    """Compare a folder's authorisation with the ledger's; empty if they agree, or if it names none for this seal."""
     manifest, signature = folder / MANIFEST, folder / AUTHORISATION
     with storage_errors(folder):
         if not known or not manifest.is_file():
@@ -306,10 +288,7 @@ class AuthorisationCheck:
 def check_authorisation(
     folder: Path, trust: Trust, moments: Moments, seal_key: bytes | None
 ) -> AuthorisationCheck:
-    """Check the authorisation beside a seal.
-
-    seal_key: The key that sealed, as SSH encodes it; None if the seal could not be read.
-    """
+    """Check the authorisation beside a seal; ``seal_key`` is None if the seal could not be read."""
     try:
         data = read_beside(folder, AUTHORISATION)
         if data is None:
@@ -345,14 +324,11 @@ def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
 def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: bytes | None = None) -> str:
     """Authorise a sealed folder with a person's key.
 
-    key: The person's key.
     trust: Whom the bench trusts; the person's key must be among them.
-    now: The present time, with its time zone.
     seal: The bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them
       since.
     Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
       it.
-    Raises StorageError: When the signature cannot be written; the folder is then as before.
     """
     person = require_authorisable(folder, key.public_key, trust, now)
     with storage_errors(folder):
@@ -377,8 +353,6 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: 
 def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: datetime) -> str:
     """Refuse a folder that this key may not authorise.
 
-    public_key: The person's key, as SSH encodes it.
-    now: The present time, with its time zone.
     Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
       it.
     """
@@ -399,10 +373,7 @@ def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: dat
 
 
 def require_unauthorised(folder: Path) -> None:
-    """Refuse a folder that is not sealed, or is authorised already.
-
-    Raises EvidenceError: When it is one of these.
-    """
+    """Refuse a folder that is not sealed, or is authorised already."""
     if not (folder / MANIFEST).is_file() or not (folder / SIGNATURE).is_file():
         raise EvidenceError(
             "This folder is not sealed. A person authorises what is sealed, so that it cannot change afterwards.",
@@ -419,11 +390,7 @@ def require_unauthorised(folder: Path) -> None:
 
 
 def named_person(folder: Path) -> NamedPerson | None:
-    """Return the person whom a certificate names for its authorisation.
-
-    Returns: The person; None if the folder is not a certificate.
-    Raises EvidenceError: When a certificate names nobody, or cannot be read.
-    """
+    """Return the person whom a certificate names for its authorisation; None if the folder is no certificate."""
     path = folder / _CERTIFICATE
     if not path.is_file():
         return None

@@ -20,7 +20,6 @@ def check_ended_page(
 ) -> tuple[list[SealFault], list[str]]:
     """Check the page that stands in a folder without a seal.
 
-    now, stated: The present time, and when the folder says that it was made; with their time zones.
     Returns: What does not hold, and what does: a sentence without a full stop. Both are empty without a page.
     """
     try:

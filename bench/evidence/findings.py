@@ -66,10 +66,7 @@ class Findings:
     remarks: list[str] = field(default_factory=list)
 
     def fault(self, kind: str, where: str, what: str) -> None:
-        """Add a fault.
-
-        kind, where, what: As the attributes of `SealFault`.
-        """
+        """Add a fault."""
         self.faults.append(SealFault(kind, where, what))
 
     def add(self, other: Findings) -> None:
@@ -129,10 +126,7 @@ class Verification:
         return self.ok and not self.not_compared
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verification as JSON carries it.
-
-        Returns: ``ok``, ``complete``, and all attributes.
-        """
+        """Return the verification as JSON carries it: ``ok``, ``complete``, and all attributes."""
         own = asdict(self)
         return {"ok": self.ok, "complete": self.complete, **own}
 
@@ -153,11 +147,7 @@ _PROGRAM = "program"
 
 
 def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) -> Mapping[str, Capture]:
-    """Check the journal of a run, and the files of the folder against it.
-
-    manifest: SHA-256 by file name, as the seal lists them.
-    found: Findings; faults are added.
-    """
+    """Check a run's journal, and the files of the folder and of the seal's list against it."""
     path = folder / JOURNAL
     if path.is_symlink() or not path.is_file():
         found.fault("journal", JOURNAL, "the file is missing")

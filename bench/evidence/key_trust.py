@@ -37,8 +37,6 @@ def read_trust(
 
     allowed_signers: File to use instead of ``allowed_signers``; then ``revoked_keys`` beside it is used too,
       if there is one.
-    revoked_keys: File to use instead of ``revoked_keys``.
-    tsa_certificates: File to use instead of ``tsa_certificates.pem``.
     Raises EvidenceError: When a list cannot be read, is not understood, or other users can change it.
     """
     signers = allowed_signers or home / SIGNERS_FILE

@@ -61,11 +61,7 @@ _MOST_KEY_BYTES = 64 * 1024
 
 
 def load_public_key(folder: Path) -> Signer:
-    """Load the public half of the bench's key, as those who verify trust it: for reports only.
-
-    Raises EvidenceError: When there is no key, others have access to it, or it is not an Ed25519 key in
-      OpenSSH's format.
-    """
+    """Load the public half of the bench's key, as those who verify trust it: for reports only."""
     path = folder / KEY_FILE
     try:
         public_key = public_of_private(read_key_file(path))
@@ -81,7 +77,6 @@ def load_public_key(folder: Path) -> Signer:
 def public_of_private(text: bytes) -> bytes:
     """Return the public key that the file of a private key states (PROTOCOL.key of OpenSSH, section 1).
 
-    text: Content of the file; its private part may be encrypted.
     Raises ValueError: When this is not an Ed25519 key in OpenSSH's format, or it holds several keys.
     """
     body, begins, _ = text.strip().removeprefix(_BEGIN).partition(_END)
@@ -103,10 +98,7 @@ def public_of_private(text: bytes) -> bytes:
 
 
 def read_key_file(path: Path) -> bytes:
-    """Read the file of a private key, if nobody else can read or change it.
-
-    Raises EvidenceError: When there is no key, or others have access to it.
-    """
+    """Read the file of a private key, if nobody else can read or change it."""
     if not path.exists():
         raise EvidenceError(
             "There is no key.", where=str(path), remedy="Make one with `starbench keys create`."
@@ -118,11 +110,7 @@ def read_key_file(path: Path) -> bytes:
 
 
 def principal_of(public_path: Path) -> str:
-    """Return the name of the signer that the file of a public key states.
-
-    Returns: The name, as ``name@place``.
-    Raises EvidenceError: When it states none.
-    """
+    """Return the name of the signer that the file of a public key states, as ``name@place``."""
     fields = read_bounded(public_path, _MOST_KEY_BYTES).decode("utf-8", "replace").split()
     principal = fields[2] if len(fields) > 2 else ""
     if not PRINCIPAL.fullmatch(principal):
@@ -196,12 +184,8 @@ def ensure_key(
 ) -> BenchKey:
     """Load the bench's key, or make one at first use.
 
-    folder: The configuration folder, from `bench.base.home.home_folder`.
     principal: Name of the signer for a new key, as ``name@place``; None for ``bench@`` and the name of the
       computer.
-    ask_passphrase: Returns the passphrase of a protected key, given the path of its file; None if nobody can
-      be asked.
-    Returns: The key; its ``created`` is set if it is new.
     Raises EvidenceError: When the key cannot be used: other users can read it, it is protected and nobody can
       be asked, or it is not an Ed25519 key.
     """
@@ -215,10 +199,7 @@ def ensure_key(
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Lock the configuration folder while a key is made or replaced; waits for other processes.
-
-    Yields: For the block.
-    """
+    """Lock the configuration folder while a key is made or replaced; waits for other processes."""
     with storage_errors(folder):
         lock = open_to_lock(folder)
         try:
@@ -233,7 +214,6 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
 
     principal: Name of the signer, as ``name@place``; None for ``bench@`` and the name of the computer.
     passphrase: Encrypts the private key; None leaves it unencrypted.
-    Raises EvidenceError: When there is a key already, or the principal is not ``name@place``.
     """
     path = folder / KEY_FILE
     if path.exists():
@@ -256,10 +236,7 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
 
 
 def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
-    """Return the private key in OpenSSH's format.
-
-    passphrase: Encrypts it; None leaves it unencrypted.
-    """
+    """Return the private key in OpenSSH's format, encrypted if there is a passphrase."""
     protection = (
         serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
     )
@@ -271,8 +248,6 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key whose seals nobody would accept: before a run begins, not after it.
 
-    key: The bench's key.
-    when: The present time, with its time zone.
     Raises EvidenceError: When ``allowed_signers`` trusts the key at another time only or for another purpose,
       when it is revoked, or when other users can change these lists.
     """
@@ -297,12 +272,7 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
 def usable_key(
     folder: Path, when: datetime, *, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
-    """Load the bench's key, or make one at first use, and check that its seals will be accepted.
-
-    when: The present time, with its time zone.
-    ask_passphrase: As for `ensure_key`.
-    Raises EvidenceError, StorageError: As `ensure_key` and `require_usable`.
-    """
+    """Load the bench's key, or make one at first use, and check that its seals will be accepted."""
     key = ensure_key(folder, ask_passphrase=ask_passphrase)
     require_usable(folder, key, when)
     return key
@@ -313,9 +283,6 @@ def key_to_seal(
 ) -> BenchKey:
     """Return the key to seal with at the end of a run: another one if it was replaced during the run.
 
-    key: The key that was loaded when the run began.
-    when: The present time, with its time zone.
-    ask_passphrase: As for `ensure_key`; called only if the key was replaced.
     Raises EvidenceError, StorageError: As `load_key` and `require_usable`; the run can be sealed later with
       ``starbench resume``.
     """
@@ -330,22 +297,13 @@ def key_to_seal(
 
 
 def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> BenchKey:
-    """Load the bench's key.
-
-    ask_passphrase: Returns the passphrase of a protected key, given the path of its file; None if nobody can
-      be asked.
-    Raises EvidenceError: When there is no key, or it cannot be used (see `ensure_key`).
-    """
+    """Load the bench's key; ``ask_passphrase`` is None if nobody can be asked. Raises as `ensure_key`."""
     _finish_locked(folder)
     return _load(folder, ask_passphrase)
 
 
 def finish_rotation(folder: Path) -> None:
-    """Put a new key in its place if `bench.evidence.rotation.rotate` was killed after the key became trusted.
-
-    folder: The configuration folder, locked by this process.
-    Raises EvidenceError, StorageError: When the list of trusted keys or a file cannot be used.
-    """
+    """Put a new key in its place, if the process that replaced it was killed after the new one became trusted."""
     new, public = folder / NEW_KEY, folder / f"{NEW_KEY}.pub"
     with storage_errors(folder):
         if not new.exists() or not public.exists():

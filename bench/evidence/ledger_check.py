@@ -41,10 +41,7 @@ _ASK = "Ask who can write to this computer's files."
 
 
 def own_public_keys(home: Path) -> set[bytes]:
-    """Return the public keys of this bench: the present one, and trusted ones of the same name.
-
-    Returns: As SSH encodes them; empty if the bench has no key.
-    """
+    """Return this bench's public keys as SSH encodes them: the present one, and trusted ones of the same name."""
     try:
         fields = (home / KEY_FILE).with_suffix(".pub").read_text(encoding="utf-8").split()
         own, principal = base64.b64decode(fields[1], validate=True), fields[2]
@@ -58,10 +55,7 @@ def own_public_keys(home: Path) -> set[bytes]:
 
 
 def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
-    """Return whether the signature of a sealed folder names one of some keys. The signature is not verified.
-
-    Returns: False also where the folder is not sealed.
-    """
+    """Return whether the signature of a sealed folder, which is not verified, names one of some keys."""
     path = folder / SIGNATURE
     try:
         if not is_sealed(folder) or path.stat().st_size > _LARGEST_SIGNATURE_BYTES:

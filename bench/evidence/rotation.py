@@ -38,11 +38,8 @@ class Rotation:
 def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
     """Replace the bench's key by a new one with the same principal.
 
-    now: The present time, with its time zone: the end of the old key's validity and the beginning of the new
-      one's.
     passphrase: Encrypts the new private key; None leaves it unencrypted.
     keep_old: Whether the old private key is kept in ``old_keys``; else it is deleted.
-    Raises EvidenceError: When there is no key, or its public key cannot be read.
     """
     if not (folder / KEY_FILE).exists():
         raise EvidenceError(

@@ -64,10 +64,7 @@ class PassportSeal:
 def seal_passport(data: bytes, key: BenchKey) -> bytes:
     """Add a seal to a passport.
 
-    data: Bytes of an unsealed passport file, as `bench.plan.passports.passport_bytes` writes them.
-    key: The bench's key.
     Returns: The sealed file. Removing its second line gives ``data``.
-    Raises EvidenceError: When the file has a seal already, or another layout.
     """
     if not data.startswith(_FIRST + b" ") or _has_seal_line(data):
         raise EvidenceError("This is not an unsealed passport in the layout that Starbench writes.")
@@ -79,7 +76,6 @@ def read_passport_seal(data: bytes) -> PassportSeal | None:
     """Check the seal of a passport.
 
     Returns: The seal; None if the file has none.
-    Raises EvidenceError: When the seal does not match the file: one of them was changed.
     """
     if not _has_seal_line(data):
         return None
@@ -183,20 +179,12 @@ delete it: chmod -R u+w, then rm -r.
 
 
 def kind_of(path: Path) -> str:
-    """Return what a folder is, by its content.
-
-    Returns: ``run``, ``certificate``, ``results`` (recalculated) or ``files``.
-    """
+    """Return what a folder is, by its content: ``run``, ``certificate``, ``results`` (recalculated) or ``files``."""
     return next((kind for name, kind in KINDS.items() if (path / name).is_file()), "files")
 
 
 def instructions(kind: str, *, principal: str, fingerprint: str) -> str:
-    """Return the text of ``VERIFY.txt``.
-
-    kind: What the folder is, from `kind_of`.
-    principal: Name of the bench that seals, as ``name@place``.
-    fingerprint: Fingerprint of the bench's key.
-    """
+    """Return the text of ``VERIFY.txt`` for a folder of this kind, sealed by this bench."""
     return _TEXT.format(what=_WHAT[kind], more=_MORE[kind], principal=principal, fingerprint=fingerprint)
 
 
@@ -219,10 +207,8 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
     """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
 
     folder: The folder, locked by the caller; its journal is closed and its report is written.
-    key: The bench's key.
     Raises EvidenceError: When the folder has no journal, or has something that cannot be listed: a link, a
       device, a name with control characters.
-    Raises StorageError: When a file cannot be written; the folder is then not sealed.
     """
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
@@ -234,10 +220,8 @@ def seal_folder(path: Path, key: BenchKey) -> str:
     """Seal any folder: a run, a certificate, recalculated results, a passport.
 
     path: The folder; all its files are written, and no other process writes to it.
-    key: The bench's key.
-    Raises EvidenceError: When the folder is sealed already, has a reserved file before its seal, or has something
-      that cannot be listed: a link, a device, a name with control characters.
-    Raises StorageError: When a file cannot be written; the folder is then not sealed.
+    Raises EvidenceError: When the folder is sealed already, has a reserved file before its seal, or has
+      something that cannot be listed: a link, a device, a name with control characters.
     """
     _refuse_sealed(path)
     with storage_errors(path):
@@ -281,7 +265,6 @@ def _sync_files(path: Path) -> None:
 def make_manifest(path: Path) -> bytes:
     """Hash every file of a folder, and list them in the format of ``sha256sum``, sorted by name.
 
-    Returns: The text of ``SHA256SUMS``.
     Raises EvidenceError: When the folder has something that cannot be listed: a link, a device, a name with
       control characters.
     """
@@ -301,7 +284,6 @@ def make_manifest(path: Path) -> bytes:
 def read_manifest(manifest: bytes) -> dict[str, str]:
     """Read the list of a seal.
 
-    manifest: The text of ``SHA256SUMS``.
     Returns: SHA-256 in hexadecimal by file name, in the order of the list.
     Raises EvidenceError: When a line is not ``hash, two spaces, name``, when names are not sorted or not
       unique, or when a name leads out of the folder.
@@ -327,7 +309,6 @@ def list_files(path: Path) -> dict[str, str]:
     """List everything in a folder and its subfolders, except the folders. Links are not followed.
 
     Returns: ``file``, ``link`` or ``special file`` by name; names are relative to the folder, with ``/``.
-    Raises OSError: When a subfolder cannot be read.
     """
     found = {}
     for folder_name, folders, files in os.walk(path, onerror=_refuse):
@@ -344,10 +325,7 @@ def _refuse(error: OSError) -> None:
 
 
 def make_read_only(path: Path) -> None:
-    """Make a folder, its subfolders and their files read-only.
-
-    Raises StorageError: When a mode cannot be changed.
-    """
+    """Make a folder, its subfolders and their files read-only. Raises StorageError when a mode cannot be changed."""
     with storage_errors(path):
         for folder_name, _, files in os.walk(path, topdown=False):
             folder = Path(folder_name)
@@ -373,7 +351,6 @@ _MODE, _FOLDER_MODE = 0o444, 0o555
 def read_beside(folder: Path, name: str) -> bytes | None:
     """Read a reserved file, or the signature of the seal.
 
-    Returns: Its bytes; None if there is no such file.
     Raises EvidenceError: When it is a link, not a file, or larger than 1 MiB.
     """
     path = folder / name
@@ -391,7 +368,6 @@ def read_beside(folder: Path, name: str) -> bytes | None:
 def add_beside(folder: Path, name: str, data: bytes) -> None:
     """Add a reserved file beside the seal. The file and the folder are read-only afterwards.
 
-    name: One of `bench.evidence.seal.RESERVED`.
     Raises EvidenceError: When the name is not reserved, or there is such a file: it is never replaced.
     """
     if name not in RESERVED:

@@ -34,9 +34,7 @@ _ANY_ACCESS_BY_OTHERS = 0o077
 def refuse_writable_by_others(path: Path, what: str) -> None:
     """Refuse a file, or a folder, that other users can change or replace.
 
-    what: What it is, for the message: ``the list of trusted keys``.
     Raises EvidenceError: When the group or others can write to it or to its folder.
-    Raises OSError: When its mode cannot be read.
     """
     if not hasattr(os, "getuid"):  # Windows has no such modes
         return
@@ -56,7 +54,6 @@ def refuse_writable_by_others(path: Path, what: str) -> None:
 def read_list(path: Path, what: str) -> str:
     """Read a list on which the trust rests.
 
-    what: What it is, for the message: ``the list of trusted keys``.
     Raises EvidenceError: When other users can change it, it is not a file, is larger than 16 MB, or is not
       text.
     """
@@ -84,11 +81,7 @@ def read_list(path: Path, what: str) -> str:
 
 
 def refuse_readable_by_others(path: Path) -> None:
-    """Refuse a private key that other users can read.
-
-    Raises EvidenceError: When the group or others have any access to it, or it belongs to another user.
-    Raises OSError: When its mode cannot be read.
-    """
+    """Refuse a private key that other users can read, or own."""
     if not hasattr(os, "getuid"):
         return
     status = path.stat()
@@ -140,21 +133,14 @@ class Signer:
         return bool(self.namespaces) and self.may_sign(NAMESPACE)
 
     def may_sign(self, namespace: str) -> bool:
-        """Return whether the key is trusted for a purpose, at any time.
-
-        Returns: Whether a pattern matches, and none with ``!`` does (ssh_config(5), PATTERNS).
-        """
+        """Return whether a pattern of the key's purposes matches, and none with ``!`` (ssh_config(5), PATTERNS)."""
         if not self.namespaces:
             return True
         matching = [pattern for pattern in self.namespaces if _matches(pattern.removeprefix("!"), namespace)]
         return bool(matching) and not any(pattern.startswith("!") for pattern in matching)
 
     def rejection(self, namespace: str, when: datetime) -> str | None:
-        """Return why a signature of this key is rejected.
-
-        when: Moment at which the key must be valid, with its time zone.
-        Returns: The reason; None if the key may sign.
-        """
+        """Return why a signature of this key at a moment is rejected; None if the key may sign."""
         if not self.may_sign(namespace):
             return f"the key is trusted for {', '.join(self.namespaces)}, not for {namespace}"
         if self.valid_after is not None and when < self.valid_after:
@@ -167,7 +153,6 @@ class Signer:
 def read_signers(path: Path) -> list[Signer]:
     """Read a list of trusted keys.
 
-    path: A file in the format ``allowed_signers``.
     Returns: The keys in the order of the lines.
     Raises EvidenceError: When the file cannot be read, other users can change it, or a line is not
       understood; the message names the line.
@@ -192,10 +177,7 @@ def read_signers(path: Path) -> list[Signer]:
 
 
 def read_signer(line: str) -> Signer:
-    """Read one line of ``allowed_signers``.
-
-    Raises EvidenceError: When it is not such a line, or its key is of an unknown type.
-    """
+    """Read one line of ``allowed_signers``; its key must be of a known type."""
     fields = _FIELD.findall(line.strip())
     options_text = fields[1] if len(fields) > 1 and fields[1] not in _TYPES else ""
     key_fields = fields[2:4] if options_text else fields[1:3]
@@ -225,7 +207,6 @@ def _refuse_unknown(options: Mapping[str, str], text: str, fields: Sequence[str]
 def read_public_key(text: str) -> bytes:
     """Read a public key as OpenSSH writes it: its type, its base64, and a comment that is not used.
 
-    text: The text of a file ``.pub``.
     Raises ValueError: When it is not a public key of a known type.
     """
     key_type, _, rest = text.strip().partition(" ")
@@ -244,7 +225,6 @@ def read_public_key(text: str) -> bytes:
 def trust(folder: Path, line: str) -> Signer:
     """Add a line to ``allowed_signers``, unless the file contains it already.
 
-    line: A line of ``allowed_signers``.
     Raises EvidenceError: When this is not a line of a key, the key is trusted for the other purpose already,
       or other users can change the file.
     """
@@ -263,7 +243,6 @@ def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added
     """End the validity of a key in ``allowed_signers``, and add lines, in one step.
 
     public_key: The key whose lines get ``valid-before``; a line that ends earlier stays as it is.
-    Raises EvidenceError: When a line is not understood, or other users can change the file.
     """
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
@@ -316,7 +295,6 @@ def _refuse_two_purposes(path: Path, signer: Signer) -> None:
 def parse_time(text: str) -> datetime:
     """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z.
 
-    Returns: The moment, UTC.
     Raises ValueError: When it is not of this form.
     """
     digits = text.removesuffix("Z")
@@ -333,11 +311,7 @@ def parse_time(text: str) -> datetime:
 
 
 def time_text(moment: datetime) -> str:
-    """Write a time as ssh-keygen(1) reads it.
-
-    moment: The moment, with its time zone.
-    Returns: ``YYYYMMDDHHMMSSZ``.
-    """
+    """Write a time as ssh-keygen(1) reads it: ``YYYYMMDDHHMMSSZ``."""
     return f"{moment.astimezone(UTC):%Y%m%d%H%M%SZ}"
 
 
@@ -408,11 +382,7 @@ def read_revoked(path: Path) -> list[RevokedKey]:
 
 
 def revoke(folder: Path, key: RevokedKey) -> None:
-    """Add a key to the list of revoked keys.
-
-    Raises EvidenceError: When it is revoked already, the reason is not one line of text, or other users can
-      change the file.
-    """
+    """Add a key to the list of revoked keys, with a reason of one line."""
     path = folder / REVOKED_FILE
     if not key.reason.strip() or not key.reason.isprintable():
         raise EvidenceError(

@@ -51,11 +51,7 @@ def string(data: bytes) -> bytes:
 
 
 def strings(data: bytes, count: int) -> tuple[list[bytes], bytes]:
-    """Read strings (RFC 4251, section 5).
-
-    Returns: So many strings, and what follows them.
-    Raises ValueError: When the data are shorter.
-    """
+    """Read so many strings, and return what follows them too (RFC 4251, section 5)."""
     found = []
     for _ in range(count):
         size = int.from_bytes(data[:4], "big")
@@ -67,19 +63,12 @@ def strings(data: bytes, count: int) -> tuple[list[bytes], bytes]:
 
 
 def encode_public_key(key: Ed25519PublicKey) -> bytes:
-    """Encode a public key as SSH does (RFC 8709, section 4).
-
-    Returns: What OpenSSH writes in base64 after the type of the key.
-    """
+    """Encode a public key as SSH does (RFC 8709, section 4): what OpenSSH writes in base64 after its type."""
     return string(KEY_TYPE) + string(key.public_bytes_raw())
 
 
 def check_key(public_key: bytes) -> None:
-    """Refuse a public key that is not accepted.
-
-    public_key: The key as SSH encodes it (the part in base64 of its line).
-    Raises ValueError: When it is not a key of a known type, or an RSA key of less than 2048 bit.
-    """
+    """Refuse a public key of an unknown type, and an RSA key of less than 2048 bit."""
     key_type = key_type_of(public_key).encode()
     if key_type not in KEY_TYPES:
         raise ValueError("its type of key is not supported")
@@ -92,10 +81,7 @@ def check_key(public_key: bytes) -> None:
 
 
 def key_type_of(public_key: bytes) -> str:
-    """Return the type of a public key, as the first word of its line.
-
-    Returns: The type; empty if it cannot be read.
-    """
+    """Return the type of a public key, as the first word of its line; empty if it cannot be read."""
     try:
         return strings(public_key, 1)[0][0].decode("ascii")
     except ValueError:
@@ -103,10 +89,7 @@ def key_type_of(public_key: bytes) -> str:
 
 
 def fingerprint(public_key: bytes) -> str:
-    """Return the fingerprint of a public key, as ``ssh-keygen -l`` prints it.
-
-    Returns: ``SHA256:`` and the hash in base64, without padding.
-    """
+    """Return the fingerprint of a public key as ``ssh-keygen -l`` does: ``SHA256:`` and base64 without padding."""
     digest = base64.b64encode(hashlib.sha256(public_key).digest()).decode()
     return "SHA256:" + digest.rstrip("=")
 
@@ -143,10 +126,7 @@ class OpenSshKey:
         return f"OpenSshKey({self.public_text})"
 
     def sign(self, message: bytes, namespace: str) -> bytes:
-        """Return the armoured signature of a message.
-
-        Raises EvidenceError: When OpenSSH is not installed, does not answer, or refuses.
-        """
+        """Return the armoured signature of a message. Raises EvidenceError when OpenSSH cannot make it."""
         with tempfile.TemporaryDirectory(prefix="starbench-sign-") as folder:
             public, ask, data = (Path(folder) / name for name in ("key.pub", "ask", "message"))
             data.write_bytes(message)
@@ -173,10 +153,7 @@ class OpenSshKey:
 
 
 def is_valid_for_openssh(armoured: bytes, message: bytes, namespace: str) -> bool:
-    """Return whether a signature is valid for a message, by the key in it; whether that is trusted is not asked.
-
-    Raises NotInstalled: When ssh-keygen is not here.
-    """
+    """Return whether a signature is valid for a message, by the key in it; whether that is trusted is not asked."""
     with tempfile.TemporaryDirectory(prefix="starbench-check-") as folder:
         signature = Path(folder) / "signature"
         signature.write_bytes(armoured)
@@ -185,19 +162,12 @@ def is_valid_for_openssh(armoured: bytes, message: bytes, namespace: str) -> boo
 
 
 def agent_socket(environ: Mapping[str, str] = os.environ) -> str | None:
-    """Return the socket of the agent of this session.
-
-    Returns: Path of the socket; None if there is no agent.
-    """
+    """Return the path of the socket of this session's agent; None if there is no agent."""
     return environ.get(SOCKET_VARIABLE) or None
 
 
 def agent_lines(agent: str) -> list[str]:
-    """Return the public keys of an agent, a line each: type, base64 and comment.
-
-    agent: Path of the agent's socket.
-    Raises EvidenceError: When the agent does not answer.
-    """
+    """Return the public keys of an agent, a line each: type, base64 and comment."""
     done = _run("ssh-add", ["-L"], {SOCKET_VARIABLE: agent}, _CHECK_S)
     text = done.stdout.decode(errors="replace")
     if done.returncode == 0:
@@ -308,10 +278,7 @@ class Ed25519Signer:
 
 
 def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
-    """Sign a message with an Ed25519 key (PROTOCOL.sshsig of OpenSSH). The signature is deterministic (RFC 8032).
-
-    Returns: The armoured signature, as ``ssh-keygen -Y sign`` writes it.
-    """
+    """Sign as ``ssh-keygen -Y sign`` does, armoured (PROTOCOL.sshsig of OpenSSH); deterministic (RFC 8032)."""
     signature = string(KEY_TYPE) + string(key.sign(_signed_data(message, namespace.encode(), b"sha512")))
     parts = (encode_public_key(key.public_key()), namespace.encode(), b"", b"sha512", signature)
     text = base64.b64encode(_MAGIC + _VERSION.to_bytes(4, "big") + b"".join(map(string, parts)))
@@ -320,11 +287,7 @@ def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
 
 
 def read_signature(armoured: bytes) -> SshSignature:
-    """Read an armoured signature (PROTOCOL.sshsig of OpenSSH). This does not yet verify it.
-
-    armoured: The signature as ``ssh-keygen -Y sign`` writes it.
-    Raises EvidenceError: When it is not an SSHSIG of a key whose type is known.
-    """
+    """Read an armoured signature (PROTOCOL.sshsig of OpenSSH). This does not yet verify it."""
     try:
         return _parse(_remove_armour(armoured), armoured)
     except ValueError as error:
@@ -337,9 +300,8 @@ def read_signature(armoured: bytes) -> SshSignature:
 def is_valid(signature: SshSignature, message: bytes) -> bool:
     """Return whether a signature is valid for a message, with the public key that the signature itself contains.
 
-    Returns: Whether it is valid; the caller decides whether the key is trusted. A security token's signature is valid
-      only if a person touched the token.
-    Raises NotInstalled: When ``ssh-keygen`` is needed for this type of key, and is not here.
+    Returns: Whether it is valid; the caller decides whether the key is trusted. A security token's signature
+      is valid only if a person touched the token.
     """
     key_type = key_type_of(signature.public_key)
     if key_type.encode() != KEY_TYPE:

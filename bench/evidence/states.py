@@ -33,10 +33,7 @@ _LAST_BYTES = 1 << 20
 
 
 def stated_time(folder: Path) -> datetime | None:
-    """Return when a folder says that it was made: the end of a run, the issue of a certificate, a recalculation.
-
-    Returns: The moment, UTC; None if no file states one.
-    """
+    """Return when a folder was made, UTC: end of run, issue, or recalculation; None if no file states it."""
     if (folder / JOURNAL).is_file():
         return _last_time(folder / JOURNAL)
     for name, keys in _PLACES:
@@ -121,9 +118,6 @@ class Standing:
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
     """Check the signatures and time stamps beside a folder; the listed files themselves are not hashed.
 
-    folder: A run folder, a certificate folder, or a folder of results.
-    trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`.
-    now: The present time, with its time zone.
     at: Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp
       goes before it. None: the bench's own clock states the moment of the seal.
     """
@@ -238,13 +232,7 @@ def home_trust(home: Path) -> Trust:
 
 
 def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHING_KNOWN) -> ShownState:
-    """Return the state of a folder as one line.
-
-    folder: A run folder, a certificate folder, or a folder of results.
-    now: The present time, with its time zone.
-    known: Authorisations that the ledger names, from
-      `bench.evidence.authorisation.known_authorisations`.
-    """
+    """Return the state of a folder as one line; ``known`` holds the authorisations that the ledger names."""
     if not is_sealed(folder):
         return ShownState()
     try:

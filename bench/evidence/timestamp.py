@@ -172,11 +172,7 @@ class StampCheck:
 
 
 def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampCheck:
-    """Check the time stamps beside a seal. Nothing is asked over a network.
-
-    authorities: The trusted authorities, from `read_authorities`.
-    Returns: What was found; nothing for a folder without time stamps.
-    """
+    """Check the time stamps beside a seal. Nothing is asked over a network."""
     check = StampCheck()
     for name in STAMPED:
         try:
@@ -238,11 +234,7 @@ def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, na
 
 
 def as_reply(data: bytes) -> bytes:
-    """Return a complete reply. A bare token is put into one, because ``openssl ts -verify -in`` reads replies.
-
-    data: A reply, or a token (``openssl ts -reply -token_out``).
-    Raises EvidenceError: When it is neither.
-    """
+    """Return a complete reply. A bare token is put into one, because ``openssl ts -verify -in`` reads replies."""
     client = stamp_library()
     for candidate in (data, sequence(_GRANTED + data)):
         with suppress(EvidenceError):
@@ -257,10 +249,7 @@ def read_authorities(
 ) -> TrustedAuthorities:
     """Read the certificates of the trusted time stamping authorities.
 
-    certificates: File to use instead of ``tsa_certificates.pem``; it must exist.
-    laboratory: File to use instead of ``tsa_laboratory.pem``; it must exist.
     Returns: The certificates; none where the configuration folder has no such file.
-    Raises EvidenceError: When a file holds no certificate, or other users can change it.
     """
     return TrustedAuthorities(
         _read_certificates(certificates or home / TSA_FILE, needed=certificates is not None),
@@ -287,10 +276,7 @@ def _read_certificates(path: Path, *, needed: bool) -> tuple[Certificate, ...]:
 
 
 def stamp_library() -> Any:
-    """Return the functions of rfc3161-client that are used here, in one object.
-
-    Raises UncheckedError: When the package is not installed.
-    """
+    """Return the functions of rfc3161-client that are used here; UncheckedError where it is not installed."""
     try:
         import rfc3161_client
         from rfc3161_client.base import HashAlgorithm
@@ -309,11 +295,7 @@ def stamp_library() -> Any:
 
 
 def read_reply(client: Any, reply: bytes) -> Any:
-    """Read a reply that grants a time stamp.
-
-    client: The package for time stamps, from `stamp_library`.
-    Raises EvidenceError: When it is not a reply, or the authority did not grant the time stamp.
-    """
+    """Read a reply that grants a time stamp, with the package of `stamp_library`."""
     with _reading():
         response = client.decode_timestamp_response(sets_in_order(reply))
         status = response.status

@@ -37,7 +37,6 @@ def make_request(signed: bytes, *, nonce: bool) -> Request:
 
     nonce: Whether the request holds a random number. Without it the same bytes give the same request, as
       ``openssl ts -query -no_nonce -sha256 -cert`` makes it.
-    Raises UncheckedError: When the package for time stamps is missing.
     """
     library = stamp_library()
     builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.HashAlgorithm.SHA256)
@@ -46,11 +45,7 @@ def make_request(signed: bytes, *, nonce: bool) -> Request:
 
 
 def check_url(url: str) -> None:
-    """Check the address of an authority before anything is sent.
-
-    Raises UsageError: When it is not ``https://`` or ``http://`` with a host, or has a user or password in
-      it.
-    """
+    """Check the address of an authority before anything is sent: http(s) with a host, without user or password."""
     try:
         parts = urlsplit(url)
         port = parts.port
@@ -71,9 +66,7 @@ def check_url(url: str) -> None:
 def ask_authority(url: str, request: Request) -> bytes:
     """Send a request to an authority.
 
-    url: Its address, ``https`` or ``http``.
     Returns: Its reply, which repeats the nonce; it is not verified yet.
-    Raises UsageError: When the address is not one of an authority.
     Raises EvidenceError: When the authority does not answer in 20 s, answers with a redirect or an error, or
       not with a time stamp.
     """
@@ -128,10 +121,7 @@ def _post(url: str, data: bytes) -> bytes:
 
 @contextmanager
 def _deadline(connection: socket.socket) -> Iterator[Callable[[], bool]]:
-    """End the connection when the block takes too long, however slowly the bytes of the other side arrive.
-
-    Yields: Tells whether the time has passed.
-    """
+    """End the connection when the block takes too long, however slow the answer; yields whether it has."""
     late = threading.Event()
 
     def end() -> None:

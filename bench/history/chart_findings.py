@@ -81,7 +81,6 @@ def group_runs(
 ) -> Grouped:
     """Put runs into groups that can be in one chart.
 
-    found: Runs with their details from the index and their places in the ledgers, in any order.
     by: ``camera`` or ``type``; both where None. Types have a group of their own if they have several cameras.
     """
     by_key: dict[ChartKey, ChartGroup] = {}
@@ -176,11 +175,7 @@ def slope_text(slope: Finding, unit: str, per: str) -> str:
 
 
 def time_unit(span_days: float) -> str:
-    """Return the unit of time in which to state a slope.
-
-    span_days: Time between the first and the last run, days.
-    Returns: ``hour``, ``day`` or ``year``.
-    """
+    """Return the unit in which to state a slope of so many days: ``hour``, ``day`` or ``year``."""
     return "hour" if span_days < 2.0 else "day" if span_days < 120.0 else "year"
 
 
@@ -194,11 +189,7 @@ def name_slopes(chart: dict[str, Any], group: Finding) -> None:
 
 
 def parameter_verdict(chart: Finding, group: Finding) -> str:
-    """Say what a chart shows.
-
-    chart: The parameter, with its ``state``.
-    group: Its group, with ``runs``.
-    """
+    """Say what a chart of a group shows."""
     runs = len(chart["values"])
     if chart["state"] == "too few":
         return f"{counted(runs, 'run')}: too few for limits (at least 5 are needed)."
@@ -298,10 +289,7 @@ def group_place(group: Finding) -> str:
 
 
 def group_verdict(group: Finding) -> str:
-    """Say in one or two sentences what the charts of a group show.
-
-    group: The group, with the ``state`` of each parameter.
-    """
+    """Say in one or two sentences what the charts of a group show."""
     charts = group["parameters"]
     if group["state"] == "too few":
         return f"{counted(len(group['runs']), 'run')}: too few for a verdict (at least 5 are needed)."
@@ -339,7 +327,6 @@ def find_charts(
 ) -> Json:
     """Compute all charts, and judge them together.
 
-    groups: The groups, from `bench.history.chart_findings.group_runs`.
     parameter: Only this parameter; all where None.
     baseline: Number of first runs of each group from which the limits come; all where None.
     Returns: ``schema level groups``. Each group has its ``runs``, its ``parameters``, its ``verdict`` and its
@@ -480,8 +467,5 @@ def drifts(chart: Mapping[str, Any]) -> bool:
 
 
 def needs_attention(group: Mapping[str, Any]) -> bool:
-    """Return whether a group is out of control, or one of its parameters drifts.
-
-    Returns: False also with too few runs.
-    """
+    """Return whether a group is out of control, or one of its parameters drifts; False with too few runs."""
     return group["state"] == "out of control" or any(drifts(chart) for chart in group["parameters"])

@@ -92,11 +92,7 @@ class GaugeStudy:
 def study(
     values: Sequence[float], cameras: Sequence[str], factors: Mapping[str, Sequence[str]]
 ) -> GaugeStudy:
-    """Analyse the scatter of a parameter.
-
-    factors: By name, such as ``operator``, the level of each run.
-    Raises UsageError: When the runs do not hold such a study; says what is missing.
-    """
+    """Analyse the scatter of a parameter; ``factors`` holds the level of each run, such as of ``operator``."""
     _require_levels(PART, cameras)
     for name, levels in factors.items():
         _require_levels(name, levels)

@@ -68,11 +68,7 @@ class MergedLedgers:
 
 
 def read_source(ledger: Ledger, *, required: bool = True) -> LedgerSource:
-    """Read the ledger of one bench, and compare it with the places that know of it.
-
-    required: Whether a missing ledger is an error.
-    Raises UsageError: When there is no ledger, and it is required.
-    """
+    """Read the ledger of one bench, and compare it with the places that know of it."""
     bench = _bench_name(ledger.home)
     if required and not ledger.path.is_file():
         raise UsageError(

@@ -179,10 +179,7 @@ class Slope:
     runs: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content as JSON holds it.
-
-        Returns: All attributes, and ``expanded``: the 95 % half-width by Student's t.
-        """
+        """Return all attributes, and ``expanded``: the 95 % half-width by Student's t."""
         k = float(stats.t.ppf(0.975, self.degrees_of_freedom))
         return {**vars(self), "expanded": k * self.sigma}
 

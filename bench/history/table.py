@@ -138,10 +138,7 @@ _FURTHER = {
 
 
 def parameter_unit(parameter: str) -> str:
-    """Return the unit of a parameter.
-
-    Returns: ``px`` or ``mm``; empty for a pure number.
-    """
+    """Return the unit of a parameter: ``px`` or ``mm``; empty for a pure number."""
     unit = unit_of(parameter)
     return "" if unit == "1" else unit
 
@@ -196,20 +193,14 @@ _COPIED = frozenset(column.name for column in COLUMNS)
 
 
 def kind_of(run: IndexedRun) -> str:
-    """Return what a run is.
-
-    Returns: ``measured``, ``simulated`` or ``rehearsed``.
-    """
+    """Return what a run is: ``measured``, ``simulated`` or ``rehearsed``."""
     return "rehearsed" if run.rehearsal else "simulated" if run.simulated else "measured"
 
 
 def table_row(
     run: IndexedRun, details: Mapping[str, Any], place: RunPlace, state: ShownState
 ) -> dict[str, Any]:
-    """Return the row of a run.
-
-    Returns: Value by column, in the order of `table_schema.COLUMNS`; None where nothing is known.
-    """
+    """Return the row of a run by column, in the order of `table_schema.COLUMNS`; None where nothing is known."""
     row: dict[str, Any] = dict.fromkeys(column.name for column in COLUMNS)
     stated = {**vars(run), **details}
     row |= {name: value for name, value in stated.items() if name in _COPIED}
@@ -292,10 +283,7 @@ Row = Mapping[str, Any]
 
 
 def require_writable_table(path: Path) -> None:
-    """Refuse a name or a place at which no table can be written, before any work begins.
-
-    Raises UsageError: If the ending is not known, pyarrow is missing, or the folder does not exist.
-    """
+    """Refuse a name or a place at which no table can be written, before any work begins."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(
             f"The table can be written as Parquet or CSV, not as {path.suffix or 'a file without an ending'}.",
@@ -312,9 +300,7 @@ def require_writable_table(path: Path) -> None:
 def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> int:
     """Write the table, in place of an older file of that name.
 
-    rows: Rows, as `bench.history.table.table_row` makes them.
     faults: What was noticed when the runs were merged; Parquet keeps it in the metadata of the file.
-    Raises UsageError: As `require_writable_table`.
     """
     require_writable_table(path)
     part = path.with_name(f".{path.name}.part")
@@ -354,7 +340,6 @@ def arrow_schema(faults: Sequence[str] = ()) -> Any:
 
     Returns: With ``starbench_schema`` and ``starbench_faults`` in its metadata, and unit and meaning of each
       column.
-    Raises UsageError: If pyarrow is missing.
     """
     pa = _pyarrow()
     fields = [

@@ -41,11 +41,7 @@ _MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
 def channels_of(messages: MessagesConfig) -> list[str]:
-    """Return the channels of a station as the outbox keeps them.
-
-    messages: The station file's ``messages`` section.
-    Returns: One JSON object for each channel: kind and configuration, without secrets.
-    """
+    """Return the channels of a station as the outbox keeps them: a JSON object each, without secrets."""
     mails = [{_MAIL: messages.mail.model_dump()}] if messages.mail is not None else []
     hooks = [{_WEBHOOK: hook.model_dump()} for hook in messages.webhooks]
     services = [{_APPRISE: service.model_dump()} for service in messages.apprise]
@@ -53,11 +49,7 @@ def channels_of(messages: MessagesConfig) -> list[str]:
 
 
 def send(message: Message, channel: str, environ: Mapping[str, str] = os.environ) -> None:
-    """Deliver a message to a channel.
-
-    channel: The channel, from `channels_of`.
-    Raises DeliveryFailed: When it could not be delivered, with the reason.
-    """
+    """Deliver a message to a channel of `channels_of`. Raises DeliveryFailed with the reason."""
     ((kind, config),) = json.loads(channel).items()
     try:
         if kind == _MAIL:
@@ -141,9 +133,6 @@ def _secret(variable: str, environ: Mapping[str, str]) -> str:
 class Courier:
     """Writes the messages about one run, and delivers them in a thread of its own.
 
-    messages: The station file's ``messages`` section.
-    outbox: Keeps the messages until they are delivered.
-    clock: Gives the time of a message.
     say: Shows the operator a message that could not be kept; the run continues.
     """
 
@@ -195,11 +184,7 @@ class Courier:
         self._wake_all()
 
     def is_wanted(self, occasion: str) -> bool:
-        """Return whether the station file asks for messages on this occasion, and names a channel.
-
-        occasion: ``failure``, ``hold`` or ``end``.
-        Returns: True where a message is to be written.
-        """
+        """Return whether the station wants messages on ``failure``, ``hold`` or ``end``, and names a channel."""
         return occasion in self._occasions and bool(self._channels)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:

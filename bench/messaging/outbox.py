@@ -87,20 +87,14 @@ Send = Callable[[Message, str], None]
 
 
 class Outbox:
-    """The outbox of a bench. Every method opens the file anew, because other processes use it too.
-
-    home: The configuration folder, from `bench.base.home.home_folder`.
-    """
+    """The outbox of a bench. Every method opens the file anew, because other processes use it too."""
 
     def __init__(self, home: Path) -> None:
         self._home = home
         self.path = home / OUTBOX
 
     def put(self, message: Message, channels: Sequence[str]) -> None:
-        """Keep a message for its channels. It is on the disk when this returns; a key that is known changes nothing.
-
-        channels: Its channels, from `bench.messaging.messages.channels_of`.
-        """
+        """Keep a message for its channels. It is on the disk when this returns; a key that is known changes nothing."""
         fields = (message.occasion, message.subject, message.text, message.run, message.folder, message.utc)
         place = (message.ledger_number, message.ledger_head)
         with self._open() as database:
@@ -110,22 +104,14 @@ class Outbox:
             )
 
     def deliveries(self) -> list[Delivery]:
-        """List all deliveries, also those that were sent, oldest first.
-
-        Returns: Empty while there is no outbox.
-        Raises StorageError: When the outbox cannot be read.
-        """
+        """List all deliveries, also those that were sent, oldest first."""
         if not self.path.exists():
             return []
         with self._open() as database:
             return [_delivery(row) for row in database.execute("SELECT * FROM deliveries ORDER BY utc, key")]
 
     def channels(self) -> list[str]:
-        """List the channels that something waits for.
-
-        Returns: The channels, as `put` got them; empty while there is no outbox.
-        Raises StorageError: When the outbox cannot be read.
-        """
+        """List the channels, as `put` got them, that something waits for."""
         if not self.path.exists():
             return []
         with self._open() as database:
@@ -138,9 +124,6 @@ class Outbox:
         """Try the deliveries that are due, all channels side by side.
 
         send: Delivers one message; is given up after ``DEADLINE_S``.
-        now: The present time, with its time zone.
-        all_waiting: Whether to try deliveries that are not due yet, too.
-        Raises StorageError: When the outbox cannot be read or written.
         """
 
         def serve(channel: str) -> None:
@@ -173,10 +156,7 @@ class Outbox:
                     return
 
     def waiting(self) -> int:
-        """Count the deliveries that still wait.
-
-        Raises StorageError: When the outbox cannot be read.
-        """
+        """Count the deliveries that still wait."""
         if not self.path.exists():
             return 0
         with self._open() as database:

@@ -38,11 +38,7 @@ class Helper:
         self._closed = False
 
     def ask(self, operation: str, **arguments: Any) -> Answer:
-        """Ask for something, and wait for it.
-
-        operation: Key of `bench.panel.helper_process.OPERATIONS`.
-        Returns: The answer, with ``fault`` if it failed; and its bytes.
-        """
+        """Do an operation of `helper_process.OPERATIONS`; the answer has a ``fault`` if it failed."""
         with self._lock:
             if self._closed:
                 return {"fault": "The panel is ending."}, b""
@@ -55,11 +51,7 @@ class Helper:
                 }, b""
 
     def picture(self, key: tuple[Any, ...], ask: Callable[[], Json]) -> Answer:
-        """Return a picture; one that was made before is not made again.
-
-        ask: Returns the arguments of the operation ``picture``.
-        Returns: As `ask`.
-        """
+        """Return a picture; one that was made before is not made again. ``ask`` returns its arguments."""
         if key in self._kept:
             return self._kept[key]
         answer = self.ask("picture", **ask())

@@ -45,11 +45,7 @@ class _Known:
 
 
 class FolderList:
-    """The runs and batches of a folder, its subfolders and theirs.
-
-    root: The folder; it need not exist yet.
-    utc_now: Returns the present time, UTC.
-    """
+    """The runs and batches of a folder, which need not exist yet, of its subfolders and of theirs."""
 
     def __init__(self, root: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self.root = root
@@ -94,7 +90,6 @@ class FolderList:
         """Return the folder that a page names.
 
         key: Its path relative to the root, with slashes; ``.`` for the root itself.
-        Raises RunFolderError: If there is no run or batch of this name below the root.
         """
         parts = key.split("/")
         if not key or "\0" in key or any(part in {"", ".."} or "\\" in part or ":" in part for part in parts):
@@ -108,10 +103,7 @@ class FolderList:
         return folder
 
     def inside(self, path: Path) -> Path:
-        """Return a path below the root if no link leads from it to the outside.
-
-        Raises RunFolderError: If one does; every reader of the pages could then read other files of this computer.
-        """
+        """Return a path below the root if no link leads out: pages could else read other files of this computer."""
         with storage_errors(path):
             if path.resolve().is_relative_to(self.root.resolve()):
                 return path
@@ -122,10 +114,7 @@ class FolderList:
         )
 
     def key_of(self, folder: Path) -> str:
-        """Return the name of a folder as `folder_of` takes it.
-
-        Returns: Its path relative to the root.
-        """
+        """Return the name of a folder as `folder_of` takes it: its path relative to the root."""
         return folder.relative_to(self.root).as_posix()
 
     def _folders(self, faults: list[str]) -> Iterator[Path]:

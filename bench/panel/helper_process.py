@@ -39,10 +39,7 @@ _PNG_SIZE = struct.Struct(">16xII")
 
 
 def picture_of_view(left: LastView) -> Json:
-    """Return what a page shows of the picture that a run in progress has left.
-
-    Returns: As `picture_answer`.
-    """
+    """Return what a page shows of the picture that a run in progress has left, as `picture_answer`."""
     nodes = np.array(left.nodes, np.float64).reshape(-1, 2)
     points_px = np.array(left.points_px, np.float64).reshape(-1, 2)
     width, height = _PNG_SIZE.unpack_from(left.png)
@@ -52,10 +49,8 @@ def picture_of_view(left: LastView) -> Json:
 def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> Json:
     """Return stars with their residuals to a smooth fit of this pose alone.
 
-    size: Width and height of the image, px.
     nodes: (N, 2) float64, column and row of each star on the target.
     points_px: (N, 2) float64, px, stars found.
-    Returns: As `picture_answer`.
     """
     residuals = smooth_residuals(nodes, points_px)
     return picture_answer(size, points_px, residuals, "a smooth fit of this pose alone")
@@ -87,7 +82,6 @@ def picture_answer(
 ) -> Json:
     """Return stars and residuals as JSON holds them.
 
-    size: Width and height of the image, px.
     points_px: (N, 2) float64, px, stars found.
     residuals_px: (N, 2) float64, px; None if there are none.
     Returns: ``size``, ``stars``, ``residuals``, ``residuals_of``, ``rms_px``, ``fault``.
@@ -252,11 +246,7 @@ OPERATIONS: Mapping[str, Callable[[Mapping[str, Any]], Answer]] = {
 
 
 def answer_requests(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until there are no more.
-
-    requests: Lines of JSON with ``operation`` and its arguments.
-    answers: Where the answers go.
-    """
+    """Answer requests, lines of JSON with ``operation`` and its arguments, until there are no more."""
     from bench.base.failure import Failure
 
     for line in requests:

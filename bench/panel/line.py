@@ -31,8 +31,6 @@ _BROKEN = ("broken", "NOT MEASURED")
 class Line:
     """The line of a panel: at most one run at a time.
 
-    root: Folder of the panel; each run gets a folder in it.
-    sequence, station: As `starbench run` takes them.
     Raises ScriptError: When the two files have faults.
     Raises UsageError: When neither states limits, so that no run could say PASS or FAIL.
     """
@@ -54,10 +52,7 @@ class Line:
         self._simulated = plan.station.value.is_simulated
 
     def begin(self, scanned: str) -> None:
-        """Begin the run of the camera that was scanned.
-
-        Raises UsageError: If the text is no serial number, or a run is in progress.
-        """
+        """Begin the run of the camera that was scanned. Raises UsageError if that cannot be."""
         serial = serial_number(scanned)
         with self._lock:
             if self._process is not None and self._process.poll() is None:

@@ -419,8 +419,6 @@ def _command_fault(given: dict[str, Any]) -> str:
 def panel_app(root: Path, line: Line | None = None) -> Starlette:
     """Return the panel of a folder.
 
-    root: Folder with runs and batches; it need not exist yet.
     line: The line whose page is the first one, if there is one.
-    Returns: The application, for `bench.web.server.serve_pages`.
     """
     return Panel(root, line).app()

@@ -41,10 +41,7 @@ class ProcessState:
 
 
 def look_at_process(folder: Path, state: str) -> ProcessState:
-    """Look at the process of a run.
-
-    Returns: Also if the folder is missing or cannot be read: then with ``fault``.
-    """
+    """Look at the process of a run; a folder that cannot be read gives a ``fault``."""
     try:
         running = is_locked(folder)
     except BenchError as error:
@@ -97,10 +94,7 @@ class Leave:
 
 
 def may_leave(model: RunModel, process: ProcessState, now: datetime) -> Leave:
-    """Return whether a run can be left alone.
-
-    now: The present time, with its time zone.
-    """
+    """Return whether a run can be left alone."""
     history = model.history
     state = history.states[-1]["state"] if history.states else "idle"
     if not process.running:
@@ -191,10 +185,7 @@ _TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted":
 
 
 def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
-    """Return how a run stands, in one or two words, and the tone of it.
-
-    Returns: The words; ``good``, ``warn``, ``bad`` or ``busy``.
-    """
+    """Return how a run stands, in one or two words, and its tone: ``good``, ``warn``, ``bad`` or ``busy``."""
     history = model.history
     if process.running and not history.ended:
         if history.question:
@@ -209,10 +200,7 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
 
 
 def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
-    """Return the upper part of a run's page.
-
-    now: The present time, with its time zone.
-    """
+    """Return the upper part of a run's page."""
     history, plan = model.history, model.plan
     started = history.started
     verdict, tone = verdict_of(model, process)

@@ -32,10 +32,7 @@ MOST_BYTES = 1 << 21
 
 
 class JournalTail:
-    """The end of a journal that another process writes.
-
-    begin_again: Called before lines are read again from the first.
-    """
+    """The end of a journal that another process writes; calls ``begin_again`` before it reads from the first line."""
 
     def __init__(self, path: Path, begin_again: Callable[[], None]) -> None:
         self.path = path
@@ -71,10 +68,7 @@ class JournalTail:
         return (found.st_size, found.st_mtime_ns) != self._seen or self.more
 
     def read(self) -> list[Entry]:
-        """Read further lines, at most ``MOST_BYTES``.
-
-        Returns: Complete, valid lines; empty also if the file cannot be read, then ``fault`` states why.
-        """
+        """Read further complete, valid lines, at most ``MOST_BYTES``; ``fault`` states why there is none."""
         try:
             with storage_errors(self.path):
                 return self._read()
@@ -145,10 +139,7 @@ class RunPlan:
 
 
 def read_plan(folder: Path) -> RunPlan:
-    """Read the plan of a run.
-
-    Returns: Also if there is none, or it is damaged: then with ``fault``.
-    """
+    """Read the plan of a run; one that is missing or damaged gives a ``fault``."""
     path = folder / PLAN
     try:
         plan = read_json(path)
@@ -247,10 +238,7 @@ class RunModel:
         return self._asked_utc
 
     def refresh(self) -> bool:
-        """Read what is new in the journal, at most a part of it.
-
-        Returns: Whether there was anything new.
-        """
+        """Read what is new in the journal, at most a part of it; False if there was nothing."""
         if not self.tail.has_changed():
             return False
         before = self.tail.fault, self.lines, self.tail.incomplete
@@ -259,11 +247,7 @@ class RunModel:
         return before != (self.tail.fault, self.lines, self.tail.incomplete)
 
     def changed_rows(self, after: int) -> list[Json]:
-        """Return the poses that changed after a line.
-
-        after: Number of lines that a page has; 0 for none.
-        Returns: Rows in the order of the poses.
-        """
+        """Return the poses that changed after a line, in order; 0 for all."""
         if after <= 0:
             return [self.rows[number] for number in sorted(self.rows)]
         found = []
@@ -279,20 +263,14 @@ class RunModel:
             yield self.rows[number]
 
     def log_after(self, after: int, most: int) -> list[Json]:
-        """Return the log after a line, at most its newest lines.
-
-        Returns: ``line``, ``utc``, ``text``, ``tone``; the newest last.
-        """
+        """Return the newest lines of the log after a line: ``line``, ``utc``, ``text``, ``tone``; newest last."""
         begin = len(self.log)
         while begin > 0 and len(self.log) - begin < most and self.log[begin - 1][0] > after:
             begin -= 1
         return [_log_dict(one) for one in self.log[begin:]]
 
     def log_before(self, before: int, most: int) -> list[Json]:
-        """Return the log before a line.
-
-        Returns: As `log_after`.
-        """
+        """Return the log before a line, as `log_after`."""
         end = len(self.log)
         while end > 0 and self.log[end - 1][0] >= before:
             end -= 1

@@ -34,10 +34,7 @@ MOST_VIEWS = 40
 
 
 class RunWatch:
-    """One run that pages watch.
-
-    utc_now: Returns the present time, UTC.
-    """
+    """One run that pages watch."""
 
     def __init__(self, folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self.model = RunModel(folder)
@@ -56,11 +53,7 @@ class RunWatch:
         self._last_head: dict[str, Any] = {}
 
     def look(self, now_s: float) -> bool:
-        """Look at the run; wake the pages if anything is new.
-
-        now_s: Time of a monotonic clock, s.
-        Returns: Whether there is more to read at once.
-        """
+        """Look at the run; wake the pages if anything is new. True if there is more to read at once."""
         with self.lock:
             new = self._refresh()
             if new:
@@ -184,10 +177,7 @@ class Watcher:
             self._thread.join()
 
     def open(self, folder: Path) -> RunWatch:
-        """Watch a run for one more page. Reads the begin of its journal, so not for the server's own thread.
-
-        Returns: The run; to be given back by `leave`.
-        """
+        """Watch a run for one more page. Reads the begin of its journal, so not for the server's own thread."""
         with self._lock:
             watch = self._watches.get(folder)
             is_new = watch is None

@@ -55,20 +55,13 @@ class CameraFile:
 
 
 def read_camera_file(path: Path) -> CameraFile:
-    """Read the camera of a run folder or of a file.
-
-    Raises NotACamera: When it holds no camera, more than one, or one that cannot be represented; says why.
-    """
+    """Read the camera of a run folder or of a file; it must hold exactly one that can be represented."""
     file = path / _RESULTS if path.is_dir() else path
     return parse_camera(read_bounded(file, _MOST_BYTES), file)
 
 
 def parse_camera(data: bytes, file: Path) -> CameraFile:
-    """Read the camera that the bytes of a file hold.
-
-    file: Its place, for messages.
-    Raises NotACamera: As `read_camera_file`.
-    """
+    """Read the camera that the bytes of a file hold, as `read_camera_file`."""
     try:
         kind, camera, covariance = _recognised(data, file)
         _require_possible(camera, covariance)

@@ -46,10 +46,7 @@ DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkSte
 
 
 def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
-    """Insert a park step after the last step that needs devices.
-
-    Returns: Steps with the park step; unchanged if no step needs devices.
-    """
+    """Insert a park step after the last step that needs devices, if there is one."""
     last = max((i for i, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)), default=-1)
     if last < 0:
         return tuple(steps)
@@ -67,8 +64,6 @@ def calibration_options(
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step.
 
-    passport: Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
-    gimbal: Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
     Returns: Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model
       is solved with ``auto``.
     """
@@ -116,12 +111,7 @@ class Job:
         operator: str | None,
         settings: Mapping[str, str] | None = None,
     ) -> Job:
-        """Read, check and expand a sequence on a station.
-
-        seed: Random seed of a simulated bench.
-        operator: Name of the operator; that of the station file where None.
-        settings: Settings that replace those of the files (`bench.plan.plan.load_documents`).
-        """
+        """Read, check and expand a sequence on a station; ``settings`` replace values of the files."""
         planned = make_plan(*load_documents(sequence, station, settings))
         if planned.faults:
             raise ScriptError([str(fault) for fault in planned.faults])
@@ -129,11 +119,7 @@ class Job:
 
     @classmethod
     def from_run_folder(cls, folder: Path, *, seed: int = 0, operator: str | None = None) -> Job:
-        """Read the task of a run that has begun from the copies in its folder.
-
-        seed: Random seed of a simulated bench.
-        operator: Name of the operator; that of the station file where None.
-        """
+        """Read the task of a run that has begun from the copies in its folder."""
         documents = load_documents(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY))
         planned = make_plan(*documents, passport_copy=folder / PASSPORT_COPY)
         if planned.faults:
@@ -142,11 +128,7 @@ class Job:
 
     @classmethod
     def from_plan(cls, plan: Plan, *, seed: int, operator: str | None) -> Job:
-        """Return the task of a plan without faults.
-
-        seed: Random seed of a simulated bench.
-        operator: Name of the operator; that of the station file where None.
-        """
+        """Return the task of a plan without faults."""
         return cls(plan, with_parking(plan.script), seed, operator or plan.station.value.operator)
 
     @property
@@ -197,18 +179,11 @@ class Job:
         return f"{camera.driver}_{camera.serial}" if camera.serial else camera.driver
 
     def light_settings(self, flicker: Flicker) -> LightSettings:
-        """Return the station's light settings for a flicker of the sequence, as the camera needs them.
-
-        Returns: Settings for the light's driver.
-        """
+        """Return the station's light settings for a flicker of the sequence, as the camera needs them."""
         return self.station.light.settings(self.camera_kind.light_for(flicker))
 
     def light_before(self, step: ScriptStep | None) -> LightStep | None:
-        """Return the light step that is in effect when a step begins.
-
-        step: Step of the script; None for the end of the script.
-        Returns: None before the first light step.
-        """
+        """Return the light step in effect when a step (None: the end) begins; None before the first one."""
         return self._light_before[None if step is None else step.number]
 
     @cached_property
@@ -222,10 +197,7 @@ class Job:
         return {**found, None: light}
 
     def frequency_hz(self, step: RecordStep) -> float:
-        """Return the flicker frequency of a recording; a plan without faults always has one.
-
-        Returns: Frequency, Hz.
-        """
+        """Return the flicker frequency of a recording, Hz; a plan without faults always has one."""
         board = self.station.board
         if board is not None and board.own_hz is not None:
             return board.own_hz
@@ -235,10 +207,7 @@ class Job:
         return light.flicker.frequency_hz
 
     def record_step(self, pose_index: int) -> RecordStep:
-        """Return the step that records at a pose.
-
-        pose_index: Number of the pose, from 1.
-        """
+        """Return the step that records at a pose, numbered from 1."""
         return self._record_steps[pose_index]
 
     @cached_property
@@ -246,10 +215,7 @@ class Job:
         return {s.pose.index: s for s in self.steps if isinstance(s, RecordStep)}
 
     def index_of(self, step: ScriptStep) -> int:
-        """Return the place of a step in the script.
-
-        Returns: Place, from 0.
-        """
+        """Return the place of a step in the script, from 0."""
         return self._indices[step.number]
 
     @cached_property
@@ -259,7 +225,6 @@ class Job:
     def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
         """Return a step with the angles that the stage takes.
 
-        chosen: Angles of the poses that the run has chosen so far, degrees, by pose index.
         Returns: The step. If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it
           does not name, because a chosen pose may have turned them.
         """
@@ -276,22 +241,14 @@ class Job:
         return any(isinstance(step, ChooseStep) for step in self.steps)
 
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
-        """Judge whether the stage stood still during a recording.
-
-        before_deg: Angle by axis before the recording, degrees.
-        after_deg: Angle by axis after the recording, degrees.
-        Returns: One gate per axis, as judged.
-        """
+        """Judge whether the stage stood still during a recording, from its angles, degrees: a gate an axis."""
         return [
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
 
     def done_after_s(self, step: ScriptStep) -> float | None:
-        """Return the expected time from the begin of the run to the end of a step.
-
-        Returns: Time, s; None if the plan has none.
-        """
+        """Return the expected time from begin of run to the end of a step, s; None if the plan has none."""
         return self._done_after_s.get(step.number)
 
     @cached_property
@@ -299,10 +256,7 @@ class Job:
         return {p.step.number: p.done_after_s for p in self.plan.steps}
 
     def read_truth(self) -> dict[str, Any] | None:
-        """Return the truth of the simulated world, for the final comparison.
-
-        Returns: None on a real bench.
-        """
+        """Return the truth of the simulated world, for the final comparison; None on a real bench."""
         if not self.station.needs_simulated_bench:
             return None
         with SimulatedBench(self.station.simulated_world, self.seed) as bench:

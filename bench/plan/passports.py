@@ -60,10 +60,7 @@ _MOST_NUMBERS = 10_000
 
 
 def refuse_absurd_numbers(document: Mapping[str, Any]) -> None:
-    """Refuse values and covariances of a size that no collimator has, before anything is calculated with them.
-
-    Raises InputMismatch: When a number is too large or too small.
-    """
+    """Refuse values and covariances of a size that no collimator has, before anything is calculated with them."""
     for name in ("values", "covariance"):
         numbers = list(_numbers(document.get(name)))
         if len(numbers) > _MOST_NUMBERS:
@@ -139,10 +136,7 @@ def determines_one_view(passport: Passport) -> bool:
 
 
 def read_passport_file(path: Path) -> tuple[Passport, bytes]:
-    """Read a passport file.
-
-    Raises UsageError: When there is no such file, or it is not a passport; the message says why.
-    """
+    """Read a passport file."""
     if path.is_dir():
         raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")
     if not path.is_file():
@@ -157,8 +151,6 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
 def parse_passport(data: bytes, where: str) -> Passport:
     """Read the bytes of a passport.
 
-    data: Bytes of a passport file.
-    Returns: The collimator's parameters and their covariance.
     Raises UsageError: When it is not a passport, was changed after it was sealed, has a parameter that the
       engine does not know, or numbers that no collimator has; the message says why.
     """
@@ -347,10 +339,7 @@ class PassportChoice:
 
 
 def certificate_passport(collimator: CollimatorConfig, certificate: CertificateConfig) -> Passport:
-    """Return the passport that a station's certificate stands for.
-
-    collimator: The station's section about the collimator.
-    """
+    """Return the passport that a station's certificate stands for."""
     stated: Mapping[str, Any] = {
         "certificate": certificate.number,
         "issued": certificate.date and certificate.date.isoformat(),

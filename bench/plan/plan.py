@@ -117,25 +117,16 @@ class Estimate:
         self._spare = False  # whether the present round is one that only failed poses make necessary
 
     def preparation_s(self) -> float:
-        """Return the time before the first step: open and identify the devices, home over the whole range.
-
-        Returns: Time, s.
-        """
+        """Return the time before the first step, s: open and identify the devices, home over the whole range."""
         ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
         return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S
 
     def parking_s(self) -> float:
-        """Return the time after the last step that needs devices: light off, stage to 0 deg.
-
-        Returns: Time, s.
-        """
+        """Return the time after the last step that needs devices, s: light off, stage to 0 deg."""
         return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
 
     def add(self, step: Step) -> float:
-        """Add the next step.
-
-        Returns: Its duration, s; its disk space is added to the sizes.
-        """
+        """Add the next step, and return its duration, s."""
         if isinstance(step, ChooseStep):
             self._spare = self._is_spare(step)
         sizes = self.size_bytes
@@ -254,10 +245,7 @@ class Plan:
     checked: StatedCameraChoice = field(default_factory=StatedCameraChoice)
 
     def passport_for(self, step: SolveStep) -> Passport | None:
-        """Return the collimator's passport that a solve step uses.
-
-        Returns: None if the step uses none.
-        """
+        """Return the collimator's passport that a solve step uses; None if it uses none."""
         in_use = self.passport.in_use
         return in_use.passport if in_use is not None and step.number in self.passport.steps else None
 
@@ -287,10 +275,7 @@ class Plan:
         return len(self.poses) + sum(until.at_most - until.starts for until in self.untils)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plan as JSON carries it.
-
-        Returns: With the schema ``starbench/plan/1``.
-        """
+        """Return the plan as JSON of schema ``starbench/plan/1`` carries it."""
         return {
             "schema": "starbench/plan/1",
             "sequence": self.sequence.value.name,
@@ -345,7 +330,6 @@ def load_documents(
 
     settings: Values that replace those of the files: YAML texts by path, such as
       ``sequence.defaults.record.window_ms`` or ``station.camera.biases.bias_diff_on``.
-    Raises ScriptError: When one of the files is not valid, with the faults of both.
     """
     of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
@@ -391,7 +375,6 @@ def make_plan(
 ) -> Plan:
     """Plan a run. Faults of the files do not raise an error; the plan lists them.
 
-    sequence, station: The files, from `load_documents`.
     passport_copy: Where the folder of a run that has begun keeps the passport; None for a new run.
     today: Day of the run, for the validity of the passport; None for the current day, UTC.
     """

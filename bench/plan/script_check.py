@@ -56,10 +56,7 @@ _KINDS = {
 
 
 def find_url_secrets(document: Located[Any]) -> list[Fault]:
-    """Find credentials in a document.
-
-    Returns: One for each value or line with a credential, at its place; no message contains the credential.
-    """
+    """Find credentials: a fault for each value or line with one, at its place, without the credential itself."""
     found: dict[int, Fault] = {}
     tree = document.tree
     for path, text in _texts(tree.value, ()):

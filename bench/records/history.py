@@ -152,10 +152,7 @@ class History:
         return {d["chosen"]["pose"]: d["chosen"]["angles_deg"] for d in self.decisions if "chosen" in d}
 
     def is_left_out(self, step: int) -> bool:
-        """Return whether a step is not needed, because its ``until`` ended before it.
-
-        Returns: True if it must not be done.
-        """
+        """Return whether a step must not be done, because its ``until`` ended before it."""
         return any("ended" in d and d["step"] < step <= d["until_last"] for d in self.decisions)
 
     def count_time(self, entry: Entry) -> None:
@@ -180,12 +177,7 @@ class History:
             self._accepted[attempt.pose_index] = attempt
 
     def check(self, pose_index: int, number: int, checked: AttemptChecked) -> None:
-        """Add the result of measuring a stored recording.
-
-        pose_index: Number of the pose, from 1.
-        number: Number of the attempt, from 1.
-        Raises ValueError: If there is no such recording.
-        """
+        """Add the result of measuring a stored recording; ``pose_index`` and ``number`` count from 1."""
         for place in self._places_of_pose.get(pose_index, ()):
             if self.attempts[place].attempt == number:
                 attempt = self.attempts[place] = replace(self.attempts[place], checked=checked)
@@ -195,42 +187,25 @@ class History:
         raise ValueError(f"a stored recording for pose {pose_index}, attempt {number}")
 
     def accepted(self) -> Mapping[int, Attempt]:
-        """Return the accepted recording of each pose that has one.
-
-        Returns: Recording by pose index, in the order of their acceptance.
-        """
+        """Return the accepted recording of each pose that has one, in the order of their acceptance."""
         return MappingProxyType(self._accepted)
 
     def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
-        """Return all recordings stored at a pose, in order.
-
-        pose_index: Number of the pose, from 1.
-        """
+        """Return all recordings stored at a pose, numbered from 1, in order."""
         return [self.attempts[place] for place in self._places_of_pose.get(pose_index, ())]
 
     def next_attempt(self, pose_index: int) -> int:
-        """Return the number of the next recording at a pose, after those stored and those lost.
-
-        pose_index: Number of the pose, from 1.
-        Returns: Number of the attempt, from 1.
-        """
+        """Return the number, from 1, of the next recording at a pose, after those stored and those lost."""
         return len(self.attempts_at(pose_index)) + self.lost.get(pose_index, 0) + 1
 
     def unchecked(self, pose_index: int) -> Attempt | None:
-        """Return the last recording of a pose if it was stored but not yet measured.
-
-        pose_index: Number of the pose, from 1.
-        """
+        """Return the last recording of a pose, numbered from 1, if it was stored but not yet measured."""
         attempts = self.attempts_at(pose_index)
         return attempts[-1] if attempts and attempts[-1].checked is None else None
 
 
 def replay(entries: Iterable[Entry]) -> History:
-    """Replay a journal.
-
-    entries: Lines of the journal, from the first.
-    Raises JournalBroken: If a line is incomplete, because another program or version wrote it.
-    """
+    """Replay a journal from its first line. Raises JournalBroken if another program or version wrote it."""
     history = History()
     for entry in entries:
         try:
@@ -244,10 +219,7 @@ def replay(entries: Iterable[Entry]) -> History:
 
 
 def apply_entry(history: History, entry: Entry) -> None:
-    """Apply one journal line to a history.
-
-    Raises KeyError, TypeError, ValueError: If the line is incomplete.
-    """
+    """Apply one journal line to a history. Raises KeyError, TypeError or ValueError if it is incomplete."""
     data = entry.data
     history.count_time(entry)
     _apply_lateness(history, entry)
@@ -325,10 +297,7 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
 
 
 def count_crash(history: History, crash: object) -> None:
-    """Count a crash against the pose that was at work, if any; no pose is at work afterwards.
-
-    crash: How the process crashed; nothing is counted if it is false.
-    """
+    """Count a crash, unless there was none, against the pose that was at work; none is at work afterwards."""
     if crash and history.at_pose is not None:
         history.crashes[history.at_pose] = history.crashes.get(history.at_pose, 0) + 1
     history.at_pose = None
@@ -373,10 +342,7 @@ class RunLog:
 
     @contextmanager
     def held(self) -> Iterator[History]:
-        """Keep other threads from writing inside the block, to decide by the history and write the decision.
-
-        Yields: The history, which does not change but by this thread.
-        """
+        """Keep other threads from writing inside the block, to decide by the history and write the decision."""
         with self._lock:
             yield self.history
 
@@ -437,10 +403,7 @@ class RunLog:
         self._write(Event.ENTERING, data)
 
     def write_left_off(self, data: LeftOff) -> None:
-        """Write that the work of a state ended. Otherwise as ``write``.
-
-        data: The state, and the error where the work failed.
-        """
+        """Write that the work of a state ended, with its error if it failed. Otherwise as ``write``."""
         self._write(Event.LEFT_OFF, data)
 
     def _write(self, event: Event, data: Mapping[str, Any]) -> None:

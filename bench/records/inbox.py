@@ -41,7 +41,6 @@ class Inbox(Generic[Message]):
     def drop(self, message: Message, message_id: str) -> Path:
         """Leave a message. Its file appears as a whole, and its name puts it behind all earlier ones.
 
-        message_id: Its id, unique among all messages.
         Returns: The file; it exists until the owner has answered.
         Raises StorageError: When it cannot be written, for example because the owner has removed the inbox.
         """
@@ -54,7 +53,6 @@ class Inbox(Generic[Message]):
 
         answer: Called with the message and the name of its file; with None for a file that is not a message.
           It must have stored its answer when it returns.
-        Raises StorageError: When a file cannot be read or removed.
         """
         with storage_errors(self.folder):
             if not self.folder.is_dir():
@@ -80,7 +78,6 @@ class Poller:
     """Calls a function at regular intervals, in a thread of its own.
 
     failed: Called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
-    period_s: Pause between two calls, s.
     """
 
     def __init__(

@@ -56,10 +56,7 @@ def encode_line(
     """Write a line.
 
     seq: Number of the line, from 0.
-    now: System time, with its time zone.
-    mono_s: Monotonic time, s.
     prev: Hash of the line before.
-    Returns: The line, without a line feed.
     Raises ValueError: When the data use one of the journal's own keys, or cannot be written as JSON.
     """
     clash = sorted(set(data) & set(OWN_KEYS))
@@ -91,9 +88,6 @@ def _plain(value: Any) -> Any:
 def decode_line(line: bytes, seq: int, prev: str) -> Entry:
     """Read a line, and check its hash, its chain and its number.
 
-    line: The line, without a line feed.
-    seq: Number that it must have.
-    prev: Hash of the line before.
     Raises ValueError: When the line is not valid, with the fault.
     """
     try:
@@ -129,8 +123,6 @@ class Journal:
     """A journal that is open for appending, from ``create`` or ``open``. Several threads may use it.
 
     torn: Bytes of an incomplete last line that were removed.
-    utc_now: Returns the system's time, with its time zone.
-    monotonic: Returns the time of a monotonic clock, s.
     """
 
     def __init__(
@@ -155,13 +147,7 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
-        """Make a new journal.
-
-        utc_now: Returns the system's time, with its time zone.
-        monotonic: Returns the time of a monotonic clock, s.
-        Returns: The journal, without lines.
-        Raises RunFolderError: When the file exists already.
-        """
+        """Make a new journal, without lines. Raises RunFolderError when the file exists already."""
         with storage_errors(path):
             try:
                 os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY, 0o644))
@@ -176,8 +162,6 @@ class Journal:
     def open(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
         """Open a journal to continue it: verify its chain and remove an incomplete last line (see ``torn``).
 
-        utc_now: Returns the system's time, with its time zone.
-        monotonic: Returns the time of a monotonic clock, s.
         Raises JournalBroken: When a complete line is not valid; the message names it. The file is then not
           changed.
         """
@@ -309,7 +293,6 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
 
     offset: The position, bytes: usually the size of the file at an earlier moment. If it lies within a line,
       that line is left out.
-    Yields: As in an `Entry`.
     """
     with open_to_read(path) as stream:
         stream.seek(offset)
@@ -328,8 +311,6 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     Returns: What a power cut has left at the end: a line without its line feed; or zeros in blocks that the
       file system had allocated and not written, with everything behind the first of them. It never contains a
       synced line. Empty if there is nothing of that kind.
-    Raises JournalBroken: When a complete line is not JSON, not in order, changed, or not chained to the line
-      before, or the journal is larger than any.
     """
     entries: list[Entry] = []
     begin = 0
@@ -407,10 +388,7 @@ class Capture:
     sha256: str  # SHA-256, hexadecimal
 
     def as_data(self) -> dict[str, Any]:
-        """Return what the journal's ``capture_stored`` holds about this recording.
-
-        Returns: ``capture``, ``size`` and ``sha256``.
-        """
+        """Return what the journal's ``capture_stored`` holds of this recording: ``capture``, ``size``, ``sha256``."""
         return {"capture": self.name, "size": self.size, "sha256": self.sha256}
 
 
@@ -429,10 +407,7 @@ def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
 
 
 def stored_captures(entries: Iterable[Entry]) -> dict[str, Capture]:
-    """Return the captures that a journal lists; the last entry of a name counts.
-
-    Raises RunFolderError: If a line about a capture is incomplete.
-    """
+    """Return the captures that a journal lists; the last entry of a name counts."""
     captures = {}
     for entry in entries:
         if entry.event == CAPTURE_STORED:

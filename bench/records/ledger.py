@@ -63,8 +63,6 @@ LEDGER = "ledger.jsonl"
 class LedgerFile:
     """The file of a ledger. Every method reads it anew, because other processes write to it too.
 
-    home: The configuration folder, from `bench.base.home.home_folder`.
-    utc_now, monotonic: As for `bench.records.journal.Journal`.
     warnings: Second places that could not be read or written by the last call; nothing was stopped by them.
     """
 
@@ -77,20 +75,13 @@ class LedgerFile:
         self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
 
     def entries(self) -> list[Entry]:
-        """Read and verify every line, of any event: runs, certificates and whatever else was entered.
-
-        Returns: First to last; empty while there is no ledger.
-        Raises JournalBroken: When the ledger is not valid.
-        """
+        """Read and verify every line, of any event, first to last; empty while there is no ledger."""
         return read_journal(self.path)[0] if self.path.exists() else []
 
     def append(self, event: str, **facts: Any) -> Entry:
         """Enter one line of any event. Use ``locked`` where the line depends on the lines before.
 
         event: Name of the event, in the past tense, such as ``certificate_issued``.
-        facts: Data of the event, as for `bench.records.journal.Journal.append`.
-        Returns: The line; its ``hash`` is the new head.
-        Raises EvidenceError, JournalBroken, StorageError: As ``locked``.
         """
         with self.locked() as journal:
             return journal.append(event, **facts)
@@ -188,11 +179,7 @@ class LedgerFile:
 
 
 def refuse(faults: Sequence[str], path: Path) -> None:
-    """Refuse a ledger with faults.
-
-    faults: The faults, as sentences; nothing is refused if there are none.
-    Raises EvidenceError: When there is a fault.
-    """
+    """Refuse a ledger with faults, which are sentences."""
     if faults:
         raise EvidenceError(f"The ledger is broken: {' '.join(faults)}", where=str(path), remedy=EXPLAIN)
 
@@ -201,11 +188,7 @@ PLACE_FORGOTTEN = "place_forgotten"
 
 
 class Ledger(LedgerFile):
-    """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
-
-    home: The configuration folder, from `bench.base.home.home_folder`.
-    utc_now, monotonic: As for `bench.records.journal.Journal`.
-    """
+    """The ledger of a bench. Every method reads the file anew, because other processes write to it too."""
 
     # ------------------------------------------------------------ runs
 
@@ -222,7 +205,6 @@ class Ledger(LedgerFile):
     ) -> LedgerPlace:
         """Enter a run before it does anything. A break of the ledger is recorded first; it does not stop the run.
 
-        simulated: Whether any device is simulated.
         strict: Whether a break that nobody has explained stops the run.
         strangers: Finds sealed runs of this bench that are not in the ledger.
         Returns: For the journal and the report of the run: its ``number`` in the ledger; the ``head``, which
@@ -250,12 +232,7 @@ class Ledger(LedgerFile):
         return place
 
     def end(self, number: int, *, how: str, folder: Path) -> None:
-        """Enter how a run ended; again after it was resumed and has ended again.
-
-        number: Number of the run, from ``begin``.
-        how: ``finished``, ``aborted`` or ``failed``.
-        folder: Its folder; if it is sealed, the hash of the seal is entered.
-        """
+        """Enter how a run ended (again after a resume): ``finished``, ``aborted``, ``failed``; and its seal, if any."""
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
         with self._mended() as journal:
@@ -265,38 +242,22 @@ class Ledger(LedgerFile):
         self._write_anchors()
 
     def refuse_break(self, anchor: str | None, strangers: Strangers = no_strangers) -> None:
-        """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder.
-
-        strangers: As for ``begin``.
-        Raises EvidenceError: When there is such a break.
-        """
+        """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder."""
         faults, _ = self.breaks(anchor, strangers)
         refuse(faults, self.path)
 
     def contains(self, place: Mapping[str, Any]) -> bool:
-        """Return whether a run was entered in this ledger. The ledger of another bench may have a run of its number.
-
-        place: What ``begin`` returned for the run.
-        Returns: Whether the line with that hash enters a run; False if the ledger is damaged.
-        """
+        """Return whether a run was entered in this ledger, by the hash of its line; False if it is damaged."""
         with suppress(JournalBroken):
             return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in self.entries())
         return False
 
     def runs(self) -> list[LedgerRun]:
-        """List all runs in the order of their numbers.
-
-        Returns: Empty while there is no ledger.
-        Raises JournalBroken: When the ledger is not valid.
-        """
+        """List all runs in the order of their numbers; empty while there is no ledger."""
         return runs_of(self.entries())
 
     def faults(self) -> list[str]:
-        """Check that the folder of every sealed run still exists and still has its seal.
-
-        Raises JournalBroken: When the ledger is not valid.
-        Raises StorageError: When the ledger or a seal cannot be read.
-        """
+        """Check that the folder of every sealed run still exists and still has its seal."""
         found = []
         for run in self.runs():
             manifest = Path(run.folder) / MANIFEST
@@ -317,7 +278,6 @@ class Ledger(LedgerFile):
         """Compare the ledger with all places that know of it; nothing is written.
 
         anchor: A further second place; those that were used before are asked anyway.
-        strangers: As for ``begin``.
         Returns: One sentence for each break that nobody has explained; ``warnings`` has the places that
           cannot be read.
         """
@@ -338,8 +298,6 @@ class Ledger(LedgerFile):
     ) -> list[str]:
         """Record every break that is not recorded yet, and state the reason of every one without a reason.
 
-        reason: What happened, in the words of a person.
-        anchor, strangers: As for ``begin``.
         Raises UsageError: When there is nothing to explain.
         """
         witnesses = self._ask_anchors(anchor)
@@ -355,9 +313,7 @@ class Ledger(LedgerFile):
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
         """Write to a second place no longer, and enter why.
 
-        reason: Why, in the words of a person.
         Raises UsageError: When the ledger is not written to this place.
-        Raises EvidenceError, JournalBroken, StorageError: As ``locked``.
         """
         own = self._own_mark()
         known = own.anchors if isinstance(own, OwnMark) else ()
@@ -410,8 +366,5 @@ class Ledger(LedgerFile):
 
 
 def bench_ledger() -> Ledger:
-    """Return the ledger of this bench, for reading.
-
-    Returns: The ledger; its file may not exist.
-    """
+    """Return the ledger of this bench, for reading; its file may not exist."""
     return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)

@@ -44,8 +44,6 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
     """Return the runs of a ledger.
 
     Returns: In the order in which they began. Numbers rise; after a break of the ledger some may be missing.
-    Raises JournalBroken: When a line about a run is incomplete, gives a number again, or ends a run that
-      never began.
     """
     runs: list[LedgerRun] = []
     place_of: dict[int, int] = {}
@@ -97,10 +95,7 @@ Strangers = Callable[[Collection[str]], Sequence[KnownRun]]
 
 
 def no_strangers(_: Collection[str]) -> Sequence[KnownRun]:
-    """Ask no run folder.
-
-    Returns: Empty.
-    """
+    """Ask no run folder."""
     return ()
 
 
@@ -131,11 +126,7 @@ class BreakFindings:
 
 
 def breaks_of(entries: Iterable[Entry]) -> list[Break]:
-    """Return the breaks that a ledger records.
-
-    Returns: First to last, each with its explanation if there is one.
-    Raises LookupError, TypeError: When a line about a break is incomplete.
-    """
+    """Return the breaks that a ledger records, first to last, each with its explanation if there is one."""
     found: dict[int, Break] = {}
     for entry in entries:
         data = entry.data
@@ -152,11 +143,7 @@ def breaks_of(entries: Iterable[Entry]) -> list[Break]:
 
 
 def highest_run(entries: Iterable[Entry]) -> int:
-    """Return the highest number of a run that a ledger has given, or that a break of it knows of.
-
-    Returns: The number; 0 if there is no run.
-    Raises LookupError, TypeError: When a line is incomplete.
-    """
+    """Return the highest number of a run that a ledger has given, or a break of it knows of; 0 if there is none."""
     highest = 0
     for entry in entries:
         if entry.event == RUN_BEGUN:
@@ -201,7 +188,6 @@ def find_breaks(
 
     own: The bench's own mark; None if there is none; a text if it cannot be read, with the reason.
     strangers: Finds sealed runs of this bench that are not in the ledger.
-    Returns: What is not recorded in the ledger yet.
     """
     found = _Findings()
     excused = {head for one in breaks_of(entries) for head in one.heads}

@@ -47,10 +47,7 @@ class LedgerMark:
         return (json.dumps(self.to_dict(), separators=(",", ":")) + "\n").encode()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the mark as JSON carries it.
-
-        Returns: All attributes; ``counts`` as a mapping, left out if it is empty.
-        """
+        """Return the mark as JSON carries it: all attributes; ``counts`` as a mapping, left out if it is empty."""
         facts = {"lines": self.lines, "runs": self.runs, "head": self.head, "utc": self.utc}
         return {**facts, "counts": dict(self.counts)} if self.counts else facts
 
@@ -70,11 +67,7 @@ class LedgerMark:
 
 
 def parse_mark(line: bytes) -> LedgerMark:
-    """Read one mark.
-
-    line: A line, as `LedgerMark.to_line` writes it.
-    Raises ValueError: When it is not a mark.
-    """
+    """Read one mark, a line of `LedgerMark.to_line`."""
     found = parse_json(line)
     if not isinstance(found, dict):
         raise ValueError(_MARK_FORM)  # noqa: TRY004 - a fault of the file, not of an argument
@@ -104,11 +97,7 @@ class OwnMark:
 
 
 def read_own_mark(home: Path) -> OwnMark | None:
-    """Read ``ledger_high``.
-
-    Returns: Its content; None if there is no such file.
-    Raises StorageError: When it cannot be read, or is not a mark.
-    """
+    """Read ``ledger_high``; None if there is no such file."""
     path = home / MARK
     with storage_errors(path):
         if not path.exists():
@@ -136,11 +125,7 @@ def write_own_mark(home: Path, own: OwnMark) -> None:
 
 
 def read_anchor(path: Path) -> list[LedgerMark]:
-    """Read the marks of a second place, first to last.
-
-    Returns: Without an incomplete last line.
-    Raises StorageError: When it cannot be read, is missing, does not answer in time, or holds something else.
-    """
+    """Read the marks of a second place, first to last, without an incomplete last line."""
 
     def read() -> bytes:
         with storage_errors(path), path.open("rb") as stream:
@@ -160,10 +145,7 @@ def read_anchor(path: Path) -> list[LedgerMark]:
 
 
 def append_to_anchor(path: Path, mark: LedgerMark) -> None:
-    """Add a mark to a second place and sync it. The file is made if it is missing; its folder is not.
-
-    Raises StorageError: When it cannot be written, or does not answer in time.
-    """
+    """Add a mark to a second place and sync it. The file is made if it is missing; its folder is not."""
 
     def append() -> None:
         with storage_errors(path):
@@ -226,20 +208,14 @@ class Witness:
     was_there: bool = True  # Whether this bench has written to it before
 
     def objections(self, entries: Sequence[Entry], excused: Iterable[str]) -> list[LedgerMark]:
-        """Return the marks that a ledger contradicts, from the last one that a break of the ledger names.
-
-        Returns: The marks, first to last.
-        """
+        """Return the marks that a ledger contradicts, first to last, from the last one that a break names."""
         known = set(excused)
         begin = max((i + 1 for i, mark in enumerate(self.marks) if mark.head in known), default=0)
         return [mark for mark in self.marks[begin:] if mark.disagreement(entries)]
 
 
 def ask_anchor(path: Path, *, was_there: bool) -> Witness:
-    """Read a second place; what goes wrong becomes its ``trouble``.
-
-    was_there: Whether this bench has written to it before; only then is it a trouble that it is missing.
-    """
+    """Read a second place; what goes wrong, as its loss if it ``was_there``, becomes its ``trouble``."""
     if not was_there:
         with suppress(OSError):
             if path.parent.is_dir() and not path.exists():

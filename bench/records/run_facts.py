@@ -75,11 +75,7 @@ def factors_text(factors: Iterable[float]) -> str:
 
 
 def estimates(solved: Mapping[str, Any]) -> dict[str, Estimate]:
-    """Return each parameter that a run has estimated.
-
-    solved: The journal's line ``solved``; empty without a calibration.
-    Returns: By name; a number that the journal does not have is NaN.
-    """
+    """Return each parameter of the journal's line ``solved`` by name; a number that it does not have is NaN."""
     sigma, shared = solved.get("sigma", {}), solved.get("shared", {})
     return {
         name: Estimate(
@@ -133,7 +129,6 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
 def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dict[str, Any]:
     """Return what the table of runs has beyond the row of the index.
 
-    folder: Its folder, for ``results.json``.
     Returns: Details by name, as JSON can carry them; a detail that is not known is None.
     """
     results, fault = _results(entries, folder)

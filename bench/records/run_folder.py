@@ -57,10 +57,7 @@ _DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt"
 
 
 def is_sealed(path: Path) -> bool:
-    """Return whether a run folder is sealed.
-
-    Returns: Whether it has a signature; this does not verify it.
-    """
+    """Return whether a run folder has a signature, which is not verified."""
     return (path / SIGNATURE).exists()
 
 
@@ -100,7 +97,6 @@ class RunFolder:
 
         Raises RunFolderError: When it does not exist, is not a run folder, is sealed, or another process has
           locked it.
-        Raises StorageError: When permission or disk space is missing.
         """
         path = path.absolute()
         require_resumable(path)
@@ -122,8 +118,6 @@ class RunFolder:
         """Write a file as a whole, or leave its old contents. The file is synced when this returns.
 
         name: Path within the folder, with ``/``; subfolders are made.
-        Raises RunFolderError: When the name is not allowed.
-        Raises StorageError: When the disk is full, permission is missing, or anything else fails.
         """
         path = self._place(name)
         make_folder(path.parent)
@@ -149,10 +143,8 @@ class RunFolder:
     def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
         """Sync the file at ``part_path(name)``, compute its hash and give it its name.
 
-        name: Path of the final file within the folder, with ``/``.
         goes_on: As for `sha256_of`: a recording may have many gigabytes.
         Raises RunFolderError: When a file of that name exists: a recording is never overwritten.
-        Raises StorageError: When the file does not exist, or cannot be synced or renamed.
         """
         path = self._place(name)
         part = path.with_name(path.name + PART)
@@ -171,8 +163,6 @@ class RunFolder:
         """Return where the camera writes a recording until it is complete.
 
         pose_index, attempt: Numbers of the pose and of the attempt, from 1.
-        ending: Ending of the file's name.
-        Returns: The temporary file, see ``part_path``.
         """
         return self.part_path(capture_name(pose_index, attempt, ending))
 
@@ -186,20 +176,11 @@ class RunFolder:
         """Give a complete recording its name. After that the journal may name it.
 
         pose_index, attempt: Numbers of the pose and of the attempt, from 1.
-        ending: Ending of the file's name.
-        goes_on: As for ``commit``.
-        Returns: Name, size and hash of the recording.
-        Raises RunFolderError, StorageError: As ``commit``.
         """
         return self.commit(capture_name(pose_index, attempt, ending), goes_on)
 
     def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
-        """Move an incomplete recording to ``quarantine/``.
-
-        pose_index, attempt: Numbers of the pose and of the attempt, from 1.
-        ending: Ending of the file's name.
-        Returns: Its new path within the run folder; None if nothing had been written.
-        """
+        """Move an incomplete recording to ``quarantine/``: its new path in the run folder; None if there was none."""
         path = self._place(capture_name(pose_index, attempt, ending))
         part = path.with_name(path.name + PART)
         if not part.exists():
@@ -208,10 +189,7 @@ class RunFolder:
             return str(self.quarantine(part).relative_to(self.path))
 
     def release_reserve(self) -> None:
-        """Release the reserved disk space, so that the journal can still state that the disk is full.
-
-        Raises StorageError: When the reserve cannot be removed.
-        """
+        """Release the reserved disk space, so that the journal can still state that the disk is full."""
         with storage_errors(self.path), suppress(FileNotFoundError):
             (self.path / _RESERVE).unlink()
             sync_folder(self.path)
@@ -253,10 +231,7 @@ class RunFolder:
 
 
 def require_resumable(path: Path) -> None:
-    """Check that the run in a folder can be continued.
-
-    Raises RunFolderError: When there is no such folder, it is not a run folder, or it is sealed.
-    """
+    """Refuse a folder that is missing, is no run folder, or is sealed: its run cannot be continued."""
     if not path.is_dir():
         raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
     if not (path / JOURNAL).is_file():
@@ -385,10 +360,7 @@ class WrittenFiles(TypedDict):
 
 
 def written_files(folder: Path) -> WrittenFiles:
-    """Hash the results of a run, and what its wire logs hold so far.
-
-    Returns: ``files``: SHA-256 by name; ``wire``: size and SHA-256 by name.
-    """
+    """Return ``files``: SHA-256 by name of a run's results, and ``wire``: size and SHA-256 of its wire logs so far."""
     with storage_errors(folder):
         exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))
         names = [RESULTS, VIEWS, REPORT, *(f"{EXPORTS}/{name}" for name in exported)]

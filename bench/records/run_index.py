@@ -97,29 +97,18 @@ PRAGMA user_version = {VERSION};
 
 
 def is_batch(folder: Path) -> bool:
-    """Return whether a folder is a batch's.
-
-    Returns: True where it holds a queue and a journal.
-    """
+    """Return whether a folder is a batch's: it holds a queue and a journal."""
     return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
 
 
 def is_rehearsal(folder: Path) -> bool:
-    """Return whether the run or batch in a folder is a rehearsal.
-
-    Returns: False also where the journal has no line yet.
-    Raises JournalBroken: If the hash chain of the journal is broken.
-    """
+    """Return whether a run or batch is a rehearsal; False also where the journal has no line yet."""
     entries, _ = read_journal(folder / JOURNAL)
     return bool(entries and entries[0].data.get("rehearsal", False))
 
 
 def run_folders(root: Path) -> list[Path]:
-    """Find the run folders in a folder: the folder itself, its subfolders, and theirs.
-
-    Returns: The run folders, sorted; the folder of a batch is not one.
-    Raises StorageError: When it does not exist or cannot be read.
-    """
+    """Find the run folders in a folder, sorted: itself, its subfolders, and theirs; a batch's is not one."""
     if not root.is_dir():
         raise StorageError(
             "There is no such folder.", where=str(root), remedy="Name a folder that contains runs."
@@ -130,10 +119,7 @@ def run_folders(root: Path) -> list[Path]:
 
 
 class RunIndex:
-    """The index. Every method opens the file anew, because other processes use it too.
-
-    home: The configuration folder, from `bench.base.home.home_folder`.
-    """
+    """The index. Every method opens the file anew, because other processes use it too."""
 
     def __init__(self, home: Path) -> None:
         self.path = home / INDEX
@@ -186,10 +172,7 @@ class RunIndex:
                 yield json.loads(row[0]) if row else {}
 
     def entered(self) -> list[KnownRun]:
-        """List the runs of the index that name their line in a ledger. No run folder is read.
-
-        Returns: By folder; empty while there is no index.
-        """
+        """List the runs of the index that name their line in a ledger. No run folder is read."""
         if not self.path.exists():
             return []
         with self._open() as index:
@@ -302,19 +285,12 @@ def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int])
 
 
 def read_run(folder: Path) -> IndexedRun:
-    """Read one run from its folder, without an index.
-
-    Raises JournalBroken, StorageError: When the journal is not valid, or cannot be read.
-    """
+    """Read one run from its folder, without an index."""
     return read_run_and_details(folder)[0]
 
 
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, dict[str, Any]]:
-    """Read one run and its details from its folder, without an index.
-
-    Returns: The run, and what `bench.records.run_facts.run_details` returns.
-    Raises JournalBroken, StorageError: When the journal is not valid, or cannot be read.
-    """
+    """Read one run and its details (`bench.records.run_facts.run_details`) from its folder, without an index."""
     history, facts, details = _read(folder)
     ended = facts.pop("ended")
     run = IndexedRun(

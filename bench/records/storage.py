@@ -38,12 +38,7 @@ _NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno
 
 @contextmanager
 def storage_errors(where: Path) -> Iterator[None]:
-    """Turn an OSError of the block into a StorageError with a remedy.
-
-    where: The file or folder in use; the message names it unless the error names another one.
-    Yields: For the block.
-    Raises StorageError: For any OSError in the block.
-    """
+    """Turn an OSError of the block into a StorageError with a remedy; it names ``where`` if the error names no file."""
     try:
         yield
     except OSError as error:
@@ -61,10 +56,7 @@ def storage_errors(where: Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that the names in it survive a power cut. Does nothing on Windows, which cannot sync folders.
-
-    Raises OSError: When it cannot be synced.
-    """
+    """Sync a folder, so that names in it survive a power cut. Does nothing on Windows, which cannot sync folders."""
     if not _FOLDERS_OPEN:
         return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -75,10 +67,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Sync a file, so that its contents survive a power cut.
-
-    Raises OSError: When it cannot be synced.
-    """
+    """Sync a file, so that its contents survive a power cut. Raises OSError when it cannot be synced."""
     descriptor = os.open(path, _TO_SYNC)
     try:
         os.fsync(descriptor)
@@ -94,11 +83,7 @@ def open_to_lock(folder: Path) -> int:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and its parents, and sync the name of each.
-
-    folder: The folder; it may exist already.
-    Raises StorageError: When one of them is a file, or cannot be made.
-    """
+    """Make a folder and its parents, unless they exist, and sync the name of each."""
     with storage_errors(folder):
         missing = [p for p in (folder, *folder.parents) if not p.exists()]
         for path in reversed(missing):
@@ -113,23 +98,14 @@ def _require_folder(path: Path) -> None:
 
 
 def write_all(descriptor: int, data: bytes) -> None:
-    """Write every byte. ``os.write`` alone may write fewer.
-
-    Raises OSError: When they cannot be written; some may have been.
-    """
+    """Write every byte. ``os.write`` alone may write fewer."""
     view = memoryview(data)
     while view:
         view = view[os.write(descriptor, view) :]
 
 
 def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
-    """Write a file so that at any moment it has either its new contents or its old ones.
-
-    path: The file; its folder must exist.
-    mode: Permissions of a new file.
-    Raises StorageError: When the disk is full, permission is missing, or anything else fails; the file then
-      has its old contents.
-    """
+    """Write a file so that at any moment it has either its new contents or its old ones."""
     part = path.with_name(f".{path.name}{TEMPORARY}")
     with storage_errors(path):
         part.unlink(missing_ok=True)
@@ -144,10 +120,7 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a link, or a folder with its contents.
-
-    path: What to remove; the target of a link remains.
-    """
+    """Remove a file, a folder with its contents, or a link but not its target."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -155,18 +128,12 @@ def remove(path: Path) -> None:
 
 
 def is_temporary(path: Path) -> bool:
-    """Return whether a file is one that `write_atomic` left behind when its process died, or is writing now.
-
-    Returns: By its name only.
-    """
+    """Return whether `write_atomic` left a file of this name behind, or is writing it now."""
     return path.name.startswith(".") and path.name.endswith(TEMPORARY)
 
 
 def move_into_place(part: Path, path: Path) -> None:
-    """Give a file that other code has written its final name: fsync, rename, fsync of the folder.
-
-    Raises StorageError: When it cannot be synced or renamed.
-    """
+    """Give a file that other code has written its final name: fsync, rename, fsync of the folder."""
     with storage_errors(part):
         sync_file(part)
         part.rename(path)
@@ -178,7 +145,6 @@ def sha256_of(path: Path, goes_on: Callable[[], object] = lambda: None) -> str:
 
     goes_on: Called after each piece, so that a supervisor sees the work go on
       (`bench.base.clock.BenchClock.monotonic`).
-    Returns: 64 hexadecimal digits.
     """
     digest = hashlib.sha256()
     with path.open("rb") as stream:
@@ -211,10 +177,7 @@ _RESTORE = "Restore the file from a copy."
 
 @contextmanager
 def open_to_read(path: Path) -> Iterator[BinaryIO]:
-    """Open an ordinary file for reading. A pipe or a device, which might never answer, is refused.
-
-    Raises StorageError: If it cannot be opened or read, or is no ordinary file.
-    """
+    """Open an ordinary file for reading. A pipe or a device, which might never answer, is refused."""
     with storage_errors(path):
         descriptor = os.open(path, os.O_RDONLY | O_BINARY | getattr(os, "O_NONBLOCK", 0))
         mode = os.fstat(descriptor).st_mode
@@ -227,10 +190,7 @@ def open_to_read(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """Read an ordinary file of a bounded size.
-
-    Raises StorageError: If it cannot be read, is no ordinary file, or is larger.
-    """
+    """Read an ordinary file of a bounded size."""
     with open_to_read(path) as stream:
         is_larger = os.fstat(stream.fileno()).st_size > most_bytes
         data = b"" if is_larger else stream.read(most_bytes + 1)  # the file may grow meanwhile
@@ -246,7 +206,6 @@ def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
 def read_json(path: Path, most_bytes: int = MOST_BYTES) -> Any:
     """Read a JSON file of a bounded size.
 
-    Raises StorageError: As `read_bounded`.
     Raises ValueError: If it is not JSON, is nested too deeply, or has too many values.
     """
     return parse_json(read_bounded(path, most_bytes))
@@ -261,11 +220,7 @@ _LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 
 
 def lock_folder(path: Path) -> int:
-    """Lock a folder against other processes.
-
-    Returns: File descriptor; the folder is locked until it is closed.
-    Raises RunFolderError: When another process has locked it.
-    """
+    """Lock a folder against other processes until the descriptor is closed; RunFolderError if one has it."""
     with storage_errors(path):
         lock = open_to_lock(path)
     try:
@@ -283,10 +238,7 @@ def lock_folder(path: Path) -> int:
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether a process has locked a folder at this moment. Writes nothing.
-
-    Returns: True if a process works in the folder.
-    """
+    """Return whether a process has locked a folder at this moment. Writes nothing."""
     with storage_errors(path):
         probe = open_to_lock(path)
         try:

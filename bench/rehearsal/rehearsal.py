@@ -95,10 +95,7 @@ class RehearsedJob(Job):
 
 
 class RehearsedResults(ResultWriter):
-    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report.
-
-    folder: Run folder, locked by this process.
-    """
+    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report."""
 
     def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
         super().__init__(job, folder)
@@ -124,11 +121,7 @@ class RehearsedResults(ResultWriter):
         return main_numbers(self._calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
-        """Write results.json, which states that it is from a rehearsal.
-
-        truth: Truth of the rehearsed world; None if there is none.
-        Raises BenchError: If there is no calibration.
-        """
+        """Write results.json, which states that it is from a rehearsal."""
         if self._calibration is None:
             raise BenchError(
                 "There is nothing to report: no solve step came before the report step.",
@@ -180,8 +173,6 @@ def rehearse_run(
     """Rehearse a run, or continue a rehearsed run that did not finish.
 
     folder: Run folder: a new one, or that of a rehearsed run that did not finish.
-    clock: Clock of the rehearsal, usually a ``VirtualClock``.
-    Raises RunFolderError, StorageError: If the folder cannot be used.
     """
     planned = _without_room_interlocks(make_plan(*load_documents(sequence, station, settings)))
     task = Job.from_plan(planned, seed=seed, operator=operator)
@@ -210,7 +201,6 @@ def rehearse_job(
 ) -> RunEnd:
     """Rehearse a task on given devices; otherwise as `rehearse_run`.
 
-    folder: Run folder: a new one, or that of a rehearsed run that did not finish.
     journal_type: Kind of journal; with ``Journal`` the run is stored as durably as a real one.
     """
     clock = job.clock

@@ -44,9 +44,6 @@ class VirtualDevices(Devices):
 
     station: Station whose axes, limits and speeds apply. A station of real devices is rehearsed by its
       ``expected`` section.
-    Raises drivers.errors.WrongDevice: If the simulated camera has another serial number than the station file
-      names.
-    Raises SimulationError: If the station's simulation cannot be used.
     """
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
@@ -99,12 +96,7 @@ class VirtualStage:
         self.at_deg = dict.fromkeys(self.limits, 0.0)
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
-        """Move the axes; takes the time of a real move.
-
-        target_deg: Target angle by axis, degrees.
-        Raises OutsideLimits: If a target is outside the limits; nothing moves.
-        Raises NotHomed: If the stage is not homed.
-        """
+        """Move the axes to angles in degrees; takes the time of a real move."""
         at_deg = self.position_deg()
         for name, angle in target_deg.items():
             limit = self.limits[name]
@@ -118,11 +110,7 @@ class VirtualStage:
         return self._travel_s({name: angle - from_deg[name] for name, angle in to_deg.items()})
 
     def position_deg(self) -> dict[str, float]:
-        """Return the angles of the axes.
-
-        Returns: Angle by axis, degrees.
-        Raises NotHomed: If the stage is not homed.
-        """
+        """Return the angle by axis, degrees. Raises NotHomed if the stage is not homed."""
         if self.at_deg is None:
             raise NotHomed("The virtual stage is not homed.", where="stage", remedy="Home it first.")
         return dict(self.at_deg)
@@ -229,12 +217,7 @@ class VirtualCamera:
         return self._world.temperature_c(self._clock.monotonic())
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Write the stars of this pose to a file.
-
-        duration_s: Length of the recording, s.
-        Returns: Facts of a recording without events.
-        Raises RecordingFailed: If the rehearsed world decides that the recording fails.
-        """
+        """Write the stars of this pose to a file, unless the rehearsed world decides that the recording fails."""
         seen = self._world.record(self._stage.position_deg(), self._clock.monotonic(), self._recordings)
         self._recordings += 1
         self._clock.sleep(duration_s + RECORD_EXTRA_S)
@@ -276,10 +259,7 @@ class VirtualCamera:
 
 
 def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
-    """Read a rehearsed recording.
-
-    Raises OSError, ValueError, KeyError: If the file is not a rehearsed recording.
-    """
+    """Read a rehearsed recording. Raises OSError, ValueError or KeyError if the file is none."""
     content = parse_json(read_bounded(path).removeprefix(FIRST_LINE))
     ids = np.array(content["ids"], dtype=np.int64)
     points = np.array(content["points_px"], dtype=np.float64).reshape(-1, 2)

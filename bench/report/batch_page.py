@@ -69,11 +69,7 @@ class TrendRow(NamedTuple):
 
 
 def render_batch(summary: Json) -> str:
-    """Render the page.
-
-    summary: Content of ``summary.json``, see `batch_summary.summarise`.
-    Returns: A complete HTML document that loads nothing and depends on ``summary`` alone.
-    """
+    """Render a complete HTML document that loads nothing and depends on ``summary`` (summary.json) alone."""
     zone = _zone(summary)
     bars = bars_of(summary["items"])
     failures = [

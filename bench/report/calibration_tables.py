@@ -70,17 +70,13 @@ class PrintedBudgetRow:
 
 
 def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> list[PrintedBudgetRow]:
-    """Return the rows of the uncertainty budget.
-
-    calibration: ``calibration`` of results.json.
-    """
+    """Return the rows of the uncertainty budget."""
     return [_printed(row, words) for row in calibration.get("budget_rows") or []]
 
 
 def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, str]] | None:
     """Return the combined standard uncertainties and the expanded ones (JCGM 100, 5.1.2 and 6.2.1).
 
-    calibration: ``calibration`` of results.json.
     Returns: u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
     """
     rows = calibration.get("budget_rows") or []
@@ -113,10 +109,7 @@ def overlap(calibration: CalibrationData) -> str:
 
 
 def not_included(calibration: CalibrationData) -> list[tuple[str, str]]:
-    """Return the sources of uncertainty that the result does not contain.
-
-    calibration: ``calibration`` of results.json.
-    """
+    """Return the sources of uncertainty that the result does not contain."""
     lines = [str(line).partition(": ") for line in calibration.get("not_included") or []]
     return [(name, effect) for name, _, effect in lines]
 
@@ -267,7 +260,6 @@ class Cell:
 def values(calibration: CalibrationData) -> list[ValueRow]:
     """Return each estimated value with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
 
-    calibration: ``calibration`` of results.json.
     Returns: A row for each parameter that has a sigma. The relative uncertainty is printed if it is below 100
       %.
     """
@@ -285,11 +277,7 @@ def values(calibration: CalibrationData) -> list[ValueRow]:
 
 
 def fit_statistics(calibration: CalibrationData, words: TargetWords = STARS) -> list[tuple[str, str, str]]:
-    """Return the statistics of the fit: residuals, numbers of stars and degrees of freedom, variance factors.
-
-    calibration: ``calibration`` of results.json.
-    Returns: Name, number and unit; quantities without a number are omitted.
-    """
+    """Return the statistics of the fit: residuals, numbers of stars and degrees of freedom, variance factors."""
     stars = sum(view["n"] for view in calibration["views"])
     rows = [
         ("RMS reprojection error", number(calibration["rms_px"], 3), "px"),
@@ -308,7 +296,6 @@ def budget(
 ) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
     """Return the uncertainty budget: for each source, its share of the variance of each parameter.
 
-    calibration: ``calibration`` of results.json.
     Returns: Names of the parameters, and for each source its name and one cell for each parameter. The shares
       of a parameter add up to 100 %, apart from rounding.
     """
@@ -333,7 +320,6 @@ def correlation(calibration: CalibrationData) -> tuple[list[str], list[list[Cell
     """Return the correlation coefficients of the parameters (JCGM 100, 5.2.2, equation 14).
 
     calibration: ``calibration`` of results.json.
-    Returns: Names of the parameters, and the rows of the matrix; 0 where a variance is 0.
     """
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     matrix = covariance["matrix"]
@@ -350,8 +336,6 @@ def planar_comparison(
 ) -> list[tuple[str, str, str, str, str]]:
     """Compare the result with the planar calibration of the same stars.
 
-    calibration: ``calibration`` of results.json.
-    planar: ``planar`` of results.json.
     Returns: Name, value, U, planar value, planar U of each common parameter; the last row has the RMS
       residuals.
     """
@@ -392,8 +376,6 @@ def comparison(
 ) -> list[tuple[str, str, str, str, str, str]]:
     """Compare the values with the simulated truth.
 
-    rows: ``comparison`` of results.json.
-    calibration: ``calibration`` of results.json, for the coverage factors.
     Returns: Name, value, U, truth, value minus truth, and this difference divided by the standard
       uncertainty.
     """

@@ -137,10 +137,7 @@ Json = Mapping[str, Any]
 
 
 def pictures(chart: Json, group: Json) -> list[str]:
-    """Draw one parameter of a group.
-
-    Returns: SVG elements; with too few runs, only the values.
-    """
+    """Draw one parameter of a group as SVG elements; with too few runs, only the values."""
     found = [_values(chart, group)]
     if chart["lower"] is not None:
         found += [_ranges(chart, group), _averages(chart, group)]
@@ -305,11 +302,7 @@ _PILLS = {"in control": "pass", "check": "marginal", "out of control": "fail", "
 
 
 def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] = ()) -> str:
-    """Render the page.
-
-    page: Groups with their charts, from `bench.history.chart_findings.find_charts`.
-    notes, faults: What was noticed when the runs were found; sentences.
-    """
+    """Render the page of charts, with sentences about what was noticed when the runs were found."""
     groups = page["groups"]
     drawn = choose_drawn(groups)
     sections = [chart_section(group, drawn.get(number, frozenset())) for number, group in enumerate(groups)]
@@ -334,10 +327,7 @@ def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] =
 
 
 def choose_drawn(groups: Sequence[Json]) -> dict[int, frozenset[str]]:
-    """Choose what is drawn: the parameters with findings first, then in order.
-
-    Returns: Names of the parameters by the place of their group; at most `MOST_DRAWN` in all.
-    """
+    """Choose at most `MOST_DRAWN` parameters: those with findings first. Names by the place of their group."""
     waiting = [
         (not _drifts(chart), _ORDER.index(chart["state"]), number, place, chart["name"])
         for number, group in enumerate(groups)
@@ -355,10 +345,7 @@ def _drifts(chart: Json) -> bool:
 
 
 def chart_section(group: Json, drawn: frozenset[str]) -> dict[str, Any]:
-    """Return the part of a page about one group.
-
-    Returns: What the macro ``chart_section`` of the template prints.
-    """
+    """Return what the macro ``chart_section`` of the template prints about one group."""
     charts = group["parameters"]
     return {
         "title": group["title"],

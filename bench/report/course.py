@@ -27,10 +27,7 @@ _MOST_POSES = 8
 
 
 def course_plot(decisions: Sequence[Mapping[str, Any]]) -> str:
-    """Draw the expanded uncertainties against the number of poses, with their goals.
-
-    decisions: Decisions of one ``until``, in order; at least one has reached an uncertainty.
-    """
+    """Draw U against the number of poses, with goals; at least one decision has reached an uncertainty."""
     wanted = decisions[-1]["wanted"]
     reached = [decided for decided in decisions if decided["now"]]
     width = WIDE / len(wanted)
@@ -95,10 +92,7 @@ _TIMES = "\N{MULTIPLICATION SIGN}"
 
 
 def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
-    """Draw the states of a run and the transitions between them.
-
-    states: Entries ``{"state", "utc"}`` in the order in which the states were entered.
-    """
+    """Draw the states of a run in the order in which they were entered, and the transitions between them."""
     names = [str(entry["state"]) for entry in states]
     places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}
     edges = Counter(pairwise(names))
@@ -204,12 +198,7 @@ class Course:
 
 
 def courses(decisions: Sequence[UntilDecided], *, draw: bool = True) -> list[Course]:
-    """Return the course of each ``until`` of a run.
-
-    decisions: ``untils`` of results.json: what each ``until`` decided, in order.
-    draw: Whether to draw the plots.
-    Returns: One for each ``until``, in the order of the run.
-    """
+    """Return the course of each ``until`` of a run, in order, from ``untils`` of results.json."""
     by_until: dict[int, list[UntilDecided]] = {}
     for decided in decisions:
         by_until.setdefault(decided["until"], []).append(decided)

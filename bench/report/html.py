@@ -44,7 +44,6 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
 
     draw: Whether to draw plots and images; without them the report holds the same text (`printed_text`).
     Returns: A complete HTML document that depends on ``data`` alone.
-    Raises KeyError: When the results lack ``run`` or ``calibration``.
     """
     results, words = data.results, words_of(data.results)
     parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
@@ -138,10 +137,7 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
 
 @functools.cache
 def environment() -> jinja2.Environment:
-    """Return the environment of the templates: it escapes every value, and an undefined name is an error.
-
-    Returns: Made once in a process.
-    """
+    """Return the templates' environment, made once: it escapes every value; an undefined name is an error."""
     made = jinja2.Environment(
         loader=jinja2.PackageLoader("bench.report"),
         autoescape=True,
@@ -190,9 +186,7 @@ class RecordedRow(NamedTuple):
 def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
     """Render the page of a run that did not finish.
 
-    way_on: What there is to know and the command that can work (`bench.records.history`).
     journal_head: Hash of the journal's last line; it identifies the whole journal.
-    namespace: Namespace of the bench's signatures.
     """
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None
     return (

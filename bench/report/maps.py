@@ -133,11 +133,7 @@ REACH = 0.05
 
 
 def reach_px(image_size: Sequence[int]) -> float:
-    """Return how far from a star a point of the sensor is supported.
-
-    image_size: Width and height, px.
-    Returns: The distance, px.
-    """
+    """Return how far from a star, px, a point of the sensor is supported."""
     return REACH * math.hypot(*image_size)
 
 
@@ -145,7 +141,6 @@ def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float3
     """Return the distance of each pixel from the nearest star.
 
     points: (N, 2) float64, px: stars of all poses, N > 0.
-    image_size: Width and height, px.
     Returns: (H, W) float32, px. Stars count at the nearest pixel.
     """
     width, height = image_size
@@ -177,8 +172,6 @@ def sensor_axes(
 ) -> Axes:
     """Return the axes of a sensor in a picture of its own, whose height follows from the sensor's shape.
 
-    image_size: Width and height of the sensor, px.
-    identifier, label, about: As for `bench.report.svg_plot.Picture`.
     Returns: Axes in px, rows downwards; pixel centres are at integers.
     """
     words = Words(title, "column, px", "row, px", keys)
@@ -188,11 +181,7 @@ def sensor_axes(
 
 
 def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Sequence[int]) -> None:
-    """Shade the part of the sensor that no star supports, with a dashed line around it.
-
-    distance: (H, W) float32, px: distance of each pixel from the nearest star.
-    image_size: Width and height, px.
-    """
+    """Shade where no star is near, by (H, W) float32 distances in px, with a dashed line around it."""
     reach = reach_px(image_size)
     rows, columns = (np.unique([*range(0, n, _COARSE), n - 1]) for n in distance.shape)
     found = outlines(
@@ -210,7 +199,6 @@ def supported_share(points: Array, image_size: Sequence[int]) -> tuple[NDArray[n
     """Return how far each pixel is from the nearest star, and the share of the sensor that stars support.
 
     points: (N, 2) float64, px: stars of all poses, N > 0.
-    image_size: Width and height, px.
     Returns: (H, W) float32, px, and the share, 0 to 1.
     """
     distance = star_distance(points, image_size)
@@ -239,7 +227,6 @@ def sensor_map(
 
     grid_px: (h, w, 2) float64 image points, px.
     values: (h, w) float64, the quantity, not negative; NaN where it is not known.
-    identifier, label: As for `bench.report.svg_plot.Picture`.
     stars: (N, 2) float64, px: stars of all poses, to shade what they do not support; None to shade nothing.
     """
     x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_digits(values, 6)

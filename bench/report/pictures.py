@@ -27,11 +27,7 @@ _CLOSE_UP_PX = 36.0
 
 
 def pose_pictures(views: Sequence[ViewPicture], words: TargetWords = STARS) -> list[tuple[str, str]]:
-    """Draw each pose that has an image as SVG, with rings and crosses at the stars and two close-ups beside it.
-
-    views: Poses of the report; those without an image are skipped.
-    Returns: SVG and the pose's name.
-    """
+    """Draw each pose that has an image as SVG with its name: rings and crosses at the stars and two close-ups."""
     images = [(view, view.image) for view in views if view.image is not None]
     limit = _ALL_PICTURES_BYTES // max(1, len(images))
     return [

@@ -52,7 +52,6 @@ def axes_in(
       longer.
     whole: Whether the frame has four sides, as a sensor has; otherwise it has the left and the lower one.
     grid: Axes with lines at their ticks: ``x``, ``y`` or ``xy``.
-    clip: Whether what lies outside of the axes is not drawn.
     """
     left, top, width, height = place or (0.0, 0.0, picture.width, picture.height)
     above = _heading(picture, words, left, top, width)
@@ -76,11 +75,7 @@ def axes_in(
 
 
 def height_for(image_size: Sequence[int], width: float, words: Words) -> float:
-    """Return how high a picture of a sensor is.
-
-    image_size: Width and height of the sensor, px.
-    Returns: The height; a sensor that is higher than wide is drawn narrower than the picture.
-    """
+    """Return how high a picture of a sensor is; one higher than wide is drawn narrower than the picture."""
     words_high = _LINE_HEIGHT * len(words.title) + 4.0 + 2 * _LINE_HEIGHT + FONT
     words_wide = 3.0 + _TICK + _LINE_HEIGHT + _widest([str(image_size[1])]) + _RIGHT
     across = width - words_wide
@@ -99,11 +94,7 @@ def _heading(picture: Picture, words: Words, left: float, top: float, width: flo
 
 
 def write_legend(picture: Picture, keys: Sequence[Key], left: float, top: float, width: float) -> float:
-    """Write a legend in as many rows as it needs.
-
-    left, top, width: Where it begins, and how wide a row is.
-    Returns: Where it ends.
-    """
+    """Write a legend in rows of some width, as many as it needs, and return where it ends."""
     x, foot = left, top + (_LINE_HEIGHT if keys else 0.0)
     for key in keys:
         length = _SIGN_LENGTH + 4.0 + text_width(key.text, FONT)

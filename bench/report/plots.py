@@ -41,11 +41,7 @@ _CLOUD_PERCENTILE = 99.5
 def residual_vectors(
     views: Sequence[ViewPicture], image_size: tuple[int, int], words: TargetWords = STARS
 ) -> str:
-    """Draw the residual vector of each star at its place on the sensor, magnified by the factor that the plot states.
-
-    views: Poses of the report, with at least one star.
-    image_size: Width and height, px.
-    """
+    """Draw the residual vector of each star at its place on the sensor, magnified by the factor that is stated."""
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
     about = f"{len(lengths)} {words.points}; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
@@ -60,10 +56,7 @@ def residual_vectors(
 
 
 def residual_cloud(views: Sequence[ViewPicture]) -> str:
-    """Draw the residuals around zero.
-
-    views: Poses of the report, with at least one star.
-    """
+    """Draw the residuals around zero; there is at least one star."""
     lengths, limit = _lengths(views)
     rms = float(np.sqrt(np.mean(lengths**2)))
     words = Words(("Residuals; the circle is their RMS length",), "column, px", "row, px")
@@ -79,11 +72,7 @@ def residual_cloud(views: Sequence[ViewPicture]) -> str:
 
 
 def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
-    """Draw the lengths of the residuals against the distance from the principal point.
-
-    views: Poses of the report, with at least one star.
-    principal_point: cx and cy, px.
-    """
+    """Draw the lengths of the residuals against the distance from the principal point (cx, cy), px."""
     lengths, limit = _lengths(views)
     radius = np.concatenate([np.linalg.norm(view.detected - principal_point, axis=1) for view in views])
     running = _running_rms(radius, lengths)
@@ -118,12 +107,7 @@ def coverage(
     principal_point: tuple[float, float],
     words: TargetWords = STARS,
 ) -> str:
-    """Draw the stars on the sensor, and the part of it that they support.
-
-    views: Poses of the report, with at least one star.
-    image_size: Width and height, px.
-    principal_point: cx and cy, px.
-    """
+    """Draw the stars on the sensor, and the part of it that they support."""
     distance, share = supported_share(np.concatenate([view.detected for view in views]), image_size)
     title = f"{words.capital}; they are near {100 * share:.0f} % of the sensor (blue)"
     about = (
@@ -148,11 +132,7 @@ def coverage(
 
 
 def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: TargetWords = STARS) -> str:
-    """Draw the RMS residual and the number of stars for each region of the sensor.
-
-    views: Poses of the report, with at least one star.
-    image_size: Width and height, px.
-    """
+    """Draw the RMS residual and the number of stars for each region of the sensor."""
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
     whole = f"RMS residual of all {words.points} {np.sqrt(squares.mean()):.3g} px"
@@ -166,10 +146,7 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: Ta
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
-    """Draw the deviation of each value from the truth, in units of its standard uncertainty.
-
-    error_sigmas: For each parameter: value minus truth, divided by the standard uncertainty.
-    """
+    """Draw the deviation of each value from the truth, in units of its standard uncertainty."""
     reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
     rows = Scale(len(names) - 0.4, -0.6, ticks=[(row, name) for row, name in enumerate(names)])
     words = Words((), "(value \N{MINUS SIGN} truth) / u; shaded: within 1 and 2")

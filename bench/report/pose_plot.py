@@ -103,10 +103,7 @@ def displacement(camera: CameraModel, covariance: Array, angles_deg: Array) -> t
 
 
 def field_angles_deg(camera: CameraModel) -> dict[str, float]:
-    """Return the field angle of the middle of a side edge, of the upper or lower edge, and of the farthest corner.
-
-    Returns: Angle by name, degrees; points without a ray are left out.
-    """
+    """Return the field angles, degrees, of the middles of a side and an upper edge, and of the farthest corner."""
     width, height = camera.image_size
     places = {
         "top, bottom": [(camera.cx, 0.0), (camera.cx, height - 1.0)],
@@ -118,11 +115,7 @@ def field_angles_deg(camera: CameraModel) -> dict[str, float]:
 
 
 def angles_of(camera: CameraModel, points: Array) -> Array:
-    """Return the angle between the optical axis and the ray of each image point.
-
-    points: (N, 2) float64, px.
-    Returns: (N,) float64, degrees; NaN where an image point has no ray.
-    """
+    """Return the angle, degrees, between axis and ray of (N, 2) image points, px; NaN without a ray."""
     rays = camera.rays(points)
     return np.degrees(np.arctan2(np.linalg.norm(rays[:, :2], axis=1), rays[:, 2]))
 
@@ -151,11 +144,7 @@ def _mark_angles(axes: Axes, marks: Sequence[tuple[float, str, str, str]]) -> No
 
 
 def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:
-    """Return the field angle of the outermost star.
-
-    points: For each pose (N, 2) float64, px: its stars.
-    Returns: Degrees; None without a star that has a ray.
-    """
+    """Return the field angle of the outermost star, degrees; None without a star that has a ray."""
     angles = [angles_of(camera, some) for some in points if len(some)]
     finite = [float(np.nanmax(some)) for some in angles if np.isfinite(some).any()]
     return max(finite, default=None)
@@ -165,11 +154,7 @@ def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:
 
 
 def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraModel:
-    """Return the camera model for a camera of results.json.
-
-    values: ``fx fy cx cy`` and the coefficients of the lens.
-    image_size: Width and height, px.
-    """
+    """Return the camera model for a camera of results.json: ``fx fy cx cy`` and coefficients of the lens."""
     lens = {name: value for name, value in values.items() if name not in PINHOLE}
     fx, fy, cx, cy = (values[name] for name in PINHOLE)
     width, height = image_size
@@ -179,7 +164,6 @@ def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraM
 def camera_covariance(calibration: CameraData) -> Array | None:
     """Return the covariance of the camera's values, without those of the collimator.
 
-    calibration: ``calibration`` of results.json.
     Returns: (K, K) covariance in the order of ``calibration.camera``; None if it is not stated for all of
       them.
     """
@@ -255,11 +239,7 @@ def pose_directions(results: Results) -> str:
 
 
 def pose_frames(calibration: CalibrationData) -> str:
-    """Draw the outline of the image of each pose on the target.
-
-    calibration: ``calibration`` of results.json.
-    Returns: SVG; empty if no pose has a rotation.
-    """
+    """Draw the outline of the image of each pose on the target; empty if no pose has a rotation."""
     views = [view for view in calibration["views"] if "rotation" in view and "centre_mm" in view]
     if not views:
         return ""

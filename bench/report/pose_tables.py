@@ -66,11 +66,7 @@ class GateRow:
 
 
 def poses(found: Sequence[PoseData]) -> list[PoseRow]:
-    """List the poses with their commanded and measured angles and their stars.
-
-    found: ``poses`` of results.json.
-    Returns: A row for each pose. The reason for a kind of image stands in the first row that has this kind.
-    """
+    """List poses with commanded and measured angles and stars; a kind of image is explained where it is first."""
     rows: list[PoseRow] = []
     kinds: set[object] = set()
     for pose in found:
@@ -110,10 +106,7 @@ def _stars(pose: PoseData) -> str:
 
 
 def recordings(found: Sequence[PoseData], words: TargetWords = STARS) -> list[RecordingRow]:
-    """List every recording, including refused ones.
-
-    found: ``poses`` of results.json.
-    """
+    """List every recording, including refused ones."""
     return [
         RecordingRow(
             pose=str(pose["name"]),
@@ -135,10 +128,7 @@ def recordings(found: Sequence[PoseData], words: TargetWords = STARS) -> list[Re
 
 
 def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow]:
-    """List each gate once, with the range of the values it judged and its worst verdict.
-
-    found: ``gates`` of results.json.
-    """
+    """List each gate once, with the range of the values it judged and its worst verdict."""
     kinds: dict[tuple[str, str, str], list[GateData]] = {}
     for gate in found:
         name = _POSE_PREFIX.sub("", str(gate["name"]), count=1)

@@ -48,11 +48,7 @@ _NO_BORESIGHT = "not determined: two axes of the stage must move, and the sign o
 
 
 def passport_rows(passport: PassportData | None) -> Rows:
-    """List what the results state about the collimator's passport.
-
-    passport: ``passport`` of results.json; None if no passport was used.
-    Returns: Name and value; none without a passport.
-    """
+    """List what the results state about the collimator's passport; none without a passport."""
     if not passport:
         return []
     sigma = passport["sigma"]
@@ -90,9 +86,7 @@ def _seal_rows(passport: PassportData) -> Rows:
 def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
     """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
 
-    readings: ``gimbal_readings`` of results.json; None if the calibration had no readings.
     estimate: ``calibration.gimbal`` of results.json; None if the readings took no part.
-    Returns: Name and value; one row, or two if the station states the uncertainty of the readings.
     """
     if not readings:
         return []
@@ -112,11 +106,7 @@ def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateD
 
 
 def check_rows(check: CheckData | None) -> Rows:
-    """List what the check of a stated calibration found.
-
-    check: ``check`` of results.json; None if no step asked for it.
-    Returns: Name and value; one row, or none without a check.
-    """
+    """List what the check of a stated calibration found: one row, or none without a check."""
     if check is None:
         return []
     stated = check.get("stated", {})
@@ -129,10 +119,7 @@ def check_rows(check: CheckData | None) -> Rows:
 
 
 def boresight_rows(results: Results) -> Rows:
-    """List how the camera is turned against the stage's flange and the faces of its mount.
-
-    Returns: Name and value; none if the readings of the gimbal took no part.
-    """
+    """List how the camera is turned against the stage's flange and the faces of its mount, if readings took part."""
     calibration = results["calibration"]
     estimate, found = calibration.get("gimbal"), calibration.get("boresight")
     if found is None:
@@ -161,11 +148,7 @@ def _degrees(names: Sequence[str], values: Sequence[float], expanded: Sequence[f
 
 
 def parallax_rows(parallax: ParallaxData | None) -> Rows:
-    """List where the entrance pupil is, and the parallax that follows, or why the parallax test has no result.
-
-    parallax: ``parallax`` of results.json; None if the rims in view do not determine it.
-    Returns: Name and value; none without a result.
-    """
+    """List where the entrance pupil is, and the parallax that follows, or why the parallax test has no result."""
     if not parallax:
         return []
     if "why_not" in parallax:
@@ -183,11 +166,7 @@ def parallax_rows(parallax: ParallaxData | None) -> Rows:
 
 
 def source_rows(sources: Sequence[SourceData]) -> list[tuple[str, str, str, str]]:
-    """List the input files of a calibration without devices.
-
-    sources: ``sources`` of results.json.
-    Returns: View, size in bytes, path and SHA-256 of each file.
-    """
+    """List view, size in bytes, path and SHA-256 of each input file of a calibration without devices."""
     return [
         (str(one["view"]), number(one["size_bytes"], 12), str(one["path"]), str(one["sha256"]))
         for one in sources
@@ -243,10 +222,7 @@ class DeviceRow:
 
 
 def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """List the settings of light and camera, and the temperature.
-
-    found: ``conditions`` of results.json.
-    """
+    """List the settings of light and camera, and the temperature."""
     rows = []
     for part, settings in found.items():
         if isinstance(settings, Mapping):
@@ -257,10 +233,7 @@ def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def devices(found: Mapping[str, Any]) -> list[DeviceRow]:
-    """List the identities that the devices reported.
-
-    found: ``devices`` of results.json.
-    """
+    """List the identities that the devices reported."""
     rows = []
     for part, identities in found.items():
         for identity in identities if isinstance(identities, list) else [identities]:
@@ -278,20 +251,12 @@ def devices(found: Mapping[str, Any]) -> list[DeviceRow]:
 
 
 def connections(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """List what the devices answered about the cables between them and to the computer.
-
-    found: ``devices`` of results.json.
-    Returns: Name and value; empty if the run did not ask.
-    """
+    """List what the devices answered about their cables; empty if the run did not ask."""
     return [(_readable(name), str(value)) for name, value in (found.get("connections") or {}).items()]
 
 
 def left(found: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
-    """List how each device was left after the last step that needs devices.
-
-    found: ``devices_left`` of results.json.
-    Returns: Device, state, and what it answered, or what may be the case.
-    """
+    """List device, state, and answer (or what may be the case) after the last step that needs devices."""
     ends = [DeviceEnd.from_dict(end) for end in found]
     return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]
 

@@ -29,10 +29,7 @@ _PALE, _DEEP = (244, 248, 252), (106, 172, 214)
 
 
 def shade(share: float) -> str:
-    """Return a shade of blue on which dark text can be read.
-
-    share: 0 for the palest one, 1 for the deepest one.
-    """
+    """Return a shade of blue on which dark text can be read, from 0, the palest one, to 1."""
     part = min(max(share, 0.0), 1.0)
     return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(_PALE, _DEEP, strict=True))
 
@@ -62,10 +59,7 @@ class Scale:
     ticks: Sequence[tuple[float, str]] | None = None
 
     def share(self, values: ArrayLike) -> Array:
-        """Return where values stand.
-
-        Returns: Of the shape of ``values``: 0 at ``low``, 1 at ``high``.
-        """
+        """Return where values stand: 0 at ``low``, 1 at ``high``."""
         low, high = (float(self._spread(np.asarray(end, float))) for end in (self.low, self.high))
         return np.asarray((self._spread(np.asarray(values, float)) - low) / (high - low))
 
@@ -163,18 +157,12 @@ def tick_labels(values: Sequence[float]) -> list[str]:
 
 
 def plain(value: float) -> str:
-    """Return a round number as text.
-
-    Returns: The number with a true minus sign and without zeros at its end.
-    """
+    """Return a round number as text, with a true minus sign and without zeros at its end."""
     return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
 
 
 def text_width(text: str, size: float) -> float:
-    """Estimate how wide a text is in a common sans-serif typeface.
-
-    Returns: The width, in the unit of ``size``; that of DejaVu Sans, and most typefaces are narrower.
-    """
+    """Estimate how wide a text is in DejaVu Sans, in the unit of ``size``; most typefaces are narrower."""
     return size * sum(_EM[_kind(letter)] for letter in text)
 
 
@@ -200,9 +188,7 @@ _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 class Picture:
     """An SVG in work; its unit is the point.
 
-    identifier: Prefix of all ids; different for each picture of a page.
     label: Short description for readers who do not see it.
-    about: What it shows, in one or two sentences; empty to say nothing.
     """
 
     def __init__(self, width: float, height: float, identifier: str, label: str, about: str = "") -> None:
@@ -226,11 +212,7 @@ class Picture:
         size: float = FONT,
         more: str = "",
     ) -> None:
-        """Write a text on the ground of the page.
-
-        x, y: Where its baseline begins, ends or has its middle.
-        anchor: ``start``, ``middle`` or ``end``.
-        """
+        """Write a text on the ground of the page; the baseline's ``start``, ``middle`` or ``end`` is at x, y."""
         self.add(_text(x, y, text, painted("fill", colour), anchor, size, more))
 
     def clip(self, left: float, top: float, width: float, height: float) -> str:
@@ -242,10 +224,7 @@ class Picture:
         return f'clip-path="url(#{name})"'
 
     def svg(self) -> str:
-        """Return the picture.
-
-        Returns: The ``<svg>`` element.
-        """
+        """Return the picture as an ``<svg>`` element."""
         about = f"<desc>{escape(self.about)}</desc>" if self.about else ""
         box = f"0 0 {self.width:g} {self.height:g}"
         return (
@@ -266,11 +245,7 @@ class Axes:
         self._clip = ""
 
     def at(self, points: ArrayLike) -> Array:
-        """Return where points lie in the picture.
-
-        points: (N, 2), in the units of the scales.
-        Returns: (N, 2) float64, rounded to hundredths.
-        """
+        """Return where (N, 2) points in the scales' units lie in the picture, rounded to hundredths."""
         given = np.asarray(points, float).reshape(-1, 2)
         across = self.left + self.width * self.x.share(given[:, 0])
         up = self.top + self.height * (1 - self.y.share(given[:, 1]))
@@ -279,19 +254,13 @@ class Axes:
     def strokes(
         self, begins: ArrayLike, ends: ArrayLike, colour: str, width: float, opacity: float = 1.0
     ) -> None:
-        """Draw many straight lines as one path, which keeps the file small.
-
-        begins, ends: (N, 2), in the units of the scales: the ends of the lines.
-        """
+        """Draw straight lines between (N, 2) begins and ends as one path, which keeps the file small."""
         both = np.hstack([self.at(begins), self.at(ends)])
         shape = "M%g %gL%g %g" * len(both) % tuple(both.ravel().tolist())
         self._path(shape, _stroke(colour, width, opacity) + ' stroke-linecap="round"')
 
     def dots(self, points: ArrayLike, colour: str, width: float, opacity: float = 1.0) -> None:
-        """Draw dots as one path of lines without length.
-
-        points: (N, 2), in the units of the scales.
-        """
+        """Draw dots at (N, 2) points as one path of lines without length."""
         places = self.at(points)
         shape = "M%g %gh0" * len(places) % tuple(places.ravel().tolist())
         self._path(shape, _stroke(colour, width, opacity) + ' stroke-linecap="round"')
@@ -299,11 +268,7 @@ class Axes:
     def line(
         self, points: ArrayLike, colour: str, width: float = 1.0, *, dash: str = "", opacity: float = 1.0
     ) -> None:
-        """Draw a line through points.
-
-        points: (N, 2), in the units of the scales.
-        dash: Lengths of dashes and gaps; empty for a full line.
-        """
+        """Draw a line through (N, 2) points; ``dash`` is empty for a full line."""
         dashed = f' stroke-dasharray="{dash}"' if dash else ""
         self._path(shape_of(self.at(points)), _stroke(colour, width, opacity) + dashed)
 
@@ -319,8 +284,6 @@ class Axes:
         """Fill closed shapes together, by the even-odd rule.
 
         outlines: (N, 2) each, in the units of the scales.
-        edge, width: Colour and width of the outline; no colour for none.
-        dash: Lengths of dashes and gaps of the outline; empty for a full line.
         """
         shape = "".join(shape_of(self.at(one), closed=True) for one in outlines)
         clear = f' fill-opacity="{opacity:g}"' if opacity < 1 else ""
@@ -329,17 +292,11 @@ class Axes:
         self._path(shape, f'fill="{fill}" fill-rule="evenodd"{clear}{stroke}')
 
     def upright(self, value: float, colour: str, width: float = 0.8, dash: str = "") -> None:
-        """Draw a line from the bottom to the top.
-
-        colour, width, dash: As for `line`.
-        """
+        """Draw a line from the bottom to the top, as `line`."""
         self.line([(value, self.y.low), (value, self.y.high)], colour, width, dash=dash)
 
     def level(self, value: float, colour: str, width: float = 0.8, dash: str = "") -> None:
-        """Draw a line from the left to the right.
-
-        colour, width, dash: As for `line`.
-        """
+        """Draw a line from the left to the right, as `line`."""
         self.line([(self.x.low, value), (self.x.high, value)], colour, width, dash=dash)
 
     def text(
@@ -356,7 +313,6 @@ class Axes:
     ) -> None:
         """Write a text beside a point.
 
-        colour, anchor, size, more: As for `Picture.text`.
         themed: Whether the colour is that of the page; False on a ground that is light in every scheme.
         """
         x, y = self.at([at])[0].tolist()
@@ -373,12 +329,7 @@ class Axes:
 
 
 def shape_of(places: Array, *, closed: bool = False) -> str:
-    """Return a line through places of a picture as the data of a path.
-
-    places: (N, 2) float64, points of the picture.
-    closed: Whether the last place joins the first one.
-    Returns: Empty without places.
-    """
+    """Return a line through (N, 2) places of a picture as the data of a path; empty without places."""
     if not len(places):
         return ""
     text = ("M%g %g" + "L%g %g" * (len(places) - 1)) % tuple(places.ravel().tolist())
@@ -386,10 +337,7 @@ def shape_of(places: Array, *, closed: bool = False) -> str:
 
 
 def painted(what: str, colour: str) -> str:
-    """Return the attributes that paint something; a page may replace the colours of its own scheme.
-
-    what: ``fill`` or ``stroke``.
-    """
+    """Return what paints ``fill`` or ``stroke``; a page may replace the colours of its own scheme."""
     known = _CLASSES.get(colour)
     line = "-line" if what == "stroke" else ""
     return f'class="{known}{line}" {what}="{colour}"' if known else f'{what}="{colour}"'

@@ -21,10 +21,7 @@ _GOALS = {"expanded_fx_px": "U(fx)", "worst_corner_px": "U at the corners"}
 
 
 def meaning_of_goal(name: str) -> str:
-    """Return a goal as people read it.
-
-    name: Name of the goal: ``expanded_fx_px`` or ``worst_corner_px``.
-    """
+    """Return the goal ``expanded_fx_px`` or ``worst_corner_px`` as people read it."""
     return _GOALS.get(name, name)
 
 
@@ -44,11 +41,7 @@ def goals_text(wanted: Mapping[str, float]) -> str:
 
 
 def reached_text(decided: Mapping[str, Any]) -> str:
-    """Return what an ``until`` has reached.
-
-    decided: Payload of the journal line ``until_decided``.
-    Returns: For example ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``.
-    """
+    """Return what an ``until_decided`` has reached, as ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``."""
     now = decided["now"]
     poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
     if now and decided.get("coverage_factor"):
@@ -63,10 +56,7 @@ def reached_text(decided: Mapping[str, Any]) -> str:
 
 
 def decision_text(decided: Mapping[str, Any]) -> str:
-    """Return a decision of an ``until`` as one line.
-
-    decided: Payload of the journal line ``until_decided``.
-    """
+    """Return a journal line ``until_decided`` as one line of text."""
     reached = reached_text(decided)
     chosen = decided.get("chosen")
     if chosen is None:
@@ -125,18 +115,12 @@ BOARD = TargetWords("point", "points", "board")
 
 
 def words_for(board: object) -> TargetWords:
-    """Return the words for a target.
-
-    board: The board at finite distance, or its description; None or empty for the star target.
-    """
+    """Return the words for a board at finite distance or its description; without one, for the star target."""
     return BOARD if board else STARS
 
 
 def words_of(results: Results) -> TargetWords:
-    """Return the words for what a run recorded.
-
-    Returns: Those of a board if ``run`` names one.
-    """
+    """Return the words for what a run recorded: those of a board if ``run`` names one."""
     return words_for((results.get("run") or {}).get("board"))
 
 
@@ -184,27 +168,18 @@ def known_parameters() -> tuple[str, ...]:
 
 
 def unit_of(parameter: str) -> str:
-    """Return the unit of a parameter.
-
-    Returns: ``px``, ``mm``, or ``1`` for a pure number such as a distortion coefficient.
-    """
+    """Return the unit of a parameter: ``px``, ``mm``, or ``1`` for a pure number such as a distortion coefficient."""
     return _UNITS.get(parameter, "1")
 
 
 def unit_text(name: str) -> str:
-    """Return the unit of a parameter, as it is printed after a number.
-
-    Returns: The unit; empty for a number without unit.
-    """
+    """Return the unit of a parameter, as it is printed after a number; empty for none."""
     unit = unit_of(name)
     return "" if unit == "1" else unit
 
 
 def meaning_of(parameter: str) -> str:
-    """Return the meaning of a parameter in words.
-
-    Returns: A short description; empty for an unknown parameter.
-    """
+    """Return a short description of a parameter; empty for an unknown one."""
     return _MEANINGS.get(parameter, "")
 
 

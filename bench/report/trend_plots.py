@@ -32,7 +32,6 @@ def study_plot(names: Sequence[str], z: Array, rms: Mapping[str, float]) -> str:
     """Draw the errors of each parameter as a histogram beside the normal distribution.
 
     z: (N, K) float64: error of each calibration over its stated standard uncertainty.
-    rms: Root mean square of each column of ``z``.
     Returns: SVG. Errors beyond four standard uncertainties count in the outermost bins.
     """
     rows = -(-len(names) // _ACROSS)
@@ -108,11 +107,7 @@ class Series(NamedTuple):
 
 
 def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
-    """Draw when each run was in progress, one row for each job.
-
-    bars: One bar for each attempt, at least one.
-    zone: Time zone of the axis; None for this computer's.
-    """
+    """Draw when each run was in progress, one row for each job; zone None is this computer's."""
     jobs = list(dict.fromkeys(bar.job for bar in bars))
     first, last = min(bar.begun for bar in bars), max(bar.ended for bar in bars)
     span_h = max(_hours(last, first), 1 / 3600)
@@ -141,19 +136,13 @@ def over_time(
 
     series: One series for each parameter; slopes are per hour.
     zone: Time zone of the axis; None for this computer's.
-    identifier: Prefix of the ids in the SVG, unique on the page.
     """
     hours = np.array([_hours(moment, moments[0]) for moment in moments])
     return _panels(hours, series, identifier, begin=moments[0].astimezone(zone), label="")
 
 
 def against_temperature(degrees_c: Sequence[float], series: Sequence[Series], identifier: str) -> str:
-    """Draw each parameter against the camera's temperature, with U = 2 u.
-
-    degrees_c: Temperature of the camera in each run, degrees Celsius.
-    series: One series for each parameter; slopes are per degree Celsius.
-    identifier: Prefix of the ids in the SVG, unique on the page.
-    """
+    """Draw each parameter against the camera's temperature, degrees Celsius, with U = 2 u; slopes are per degree."""
     return _panels(np.asarray(degrees_c), series, identifier, begin=None, label="camera, °C")
 
 
@@ -244,10 +233,7 @@ def _clock(begin: datetime, last_h: float) -> list[tuple[float, str]]:
 
 
 def bars_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:
-    """Convert the items of a summary to the bars of the timeline.
-
-    items: ``items`` of ``summary.json``.
-    """
+    """Convert the ``items`` of ``summary.json`` to the bars of the timeline."""
     return [
         Bar(
             item["job"],

@@ -59,10 +59,7 @@ class Change:
 
 
 def change(results: Results) -> Change | None:
-    """Return what is printed about the change since the last calibration of the same camera.
-
-    Returns: None if the results do not mention earlier calibrations.
-    """
+    """Return what is printed about the change since the camera's last calibration; None if none is mentioned."""
     previous = results.get("previous")
     if not previous:
         return None
@@ -86,10 +83,7 @@ def change(results: Results) -> Change | None:
 
 
 def change_sentence(results: Results) -> str:
-    """Return the change since the last calibration in one sentence.
-
-    Returns: The sentence; empty if the results do not mention earlier calibrations.
-    """
+    """Return the change since the last calibration in one sentence; empty if the results mention none."""
     previous = results.get("previous")
     if not previous:
         return ""

@@ -47,11 +47,7 @@ class _Sealer:
 
 
 def check_recalculated(folder: Path) -> Findings:
-    """Calibrate the sources of recalculated results again, with the same options, and compare every file.
-
-    folder: The folder; its seal and its list of files have no fault.
-    Returns: Every number that differs; or why the numbers could not be compared.
-    """
+    """Calibrate the sources of recalculated results again, with the same options, and compare every file."""
     found = Findings()
     try:
         described, stored = read_json(folder / SOURCES), read_json(folder / RESULTS)

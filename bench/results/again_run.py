@@ -178,11 +178,7 @@ class _Evidence:
 
 
 def check_run_again(folder: Path) -> Findings:
-    """Make the results of a run again from its recordings, and compare every file with what follows from them.
-
-    folder: The run folder; seal, list of files and journal have no fault.
-    Returns: What contradicts, what was not compared, and which software made the results.
-    """
+    """Make the results of a run again from its recordings, and compare every file with what follows from them."""
     found = Findings()
     evidence = _read(folder, found)
     if evidence is None:

@@ -125,10 +125,7 @@ def _fault(fault: GimbalFault, *, claimed: bool) -> dict[str, Any]:
 
 
 def mount_faces(calibration: Calibration, station: Station) -> list[dict[str, Any]] | None:
-    """Return how the camera looks against the faces of its mount that the station states.
-
-    Returns: As docs/results.md describes it; None without faces or without a boresight.
-    """
+    """Return ``mount_faces`` of docs/results.md; None without stated faces or without a boresight."""
     found = calibration.boresight
     if found is None or station.gimbal is None or not station.gimbal.faces:
         return None
@@ -165,8 +162,6 @@ def parallax_check(
 ) -> dict[str, Any] | None:
     """Measure how far the entrance pupil is off the pivot, and what parallax that causes.
 
-    views: Views of the calibration, in its order.
-    station: The station; it may state the defocus of the collimator and the place of the pupil.
     Returns: As docs/results.md describes it. If the rims do not determine the place of the pupil: ``why_not``
       alone for the parallax test, None for other sequences.
     """

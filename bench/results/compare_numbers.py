@@ -51,21 +51,14 @@ Tolerance = Callable[[str, Number, Number, float], bool]
 
 
 def exactly(_where: str, stored: Number, derived: Number, _scale: float) -> bool:
-    """Return whether two numbers are equal to the last bit.
-
-    Returns: True if they are.
-    """
+    """Return whether two numbers are equal to the last bit."""
     return stored == derived
 
 
 def differences(
     stored: Any, derived: Any, equal: Tolerance = exactly, where: str = ""
 ) -> Iterator[Difference]:
-    """Compare two contents.
-
-    equal: Whether two numbers count as equal.
-    Yields: Each difference, in the order of the derived content.
-    """
+    """Compare two contents, and yield each difference in the order of the derived one."""
     yield from _differences(stored, json.loads(json.dumps(derived)), equal, where, 0.0)
 
 
@@ -162,7 +155,6 @@ def check_numbers(
 ) -> None:
     """Compare all of results.json with what was calculated again.
 
-    found: Findings; they are added.
     other: How the program that made the results differs from this one; empty if it does not.
     source: What they were calculated from: ``recordings``.
     """
@@ -223,11 +215,7 @@ def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> 
 
 
 def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
-    """Return whether a difference may come from another program.
-
-    one: A difference between stored results and those of this program, beyond rounding.
-    Returns: True if it is within the limits of this module.
-    """
+    """Return whether a difference beyond rounding may come from another program: it is within these limits."""
     if one.kind != "value" or ".notes[" in one.where or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
         return True
     if isinstance(one.stored, str) and isinstance(one.derived, str):
@@ -253,10 +241,7 @@ def _is_near(one: Difference, sigma: Mapping[str, float]) -> bool:
 
 
 def described(excused: Sequence[Difference], sigma: Mapping[str, float], most: int) -> str:
-    """Return excused differences as text: the places of words and parts, and how large the differences of numbers are.
-
-    Returns: ``calibration.notes[0], 433 numbers (...)``.
-    """
+    """Return excused differences as text, such as ``calibration.notes[0], 433 numbers (...)``."""
     numbers = [
         one for one in excused if one.kind == "value" and _is_number(one.stored) and _is_number(one.derived)
     ]
@@ -293,10 +278,7 @@ def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:
 
 
 def same_stars(stored: View, again: View) -> bool:
-    """Return whether two programs found the same stars, within `MOST_PX`.
-
-    Returns: True if nearly all stars are the same, and none lies elsewhere.
-    """
+    """Return whether two programs found nearly all stars the same, within `MOST_PX`, and none elsewhere."""
     both, at, there = np.intersect1d(stored.ids, again.ids, return_indices=True)
     if len(both) < (1.0 - _MOST_STARS) * max(len(stored), len(again)):
         return False

@@ -85,28 +85,19 @@ class HeldViews:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a views.h5; its images are read when they are needed.
-
-        Raises RunFolderError: When the file cannot be read, or does not have this layout.
-        """
+        """Read a views.h5; its images are read when they are needed."""
         views, pictured = read_views(path), has_pictures(path)
         numbers = range(1, len(views) + 1)
         return cls(views, [partial(read_picture, path, number) if pictured else None for number in numbers])
 
     def as_file(self) -> bytes:
-        """Return the bytes of a views.h5 with this content.
-
-        Raises RunFolderError: When an image cannot be read.
-        """
+        """Return the bytes of a views.h5 with this content."""
         pairs = zip(self.views, self.pictures, strict=True)
         found = [_Found(stored.view, None if read is None else _Picture(read)) for stored, read in pairs]
         return views_file(found, [stored.residuals_px for stored in self.views])
 
     def shown(self, results: Results) -> list[ViewPicture]:
-        """Return the poses as the report shows them.
-
-        Raises RunFolderError: When an image cannot be read.
-        """
+        """Return the poses as the report shows them."""
         names = pictured_poses(results).names
         return [
             ViewPicture(
@@ -140,11 +131,7 @@ def compare_views(
 ) -> HeldViews | None:
     """Compare a views.h5 with the views that were found again; those of another program roughly.
 
-    again: Views and images, in the order of the calibration.
     residuals_px: For each view (N, 2) float64.
-    used: Software that made the file, by name.
-    source: What they were found in: ``recordings``.
-    found: Findings; they are added.
     Returns: What the file holds; None if it cannot be read, or has other poses.
     """
     try:
@@ -197,11 +184,7 @@ def _seen(
 
 
 def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
-    """Tell how the stored views of recordings differ from those found again.
-
-    source: What the views come from: ``recordings``.
-    found: Findings; they are added.
-    """
+    """Tell how stored views differ from those found again in ``source``, such as ``recordings``."""
     excused = [view for view in views if view.seen and view.excused]
     if excused:
         parts = ", ".join(dict.fromkeys(part for view in excused for part in view.seen))
@@ -217,10 +200,7 @@ def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
 
 
 def views_differ(stored: View, again: View) -> list[str]:
-    """Return which parts of two views differ.
-
-    stored: View of views.h5.
-    """
+    """Return which parts of two views differ."""
     arrays: Sequence[tuple[str, Any, Any]] = [
         ("image sizes", stored.image_size, again.image_size),
         ("star ids", stored.ids, again.ids),
@@ -240,11 +220,7 @@ def views_differ(stored: View, again: View) -> list[str]:
 
 
 def close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
-    """Return whether two arrays are equal but for rounding.
-
-    stored, again: float64 arrays of any shape and unit.
-    Returns: Whether shapes are equal, and values within one millionth of the largest.
-    """
+    """Return whether two arrays have one shape, and are equal within one millionth of the largest value."""
     if stored.shape != again.shape:
         return False
     scale = float(np.max(np.abs(again), initial=0.0))

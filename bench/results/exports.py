@@ -53,10 +53,7 @@ class FormatCannotCarry(BenchError):
 
 
 def refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
-    """Refuse a lens with other coefficients than a format has.
-
-    Raises FormatCannotCarry: If the lens has others.
-    """
+    """Refuse a lens with other coefficients than a format has."""
     further = [name for name in camera.distortion if name not in names]
     if further:
         raise FormatCannotCarry(
@@ -66,10 +63,7 @@ def refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
 
 
 def refuse_skew(camera: CameraModel, what: str) -> None:
-    """Refuse a camera with skew: the programs that read these formats ignore K[0, 1].
-
-    Raises FormatCannotCarry: If it has skew.
-    """
+    """Refuse a camera with skew: the programs that read these formats ignore K[0, 1]."""
     if SKEW in camera.distortion:
         raise FormatCannotCarry(
             f"{what} cannot represent the skew of the camera matrix.",
@@ -78,10 +72,7 @@ def refuse_skew(camera: CameraModel, what: str) -> None:
 
 
 def refuse_fisheye(camera: CameraModel, what: str) -> None:
-    """Refuse a fisheye lens.
-
-    Raises FormatCannotCarry: If the lens is one.
-    """
+    """Refuse a fisheye lens."""
     if camera.is_fisheye:
         raise FormatCannotCarry(
             f"{what} cannot represent a fisheye lens (kb1 to kb4).",
@@ -111,36 +102,22 @@ def target_poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
 
 
 def image_size_fields(camera: CameraModel) -> dict[str, int]:
-    """Return the size of the image as ROS and OpenCV name it.
-
-    Returns: ``image_width`` and ``image_height``, px.
-    """
+    """Return the size of the image as ROS and OpenCV name it: ``image_width`` and ``image_height``, px."""
     return {"image_width": camera.image_size[0], "image_height": camera.image_size[1]}
 
 
 def ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
-    """Return a matrix as ROS writes it.
-
-    matrix: (m, n) float64.
-    Returns: ``rows``, ``cols`` and ``data``, row after row.
-    """
+    """Return an (m, n) matrix as ROS writes it: ``rows``, ``cols`` and ``data``, row after row."""
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
 
 
 def yaml_bytes(content: Mapping[str, Any]) -> bytes:
-    """Return a YAML file with its keys in the given order.
-
-    Returns: The file, UTF-8.
-    """
+    """Return a YAML file, UTF-8, with its keys in the given order."""
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=10_000).encode()
 
 
 def file_storage_bytes(extension: str, content: Mapping[str, Any]) -> bytes:
-    """Return a file of ``cv::FileStorage``.
-
-    extension: ``.yaml`` or ``.json``.
-    Returns: The file; the same with OpenCV 4 and 5.
-    """
+    """Return a ``.yaml`` or ``.json`` file of ``cv::FileStorage``, the same with OpenCV 4 and 5."""
     storage = cv2.FileStorage(extension, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for name, value in content.items():
         _store(storage, name, value)
@@ -233,10 +210,7 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a ROS camera_info YAML with ``plumb_bob``, ``rational_polynomial`` or ``equidistant`` distortion.
-
-    camera_name: Name of the camera; letters, digits and ``_`` only.
-    """
+    """Write a ROS camera_info YAML with ``plumb_bob``, ``rational_polynomial`` or ``equidistant`` distortion."""
     return camera_info(calibration.camera, camera_name, calibration.camera.matrix)
 
 
@@ -267,7 +241,6 @@ def camera_info(
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
 
-    camera_name: Name of the camera, used in ``rostopic``.
     Raises FormatCannotCarry: When no k1 k2 p1 p2 project as the lens does within `_MOST_CHANGE_PX`.
     """
     told, content = kalibr_camera(calibration.camera, camera_name)
@@ -275,10 +248,7 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[str, Any]]:
-    """Return a remark and the content of one camera of a camchain, as `kalibr_camchain` writes it.
-
-    Raises FormatCannotCarry: As there.
-    """
+    """Return a remark and the content of one camera of a camchain, as `kalibr_camchain` writes it."""
     whole, told = camera, b""
     if not camera.is_fisheye and set(camera.distortion) - set(_RADTAN):
         camera, change_px = nearest_lens(camera, _RADTAN)
@@ -300,10 +270,7 @@ def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[st
 
 
 def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, with the camera at the origin.
-
-    Raises FormatCannotCarry: When the lens is a fisheye lens.
-    """
+    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, not a fisheye lens, with the camera at the origin."""
     camera = calibration.camera
     refuse_fisheye(camera, "mrcal's cameramodel")
     coefficients = opencv_coefficients(camera)
@@ -383,9 +350,8 @@ def metavision_json(
 def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
     """Write the camera-geometry.json of Metavision SDK 5: K of 9 numbers by rows, and D: k1 k2 p1 p2 k3.
 
-    camera_name: Not used; the format has no name.
-    Raises FormatCannotCarry: When the lens is a fisheye lens, whose form the maker does not publish, or has more
-      than these coefficients.
+    Raises FormatCannotCarry: When the lens is a fisheye lens, whose form the maker does not publish, or has
+      more than these coefficients.
     """
     del camera_name
     camera, what = calibration.camera, "Metavision's camera-geometry.json"

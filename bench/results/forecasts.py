@@ -50,7 +50,6 @@ def expected_bench(station: Located[Station], *, noise_px: float | None = None) 
     """Return the bench that a station file expects, without errors: approximate values, sufficient for studies.
 
     noise_px: Standard uncertainty of a star for each axis, px; None for the station's value.
-    Raises UsageError: When the station file has no ``expected`` section.
     """
     expected = station.value.expected
     if expected is None:
@@ -80,10 +79,7 @@ def expected_bench(station: Located[Station], *, noise_px: float | None = None) 
 
 
 def forecast_bench(planned: Plan) -> ExpectedBench:
-    """Return the bench that a plan expects, with what its last calibration uses.
-
-    Raises UsageError: When the station file has no ``expected`` section.
-    """
+    """Return the bench that a plan expects, with what its last calibration uses."""
     bench, station = expected_bench(planned.station), planned.station.value
     assert station.expected is not None
     bench = replace(
@@ -132,8 +128,6 @@ def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
     """Suggest further poses, within the station's limits, that improve the calibration most.
 
     Returns: Poses with the angle of each axis, degrees (``pan_deg``), the best first.
-    Raises UsageError: When the station file has no ``expected`` section.
-    Raises calib.errors.CalibrationError: When no pose is suitable.
     """
     bench = forecast_bench(planned)
     return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
@@ -142,10 +136,8 @@ def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
 def forecasts_with(planned: Plan, further: Sequence[SuggestedPose]) -> list[Forecast | None]:
     """Predict the uncertainties that the poses of a plan give with the first further pose, the first two, and so on.
 
-    further: Poses to add, in order.
     Returns: For each further pose the forecast with it and those before it; None if these poses show too few
       stars.
-    Raises UsageError: When the station file has no ``expected`` section.
     """
     bench, poses = forecast_bench(planned), _poses_deg(planned)
     found: list[Forecast | None] = []

@@ -45,10 +45,7 @@ class Interim:
 
 
 class Decisions:
-    """Decides for the ``until`` steps of one run.
-
-    folder: Run folder; the recordings are read from it if they have to be measured again.
-    """
+    """Decides for the ``until`` steps of one run; recordings may have to be measured again."""
 
     def __init__(self, job: Job, folder: Path) -> None:
         self._job = job
@@ -61,10 +58,7 @@ class Decisions:
         measured: MutableMapping[int, Measurement],
         check: Callable[[], None],
     ) -> UntilDecided:
-        """Calibrate from the accepted recordings, and decide what follows.
-
-        check: Called between pieces of work; raises if the run is to stop.
-        """
+        """Calibrate from the accepted recordings, and decide what follows; ``check`` raises to stop the run."""
         accepted = sorted(history.accepted().items())
         for index, attempt in accepted:
             check()

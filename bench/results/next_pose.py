@@ -92,12 +92,9 @@ def choose_pose(
 ) -> Choice | str:
     """Choose the next pose.
 
-    calibration: Calibration from the poses so far; None if there is none yet.
-    passport: Passport that the calibrations use, if any.
     taken_deg: Angles of the poses recorded so far, degrees, in the order of the views of the calibration.
     refused_deg: Angles of the poses that failed, degrees.
     readings: What the readings of the gimbal are worth, without angles, if the calibrations use them.
-    Returns: The pose; or why there is none, as a sentence.
     """
     if calibration is None and station.value.expected is None:
         return (
@@ -351,11 +348,7 @@ class ExpectedCourse:
 
 
 def expected_courses(planned: Plan) -> list[ExpectedCourse]:
-    """Predict what each ``until`` of a plan will do.
-
-    planned: A plan without faults.
-    Returns: One for each ``until``; empty if the station expects nothing.
-    """
+    """Predict what each ``until`` of a plan will do; empty if the station expects nothing."""
     if planned.station.value.expected is None:
         return []
     return [_course(planned, until) for until in planned.untils]

@@ -91,10 +91,7 @@ class OfflineResult:
         return _common_board(self.sources, self.choices)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content as ``--json`` prints it.
-
-        Returns: The calibration's content, and ``planar passport gimbal_readings skipped``.
-        """
+        """Return the calibration's content, and ``planar passport gimbal_readings skipped``, for ``--json``."""
         return {
             **self.calibration.to_dict(),
             "planar": self.planar.to_dict() if self.planar else None,
@@ -113,9 +110,6 @@ def calibrate_paths(
     kept: Views of earlier calculations; None to find the stars in every recording. Evidence is never checked
       with them.
     Returns: The calibration. A file in which the target is not found is left out, with the reason.
-    Raises UsageError: When a requested view does not exist, or a path cannot be used.
-    Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.
-    Raises calib.errors.CalibrationError: When the views do not determine the camera.
     """
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
@@ -132,23 +126,14 @@ def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:
 
 
 def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
-    """Return a source that takes its view from an earlier calculation, if there is one.
-
-    Returns: The same source; its views are the same to the last bit.
-    """
+    """Let a source take its view, the same to the last bit, from an earlier calculation if there is one."""
     if source.decided_by is None:
         return source
     return replace(source, read=partial(kept.view, source.path, source.decided_by, source.read))
 
 
 def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) -> OfflineResult:
-    """Calibrate from the files of views.
-
-    Returns: The calibration, without the paths that were given.
-    Raises UsageError: When a requested view does not exist.
-    Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.
-    Raises calib.errors.CalibrationError: When the views do not determine the camera.
-    """
+    """Calibrate from the files of views, without the paths that were given."""
     missing = [number for number in choices.view_numbers or () if number > len(sources)]
     if missing:
         raise UsageError(
@@ -179,11 +164,7 @@ def _common_board(sources: Sequence[ViewSource], choices: OfflineOptions) -> Boa
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:
-    """Refuse one path for both cameras of a rig, or two that share no pose, before any star is looked for.
-
-    Raises DegenerateViews: If no view of one has the name of a view of the other.
-    Raises UsageError, BenchError: When a path cannot be used.
-    """
+    """Refuse one path for both cameras of a rig, or two that share no pose, before any star is looked for."""
     if first.resolve() == second.resolve():
         raise UsageError(
             "Both cameras have the same views.",
@@ -245,10 +226,7 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
 
 
 def read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
-    """Read the views, with one image size and unique names; return also their sources, and why views were left out.
-
-    Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.
-    """
+    """Read the views, with one image size and unique names; return also their sources, and why views were left out."""
     views: list[View] = []
     used: list[ViewSource] = []
     skipped: list[str] = []

@@ -66,10 +66,7 @@ class Sealer(Protocol):
 
 
 def require_new(folder: Path) -> None:
-    """Refuse a folder that holds anything.
-
-    Raises UsageError: If it is not empty.
-    """
+    """Refuse a folder that holds anything."""
     with storage_errors(folder):
         found = next(folder.iterdir(), None) if folder.is_dir() else None
     if found is not None:
@@ -85,8 +82,6 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
 
     folder: The folder; it is made if it does not exist. ``results.json`` is written last, before the seal.
     key: The bench's key; None leaves the folder a draft.
-    Raises UsageError: If the folder is not empty.
-    Raises EvidenceError: If the folder cannot be sealed.
     """
     require_new(folder)
     write_files(folder, offline_files(result, folder.resolve().name, key))
@@ -95,11 +90,7 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of an offline calibration to a new folder, in their order.
-
-    folder: The folder; it is made if it does not exist.
-    files: As `offline_files` returns them.
-    """
+    """Write the files of `offline_files` to a folder, made if it does not exist, in their order."""
     make_folder(folder / EXPORTS)
     for name, data in files.items():
         write_atomic(folder / name, data)
@@ -119,7 +110,6 @@ def offline_files(
     sources: What `source_data` returns for each view; None to read and hash the files now.
     read_from: For each folder that is a copy for this calculation only, the place that it was copied from.
     Returns: Contents by name within the folder; ``results.json`` is the last one.
-    Raises StorageError: If a source cannot be read.
     """
     if sources is None:
         pairs = zip(result.sources, result.views, strict=True)
@@ -165,8 +155,6 @@ def offline_results(
 ) -> dict[str, Any]:
     """Return the content of results.json of an offline calibration.
 
-    sources: Path, size and hash of each input file.
-    key: Who will seal the folder; None if it stays a draft.
     Returns: The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and
       states.
     """
@@ -254,10 +242,7 @@ def _started(source: ViewSource) -> dict[str, Any]:
 
 
 def source_data(source: ViewSource, view: str) -> dict[str, Any]:
-    """Return what sources.json states about the file of a view.
-
-    Returns: Name of the view, path, size and hash.
-    """
+    """Return what sources.json states about the file of a view: name of the view, path, size and hash."""
     with storage_errors(source.path):
         size = source.path.stat().st_size
         return {

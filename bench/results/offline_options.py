@@ -52,7 +52,6 @@ _SPLIT = re.compile(r"[,;\s]+")
 def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: Origin = "corner") -> View:
     """Read one view from a point file.
 
-    path: The file; its name without extension becomes the name of the view.
     image_size: Width and height, px. If None, the smallest size that contains the points; it serves only as
       an initial value of the principal point.
     origin: Whether (0, 0) is the corner or the centre of the first pixel.
@@ -227,7 +226,6 @@ class OfflineOptions:
         board: Description of a board at finite distance, as `calib.boards.board.Board.parse` reads it.
         reconstruct_hz: Cutoff frequency for pictures of a moving camera, Hz.
         pictures_at: Times of these pictures, s, as ``0.5,1,1.5``.
-        Raises UsageError: When an option is invalid; the message names it.
         """
         if image not in get_args(ImageKind):
             raise UsageError(
@@ -262,11 +260,7 @@ class OfflineOptions:
         return made
 
     def without_run(self, passport: PassportInUse | None = None) -> CalibrationOptions:
-        """Return the engine's options for views that are not from one run.
-
-        Returns: The options; without a model, ``auto``.
-        Raises calib.errors.InputMismatch: If an option is unknown or out of range.
-        """
+        """Return the engine's options for views that are not from one run; without a model, ``auto``."""
         used = self.passport or (None if self.without_passport else passport)
         found = used.passport if used and self.model != "planar" else None
         return CalibrationOptions(
@@ -282,9 +276,7 @@ class OfflineOptions:
     ) -> CalibrationOptions:
         """Return the engine's options for views of one run.
 
-        step: Its last solve step.
         measured_deg: For each view the angles of the stage, degrees, as the journal holds them.
-        Raises calib.errors.InputMismatch: If an option is unknown or out of range.
         """
         changed = self.step_of_run(step)
         options = solve_options(job, changed, measured_deg)
@@ -294,10 +286,7 @@ class OfflineOptions:
         return options if self.distortion is None else replace(options, distortion=self.distortion)
 
     def step_of_run(self, step: SolveStep) -> SolveStep:
-        """Return the solve step of a run with the options of the command line.
-
-        step: The run's last solve step.
-        """
+        """Return the last solve step of a run with the options of the command line."""
         return replace(
             step,
             model=self.model or step.model,
@@ -407,10 +396,7 @@ _BOARD = "board"
 
 
 def options_data(options: OfflineOptions) -> dict[str, Any]:
-    """Return options as JSON holds them.
-
-    Returns: Values by name; ``passport`` is the name of the file that the command line gave, or None.
-    """
+    """Return options as JSON holds them; ``passport`` is the name of the file, or None."""
     plain = {one.name: getattr(options, one.name) for one in fields(options) if one.name not in _ELSEWHERE}
     return {
         **plain,
@@ -424,8 +410,6 @@ def options_of_data(
 ) -> OfflineOptions:
     """Return the options that `options_data` wrote.
 
-    passport: The passport that the command line gave; None if it gave none.
-    target: The target of sources.json; None for the standard target.
     Raises ValueError: If an option is unknown here: a later version wrote it.
     Raises calib.errors.CalibrationError: If the board is none.
     """

@@ -22,11 +22,7 @@ from calib.model.passport import Passport
 
 
 def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) -> None:
-    """Write a passport to a new file.
-
-    key: The bench's key, which seals it; None leaves it unsealed.
-    Raises UsageError: When the file exists.
-    """
+    """Write a passport to a new file, sealed if there is a key."""
     if path.exists():
         raise UsageError(
             "A file with this name already exists.", where=str(path), remedy="Choose another name."
@@ -36,11 +32,7 @@ def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) 
 
 
 def seal_file(path: Path, output: Path, key: BenchKey) -> str:
-    """Write a sealed copy of a passport that has no seal.
-
-    key: The bench's key.
-    Raises UsageError: When it is not a passport, is sealed already, or the new file exists.
-    """
+    """Write a sealed copy of a passport that has no seal, to a new file."""
     passport, data = read_passport_file(path)
     if (seal := read_passport_seal(data)) is not None:
         raise UsageError(f"This passport is sealed already, by {seal.fingerprint}.", where=str(path))
@@ -49,11 +41,7 @@ def seal_file(path: Path, output: Path, key: BenchKey) -> str:
 
 
 def seals_of(paths: Sequence[Path]) -> dict[str, str]:
-    """Return the seals of the sealed runs among the sources of a passport, so that it is bound to them.
-
-    Returns: SHA-256 of ``SHA256SUMS`` by the name of the run.
-    Raises StorageError: When a seal cannot be read.
-    """
+    """Return the SHA-256 of ``SHA256SUMS`` of the sealed runs among a passport's sources: it is bound to them."""
     found = {}
     for path in paths:
         with storage_errors(path):
@@ -73,12 +61,7 @@ def passport_from_calibration(
 ) -> Passport:
     """Make a passport from a calibration, with the conditions under which it was made.
 
-    calibration: The calibration; its model must include a collimator.
-    collimator: Serial number or name of the collimator, if known.
-    temperature_c: Temperature of the bench, degrees Celsius, if known.
-    now: Time at which the passport is made, UTC.
     seals: SHA-256 of the list of files of each source that is a sealed run, by its name.
-    Returns: The collimator's parameters and their covariance.
     Raises calib.errors.InputMismatch: When the calibration has no collimator (planar model).
     """
     conditions = {
@@ -105,14 +88,9 @@ def passport_from_certificate(
 ) -> Passport:
     """Make a passport from a certificate of the collimator's focal length.
 
-    r_mm: Certified focal length, mm.
     sigma_mm: Its standard uncertainty, mm: the expanded uncertainty of the certificate divided by its
       coverage factor.
-    issued: Date of the certificate, if known.
     valid_until: Last day of its validity, year-month-day, if known.
-    collimator: Serial number or name of the collimator, if known.
-    temperature_c: Temperature at the certification, degrees Celsius, if known.
-    now: Time at which the passport is made, UTC.
     Raises UsageError: When focal length or uncertainty is not positive and finite.
     """
     if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):

@@ -52,7 +52,6 @@ def previous_calibration(
     """Return the last calibration of the same camera before this run, and the change since then.
 
     place: What the ledger returned for this run when it was entered.
-    results: Results of this run: ``run``, ``devices`` and ``calibration``.
     Returns: ``previous`` of results.json (docs/results.md); None if this run is not in the ledger.
     """
     if not place:
@@ -160,7 +159,6 @@ def _of_camera(calibration: CalibrationData) -> CovarianceData:
 def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
     """Return the change of the projection over the sensor.
 
-    then, now: ``calibration`` of the earlier and of this result.
     Returns: ``change`` of results.json (docs/results.md); None if this calibration states no covariance.
     """
     maps = change_maps(then, now)

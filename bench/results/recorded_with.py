@@ -42,10 +42,7 @@ _BLOCK_WORDS: Final = 1 << 19
 
 
 def check_recorded_with(folder: Path) -> Findings:
-    """Compare each recording with what the journal states of it.
-
-    folder: The run folder; its seal and its journal have no fault.
-    """
+    """Compare each recording with what the journal states of it."""
     found = Findings()
     entries, _ = read_journal(folder / JOURNAL)
     camera = replay(entries).devices.get("camera") or {}

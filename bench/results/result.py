@@ -39,10 +39,7 @@ from sequences.script import SolveStep
 
 
 def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
-    """Keep the views of the accepted recordings of a run.
-
-    job: Task of the run. Views of a rehearsal, and of a board in place of the star target, are not kept.
-    """
+    """Keep the views of a run's accepted recordings, unless it is a rehearsal or shows a board."""
     if type(job.camera_kind) not in {EventKind, FrameKind} or job.board is not None:
         return 0
     kept, count = KeptViews.of_bench(), 0
@@ -67,10 +64,7 @@ class Outcome:
 
 
 class ResultWriter:
-    """Calculates and writes the results of one run.
-
-    folder: Run folder, locked by this process.
-    """
+    """Calculates and writes the results of one run."""
 
     def __init__(self, job: Job, folder: RunFolder) -> None:
         self.outcome: Outcome | None = None
@@ -85,21 +79,13 @@ class ResultWriter:
         measured: Mapping[int, Measurement],
         check: Callable[[], None],
     ) -> Solved:
-        """Calibrate from the accepted recordings.
-
-        check: Called between pieces of work; raises if the run is to stop.
-        Raises calib.errors.CalibrationError: If the views do not determine the camera.
-        """
+        """Calibrate from the accepted recordings; ``check`` is called between pieces of work, and raises to stop."""
         keep_views_of_run(self._job, history, measured)
         self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
         return main_numbers(self._solution.calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
-        """Write results.json, views.h5, exports and the report.
-
-        truth: Truth of the simulated world; None on a real bench.
-        Raises BenchError: If there is no calibration.
-        """
+        """Write results.json, views.h5, exports and the report; a real bench has no ``truth``."""
         if self._solution is None:
             raise BenchError(
                 "There is nothing to report: no solve step came before the report step.",
@@ -135,7 +121,6 @@ def shown_files(
 ) -> dict[str, bytes]:
     """Return what shows results to others: the exports, and last the report.
 
-    target: The printed target or the board; None if the views show several.
     head: Hash of the journal's line that the report prints; empty for results without a journal.
     Returns: Contents by name within the folder.
     """

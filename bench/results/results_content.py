@@ -111,10 +111,7 @@ def results_content(
     truth: Mapping[str, Any] | None,
     software_used: Mapping[str, str],
 ) -> Results:
-    """Return the content of results.json of a run, without the comparison with an earlier run.
-
-    truth: Truth of the simulated world; None on a real bench.
-    """
+    """Return the content of results.json of a run, without the comparison with an earlier run."""
     calibration = solution.calibration
     of_journal = journal_content(job, history, calibration.views)
     calculated = {
@@ -155,7 +152,6 @@ def _conformity(
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
     """Return the part of results.json that follows from journal, sequence and station.
 
-    history: History of the run when its results were written.
     Returns: ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses,
       ``untils``, ``deviations``, ``failures``, ``devices_left`` and ``states``.
     """
@@ -193,37 +189,25 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
 
 
 def projection(calibration: Calibration, views: Sequence[View]) -> dict[str, Any] | None:
-    """Return the uncertainty of a direction over the sensor, as results.json holds it.
-
-    Returns: ``projection`` of results.json; None if no corner of the sensor has an uncertainty.
-    """
+    """Return ``projection`` of results.json; None if no corner of the sensor has an uncertainty."""
     camera, k = calibration.camera, point_factor(calibration)
     return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
 
 
 def collimator_data(job: Job) -> dict[str, Any] | None:
-    """Return what the station of a run states about its collimator, as results.json holds it.
-
-    Returns: None if the station states nothing.
-    """
+    """Return what the station of a run states about its collimator, as results.json holds it."""
     return job.station.collimator.model_dump(mode="json", exclude_none=True) or None
 
 
 def target_data(job: Job) -> dict[str, str]:
-    """Return what the station of a run states about the target as an object, as results.json holds it.
-
-    Returns: ``serial`` and ``description``, as far as stated; its geometry is in the station file.
-    """
+    """Return ``serial`` and ``description`` of the target as far as the station states them."""
     target = job.station.target
     stated = {"serial": target.serial, "description": target.description}
     return {name: text for name, text in stated.items() if text}
 
 
 def software() -> dict[str, str]:
-    """Return the versions of the software that contributes to a result and to its report.
-
-    Returns: Version by name, and the hashes of the program (`bench.results.forms`).
-    """
+    """Return versions by name of the software that makes a result and its report, and `bench.results.forms`."""
     parts = {"starbench": __version__, "python": platform.python_version()}
     for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):
         parts[name] = version(name)
@@ -234,7 +218,6 @@ def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) 
     """Return in which parts of the software a file was made by another program than this one.
 
     used: ``run.software`` of results.json, or ``software`` of the journal's first line.
-    names: Parts that decide the bytes of the file; None for all.
     Returns: ``numpy 2.1 (here 2.2)``, several with commas; empty if all are the same.
     """
     here = software()
@@ -342,21 +325,14 @@ _NOT_STATED: Final = "not stated"
 
 
 def run_software(station: Station) -> dict[str, str]:
-    """Return the versions of all software that contributes to a run on a station.
-
-    Returns: `software`, and the version of each package of a plug-in and of each optional library that the
-      station uses.
-    """
+    """Return `software`, and versions of plug-ins and optional libraries that the station uses."""
     brought = {plugin.distribution: plugin.version for plugin in used_plugins(station)}
     library = _LIBRARIES.get(_driver(station.camera))
     return _joined({**brought, **_versions([library] if library is not None else [])})
 
 
 def files_software(endings: Iterable[str]) -> dict[str, str]:
-    """Return the versions of all software that contributes to an offline calibration.
-
-    Returns: `software`, and the version of each optional library that reads such a file.
-    """
+    """Return `software`, and the version of each optional library that reads files with such endings."""
     return _joined(_versions({_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}))
 
 
@@ -375,7 +351,6 @@ def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
 def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
     """Return the plug-ins that a run used, by its journal.
 
-    started: First line of the journal, or ``run`` of results.json.
     Returns: Package and version, and the drivers that it brought: ``{"starbench-turntable 1.0": "stage
       turntable"}``.
     """
@@ -387,10 +362,7 @@ def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
 
 
 def plugins_missing(started: Mapping[str, Any]) -> list[str]:
-    """Return the plug-ins of a run that this computer does not have, or not in the version of the run.
-
-    started: First line of the journal.
-    """
+    """Return the plug-ins of a run that this computer does not have, or not in the version of the run."""
     here = {plugin.package for kind in GROUPS for plugin in plugins(kind) if not plugin.trouble}
     return [package for package in plugins_stated(started) if package not in here]
 

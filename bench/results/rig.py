@@ -47,8 +47,6 @@ def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) 
     paths: Views behind a collimator; or of a board, if `choices` names one and `boards` is empty.
     boards: Views of the board beside those behind the collimator.
     cameras: Files with the intrinsics from other views.
-    Raises UsageError, BenchError: When a file cannot be used.
-    Raises calib.errors.CalibrationError: When the views do not determine the rig.
     """
     if choices.board is None:
         if boards:
@@ -107,8 +105,6 @@ def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[Clock
     """Return offset and rate of the second camera's clock in each recording that both cameras made.
 
     folders: Pairs of paths, an entry for each camera.
-    Raises UsageError: When a view is no RAW recording.
-    Raises calib.errors.InputMismatch: When the recordings have no sync edges in common.
     """
     clocks = []
     for pair in folders:

@@ -33,11 +33,7 @@ _NAMES = ("cam0", "cam1")
 
 
 def rig_exports(rig: Rig, content: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return file name to content, for a rig with a translation.
-
-    content: What `rig.json` holds.
-    Returns: ``not-written.txt`` lists the formats that cannot represent the rig, with the reason.
-    """
+    """Return file name to content, for a rig with a translation; ``not-written.txt`` says what is missing and why."""
     files = {
         "rig.json": (json.dumps(content, indent=2, allow_nan=False) + "\n").encode(),
         "extrinsics.json": _extrinsics(rig),
@@ -84,10 +80,7 @@ def _camchain(rig: Rig) -> dict[str, bytes]:
 
 
 def _stereo(rig: Rig) -> dict[str, bytes]:
-    """Write the pair of ROS's camera_info, and OpenCV's stereo file, with the rectification that both share.
-
-    Raises FormatCannotCarry: If the images differ in size, or the lenses in family.
-    """
+    """Write the pair of ROS's camera_info, and OpenCV's stereo file, with the rectification that both share."""
     first, second = rig.first, rig.second
     if first.image_size != second.image_size or first.is_fisheye != second.is_fisheye:
         raise FormatCannotCarry(

@@ -40,10 +40,7 @@ class StatedRig:
 
 
 def read_rig_file(path: Path) -> StatedRig:
-    """Read the rig of a file.
-
-    Raises NotARig: When it holds no rig, or more than one; says why.
-    """
+    """Read the rig of a file, which must hold exactly one."""
     try:
         content = parse_json(read_bounded(path, _MOST_BYTES))
         stated = _of_sdk(content) if "T_slave_master" in content else _own(content)

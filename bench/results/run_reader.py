@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
     """Return the calibration that results.json states.
 
-    stored: ``calibration`` of results.json.
     Returns: Residuals and weights are empty, the candidates are not read; all other parts are as stored.
     Raises KeyError, TypeError, ValueError: When a part is missing, or is not of the expected form.
     """
@@ -81,7 +80,6 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
 def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
     """Return the camera that results.json states.
 
-    stored: ``calibration`` of results.json.
     Raises KeyError, TypeError, ValueError: When a value is missing, or is not of the expected form.
     """
     width, height = stored["image_size"]
@@ -95,7 +93,6 @@ def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
 def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:
     """Return the collimator that results.json states.
 
-    values: ``calibration.collimator`` of results.json.
     Returns: Its ``reference`` is None, because results.json does not contain it; None for the planar model.
     Raises KeyError: When a value is missing.
     """

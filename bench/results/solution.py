@@ -39,10 +39,7 @@ from sequences.script import SolveStep
 
 @contextmanager
 def errors_in(words: TargetWords) -> Iterator[None]:
-    """Raise the engine's errors in the words of the target.
-
-    Raises calib.errors.CalibrationError: The error of the block, of the same class and with the same place.
-    """
+    """Raise the engine's errors in the words of the target, of the same class and with the same place."""
     try:
         yield
     except CalibrationError as error:
@@ -63,10 +60,7 @@ _MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
 
 
 def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
-    """Calibrate with Zhang's planar model on the same points (Zhang, 2000).
-
-    Returns: None if the views do not determine the planar model.
-    """
+    """Calibrate with the planar model of Zhang (2000) on the same points; None if they do not determine it."""
     try:
         return calibrate(
             views, CalibrationOptions("planar", options.distortion, options.loss, options.huber_px)
@@ -108,11 +102,7 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
 
 
 def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
-    """Find the stars of an accepted recording again, with the grid that was expected when it was recorded.
-
-    Returns: The measurement; its view is not None.
-    Raises BenchError: If no stars are found in the recording any more.
-    """
+    """Find the stars of an accepted recording again, with the grid that was expected when it was recorded."""
     step = job.record_step(attempt.pose_index)
     path = folder / str(attempt.stored["capture"])
     found = job.camera_kind.measure(
@@ -154,8 +144,6 @@ def solve_run(
     """Calibrate from the accepted recordings of a run.
 
     check: Called between pieces of work; raises if the run is to stop.
-    Raises calib.errors.CalibrationError: If the views do not determine the camera.
-    Raises BenchError: If no stars are found in an accepted recording any more.
     """
     measurements = []
     accepted = sorted(history.accepted().items())
@@ -197,11 +185,7 @@ def solve_run(
 
 
 def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> CheckData | None:
-    """Compare the calibration with the stated one that a step ``check`` names.
-
-    Returns: ``check`` of results.json; None for a step ``solve``.
-    Raises calib.errors.InputMismatch: If the sensors have different sizes.
-    """
+    """Compare the calibration with the stated one of a step ``check``: ``check`` of results.json."""
     stated = job.plan.checked.in_use
     if stated is None or step.checked is None:
         return None

@@ -58,7 +58,6 @@ def solve_options(
 def stated_radial_sigma(station: Station) -> float | None:
     """Return the prior of the radial term of the target's map, from the bow and the distortion that a station states.
 
-    station: The station; its section `budget` states both, and a focal length of its collimator relates them.
     Returns: Standard uncertainty, dimensionless; None if the station does not state both, or no focal length.
     """
     collimator, expected = station.collimator, station.expected
@@ -90,7 +89,6 @@ def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, 
 def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:
     """Return the readings of the gimbal with their uncertainty.
 
-    station: The station; its sections `gimbal` and `collimator` state the uncertainty and bound the parallax.
     measured_deg: For each view the angles of the stage, degrees; the reading of an encoder replaces that of
       its axis.
     Returns: None if the station does not state the uncertainty of the readings.
@@ -139,8 +137,6 @@ def readings_result(
 ) -> dict[str, Any]:
     """Return what results.json states about the gimbal's readings.
 
-    witness: Whether the sequence keeps the readings out of the adjustment.
-    stated: Whether the station states the uncertainty of the readings.
     Returns: ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the
       source of these; ``bound``: what bounds the parallax, and the parallax that follows, as a share of r;
       ``why_not``.

@@ -50,10 +50,7 @@ class Agreement:
         return self.k * self.sigma
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content as JSON holds it.
-
-        Returns: ``name mean sigma coverage_factor expanded birge deviations``.
-        """
+        """Return ``name mean sigma coverage_factor expanded birge deviations`` as JSON holds them."""
         return {
             "name": self.name,
             "mean": self.mean,
@@ -177,10 +174,7 @@ class Slope:
         return abs(self.value) > SIGNIFICANT_SIGMAS * self.sigma
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content as JSON holds it.
-
-        Returns: ``value sigma seen``; ``seen`` is `significant`.
-        """
+        """Return ``value sigma seen`` as JSON holds them; ``seen`` is `significant`."""
         return {"value": self.value, "sigma": self.sigma, "seen": self.significant}
 
 
@@ -197,10 +191,7 @@ class Trend:
     per_c: Slope | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content as JSON holds it.
-
-        Returns: ``name mean sigma coverage_factor expanded birge repeats per_hour per_c``.
-        """
+        """Return ``name mean sigma coverage_factor expanded birge repeats per_hour per_c`` as JSON holds them."""
         agreed = self.agreed.to_dict()
         del agreed["deviations"]
         return {
@@ -248,11 +239,7 @@ def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) ->
 
 
 def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
-    """Compute the trend of every parameter that all runs have estimated.
-
-    runs: Runs of one camera and one model, each with a calibration, oldest first.
-    Returns: One for each parameter; empty with fewer than two runs.
-    """
+    """Compute the trend of every parameter that all runs, oldest first, have; empty with fewer than two."""
     if len(runs) < 2:
         return []
     hours = [hours_after(run.begun_utc, runs[0].begun_utc) for run in runs]
@@ -272,20 +259,12 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
 
 
 def hours_after(utc: str, begin_utc: str) -> float:
-    """Return the time between two moments.
-
-    utc: Later moment, ISO 8601.
-    begin_utc: Earlier moment, ISO 8601.
-    """
+    """Return the time between two ISO 8601 moments, h."""
     return (datetime.fromisoformat(utc) - datetime.fromisoformat(begin_utc)).total_seconds() / 3600.0
 
 
 def by_camera(runs: Sequence[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:
-    """Group the runs that have a calibration by camera and model.
-
-    runs: Runs in any order.
-    Returns: Runs by serial number and model, oldest first.
-    """
+    """Group the runs that have a calibration by serial number and model, oldest first."""
     found: dict[tuple[str, str], list[IndexedRun]] = {}
     for run in sorted(runs, key=lambda run: (run.begun_utc, run.folder)):
         if run.parameters:

@@ -41,11 +41,7 @@ class Straightness:
 def undistorted_files(
     camera: CameraModel, found: Undistortion, preview: NDArray[Any] | None
 ) -> Mapping[str, bytes]:
-    """Return the files by name.
-
-    preview: (H, W) picture of the camera, or None.
-    Raises FormatCannotCarry: If the camera matrix has skew.
-    """
+    """Return the files by name; the preview is an (H, W) picture of the camera. FormatCannotCarry: it has skew."""
     refuse_skew(camera, CAMERA_INFO)
     matrix = found.camera.matrix
     tables = BytesIO()
@@ -65,10 +61,7 @@ def undistorted_files(
 
 
 def read_picture_for(path: Path, camera: CameraModel) -> NDArray[Any]:
-    """Return the picture of a recording or a photograph of this camera.
-
-    Raises UsageError: If its size is not that of the camera, or the file has no picture.
-    """
+    """Return the picture of a recording or a photograph, if it has one of this camera's size."""
     picture = picture_of(path)
     height, width = picture.shape[:2]
     if (width, height) != camera.image_size:
@@ -83,10 +76,7 @@ def read_picture_for(path: Path, camera: CameraModel) -> NDArray[Any]:
 def board_straightness(
     picture: NDArray[Any], board: Board, found: Undistortion, camera: CameraModel, name: str
 ) -> Straightness:
-    """Find a board in a picture, and return how straight its rows and columns are, before and after.
-
-    Raises TargetNotFound: If the board is not in view.
-    """
+    """Find a board in a picture, and return how straight its rows and columns are, before and after."""
     view = detect_board(picture, board, name=name)
     rays = camera.rays(view.points_px)
     lines = _lines(view, board)

@@ -73,10 +73,8 @@ class ViewSource:
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the files of a path from which views can be made.
 
-    path: A run folder, a folder of files, or a file.
     Yields: For a run folder, its accepted recordings in order of the poses; for another folder, its known
       files in natural order of their names.
-    Raises UsageError: When the path does not exist, or nothing in it can be used.
     """
     if not path.exists():
         raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
@@ -277,12 +275,7 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
 
 
 def picture_of(path: Path) -> NDArray[Any]:
-    """Return the picture in which a target would be searched.
-
-    path: A RAW file or a photograph.
-    Returns: (H, W) grey values.
-    Raises UsageError: If it is neither.
-    """
+    """Return the (H, W) picture of a RAW file or a photograph in which a target would be searched."""
     from bench.views.measure import recorded_image
 
     ending = path.suffix.lower()

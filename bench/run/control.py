@@ -61,10 +61,7 @@ class Command(BaseModel):
 
 
 def operator_at_terminal() -> str:
-    """Return the name of the person at this terminal.
-
-    Returns: ``user@host``.
-    """
+    """Return ``user@host`` of the person at this terminal."""
     try:
         user = getpass.getuser()
     except (OSError, KeyError):  # no such user in the system's list, as in a container
@@ -73,11 +70,7 @@ def operator_at_terminal() -> str:
 
 
 def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str:
-    """Return why a command is refused.
-
-    command: The command; ``pose`` of ``skip`` is filled in.
-    Returns: The reason; empty if the command is accepted.
-    """
+    """Return why a command is refused, once ``pose`` of ``skip`` is filled in; empty if it is accepted."""
     if command.word == "abort":
         return ""
     if history.holder not in {"", command.by} and not command.take_over:
@@ -102,8 +95,6 @@ def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) 
 class CommandInbox:
     """Commands to the run of this process, answered from ``open`` to ``close`` by a separate thread.
 
-    folder: Run folder, locked by this process.
-    log: Where decisions are written; runner and status act on them.
     clock: Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
     """
 
@@ -129,10 +120,7 @@ class CommandInbox:
         return self._poller.closed
 
     def open(self) -> Self:
-        """Begin to accept commands. Commands to an earlier process that has died are refused.
-
-        Raises StorageError: If the folder cannot be created, or an answer cannot be written.
-        """
+        """Begin to accept commands. Commands to an earlier process that has died are refused."""
         make_folder(self._inbox.folder)
         self._drain("it was sent to a process that has died")
         self._poller.start()
@@ -202,11 +190,9 @@ def remove_inbox(folder: Path) -> None:
 def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
     """Send a command to a running run, and wait for its answer.
 
-    patience_s: Longest wait for the answer, s.
     Returns: The journal's answer: ``word by pose taken why``.
     Raises RunFolderError: If no process works on the run, it ended, or it did not answer in time. The command
       is then withdrawn.
-    Raises StorageError: If the command cannot be written.
     """
     inbox = inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():

@@ -57,28 +57,17 @@ def start_ticks(pid: int, proc: Path = PROC) -> int:
 
 
 def thread_waits_for_disk(pid: int, thread: int, proc: Path = PROC) -> bool:
-    """Return whether a thread is in state D, an uninterruptible wait, which is usually a wait for the disk.
-
-    thread: Number of the thread; that of the main thread is the number of the process.
-    Returns: False also if there is no such thread.
-    """
+    """Return whether a thread is in state D, an uninterruptible wait, which is usually a wait for the disk."""
     return _is_waiting(proc / str(pid) / "task" / str(thread) / "stat")
 
 
 def waits_for_disk(pid: int, proc: Path = PROC) -> bool:
-    """Return whether any thread of a process is in state D, an uninterruptible wait.
-
-    Returns: False also if there is no such process.
-    """
+    """Return whether any thread of a process is in state D, an uninterruptible wait."""
     return any(_is_waiting(path) for path in proc.glob(f"{pid}/task/*/stat"))
 
 
 def out_of_memory_kills(path: Path = PROC / "vmstat") -> int:
-    """Return how many processes the kernel has killed for lack of memory since it booted.
-
-    path: Statistics of the virtual memory.
-    Returns: The count; 0 if the kernel does not report it.
-    """
+    """Return how many processes the kernel has killed for lack of memory since it booted; 0 if it does not tell."""
     with suppress(OSError):
         for line in path.read_text(encoding="ascii").splitlines():
             name, _, value = line.partition(" ")
@@ -156,10 +145,7 @@ class HeartbeatWriter:
         return min(self._clock.inactive_s(), time.monotonic() - self._since_s)
 
     def supervisor_is_gone(self) -> bool:
-        """Return whether the supervisor of this process has ended; True only once.
-
-        Returns: True at the first call after the supervisor has ended.
-        """
+        """Return whether the supervisor of this process has ended; True only at the first call after that."""
         gone = self._supervisor is not None and os.getppid() != self._supervisor
         if gone:
             self._supervisor = None
@@ -172,10 +158,7 @@ class HeartbeatWriter:
 
 
 def read_heartbeat(folder: Path) -> Heartbeat | None:
-    """Read the last heartbeat of the process that works on a run.
-
-    Returns: None while no process accepts commands for the run.
-    """
+    """Read the last heartbeat of a run's process; None while none accepts commands."""
     try:
         numbers = [int(number) for number in (folder / CONTROL / HEARTBEAT).read_bytes().split()]
     except (OSError, ValueError):
@@ -184,10 +167,7 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
 
 
 def open_process(heartbeat: Heartbeat) -> int | None:
-    """Open the process that wrote a heartbeat.
-
-    Returns: File descriptor to wait for and to signal (pidfd); None if the process has ended.
-    """
+    """Return a pidfd of the process that wrote a heartbeat, to wait for and signal; None if it has ended."""
     try:
         process = os.pidfd_open(heartbeat.pid)
     except OSError:
@@ -205,10 +185,7 @@ def _supervisor() -> int | None:
 
 
 class BusyWatch:
-    """Writes ``computer_busy`` when the computer is too busy.
-
-    log: Where it is written.
-    """
+    """Writes ``computer_busy`` to a log when the computer is too busy."""
 
     def __init__(self, log: RunLog, clock: BenchClock) -> None:
         self._log = log
@@ -258,10 +235,7 @@ class LastView:
 
 
 def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target: StarTarget) -> None:
-    """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told.
-
-    pose, attempt: Number of the pose and of the attempt, from 1.
-    """
+    """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told."""
     if found.image is None or not (folder / CONTROL).is_dir():
         return
     stars = (
@@ -281,10 +255,7 @@ def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target
 
 
 def read_last_view(folder: Path) -> LastView | None:
-    """Read the picture of the last recording of a run in progress.
-
-    Returns: None if there is none.
-    """
+    """Read the picture of the last recording of a run in progress; None if there is none."""
     try:
         head, _, png = read_bounded(folder / CONTROL / LAST_VIEW, _MOST_BYTES).partition(b"\n")
         found = parse_json(head)
@@ -313,11 +284,7 @@ CRASH_LOG = "crash.txt"
 
 @contextmanager
 def crash_log(folder: Path) -> Iterator[None]:
-    """Write a crash of this process inside the block to ``crash.txt``; remove the empty file at the end.
-
-    Yields: Nothing; the block runs with fault handling on.
-    Raises StorageError: If the file cannot be created or removed.
-    """
+    """Write a crash of this process inside the block to ``crash.txt``; remove the empty file at the end."""
     path = folder / CRASH_LOG
     outer = faulthandler.is_enabled()
     with storage_errors(path):
@@ -335,19 +302,13 @@ def crash_log(folder: Path) -> Iterator[None]:
 
 
 def write_crash_log(folder: Path, what: str) -> None:
-    """Write why a process died, for a process that could not write it itself.
-
-    folder: Run folder; nothing is written if it does not exist.
-    """
+    """Write why a process died, for one that could not write it itself, unless the folder is gone."""
     if folder.is_dir():
         write_atomic(folder / CRASH_LOG, f"{what}\n".encode())
 
 
 def read_crash(folder: Path) -> str | None:
-    """Return how the last process crashed.
-
-    Returns: First line of the crash log; None if the process did not crash, or was killed from outside.
-    """
+    """Return the first line of the crash log; None if the last process did not crash, or was killed from outside."""
     path = folder / CRASH_LOG
     with storage_errors(path):
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else []
@@ -355,10 +316,7 @@ def read_crash(folder: Path) -> str | None:
 
 
 def archive_crash(folder: RunFolder) -> None:
-    """Move the crash log to ``quarantine/`` for later inspection, or remove it if it is empty.
-
-    folder: Run folder, locked by this process.
-    """
+    """Move the crash log to ``quarantine/`` for later inspection, or remove it if it is empty."""
     path = folder.path / CRASH_LOG
     with storage_errors(path):
         if read_crash(folder.path):

@@ -34,32 +34,19 @@ class Sensors(Protocol):
     """Readings of the run's devices that interlocks need (`bench.run.run_devices.RunDevices`)."""
 
     def camera_c(self) -> float | None:
-        """Read the temperature of the camera.
-
-        Returns: Degrees Celsius; None if the camera does not measure it.
-        """
+        """Read the temperature of the camera, degrees Celsius; None if it does not measure it."""
         ...
 
     def last_mev_s(self) -> float:
-        """Return the event rate of the last recording.
-
-        Returns: Millions of events per second.
-        """
+        """Return the event rate of the last recording, millions of events per second."""
         ...
 
     def dark_mev_s(self, duration_s: float) -> float:
-        """Measure the event rate in the dark.
-
-        duration_s: Length of the measurement, s.
-        Returns: Millions of events per second.
-        """
+        """Measure the event rate in the dark for some seconds: millions of events per second."""
         ...
 
     def reopen(self) -> str:
-        """Open the devices again.
-
-        Returns: Why that failed; empty if all devices are open.
-        """
+        """Open the devices again, and return why that failed; empty if all devices are open."""
         ...
 
 
@@ -121,10 +108,7 @@ class DiskSpace:
         return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
-        """See `Interlock.why`.
-
-        Raises StorageError: If the free space cannot be read.
-        """
+        """See `Interlock.why`."""
         with storage_errors(self.folder):
             free_gb = shutil.disk_usage(self.folder).free / 1e9
         wanted_gb = self.config.release_gb if held else self.config.min_free_gb
@@ -148,10 +132,7 @@ class CameraTemperature:
         return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
-        """See `Interlock.why`.
-
-        Raises DriverError: If the camera does not answer.
-        """
+        """See `Interlock.why`."""
         found_c = self.read_c()
         most_c = self.config.release_c if held else self.config.max_c
         if found_c is None or found_c <= most_c:
@@ -175,10 +156,7 @@ class EventRate:
         return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
-        """See `Interlock.why`.
-
-        Raises DriverError: If the camera does not answer.
-        """
+        """See `Interlock.why`."""
         if held:
             found, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
             return f"{found:.3g} Mev/s in the dark, at most {most:g} are allowed" if found > most else ""
@@ -207,20 +185,12 @@ class DeviceLost:
         return self.config.retry_s
 
     def why(self, *, held: bool) -> str:
-        """See `Interlock.why`. It never begins to hold by itself.
-
-        Raises WrongDevice: If another device answers in the place of the lost one.
-        """
+        """See `Interlock.why`. It never begins to hold by itself."""
         return self.reopen() if held else ""
 
 
 def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> list[Interlock]:
-    """Create the interlocks that a station file asks for.
-
-    config: Section ``interlocks`` of the station file.
-    sensors: Readings of the run's devices.
-    Returns: In a fixed order.
-    """
+    """Create the interlocks of a station's section ``interlocks``, in a fixed order."""
     found: list[Interlock] = []
     if config.door is not None:
         found.append(Door(config.door))

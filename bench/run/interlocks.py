@@ -69,10 +69,7 @@ class Trip:
 
 
 class Interlocks:
-    """All interlocks of a station.
-
-    clock: Clock of the run; interrupted when the door opens while devices are at work.
-    """
+    """All interlocks of a station; one interrupts the clock when the door opens while devices are at work."""
 
     def __init__(self, interlocks: Sequence[Interlock], clock: BenchClock) -> None:
         self._interlocks = tuple(interlocks)
@@ -105,7 +102,6 @@ class Interlocks:
         """Check that no interlock holds before work continues.
 
         Raises Interrupted: If one holds; ``take_interruption`` then returns it.
-        Raises StorageError, DriverError: If an interlock cannot be checked.
         """
         for interlock in self._interlocks:
             if why := interlock.why(held=False):
@@ -114,10 +110,7 @@ class Interlocks:
                 raise Interrupted(trip.text)
 
     def device_lost(self, why: str) -> Trip | None:
-        """Return what holds the run after a device was lost.
-
-        Returns: None if the station file has no ``device_lost`` interlock.
-        """
+        """Return what holds the run after a device was lost; None if the station has no ``device_lost`` interlock."""
         interlock = next((i for i in self._interlocks if i.name == DEVICE_LOST), None)
         return Trip(interlock, why) if interlock is not None else None
 
@@ -132,7 +125,6 @@ class Interlocks:
     def wait_until_clear(self, trip: Trip) -> float:
         """Wait until an interlock clears.
 
-        Returns: How long that took, s.
         Raises InterlockHeld: If all holds of this interlock together took too long.
         Raises Aborted: If a stop was requested.
         """

@@ -66,10 +66,7 @@ from sequences.settings import OptionSettings
 
 
 def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:
-    """Write and sign the page. A page that cannot be written is said; the run has ended in any case.
-
-    key: Returns the key to sign with.
-    """
+    """Write and sign the page. A page that cannot be written is said; the run has ended in any case."""
     from bench.report.html import render_ended
 
     try:
@@ -101,18 +98,12 @@ def remove_ended_page(folder: RunFolder) -> None:
 
 
 def ledger_of(clock: BenchClock) -> Ledger:
-    """Return the ledger of this bench.
-
-    Returns: The ledger; its file may not exist.
-    """
+    """Return the ledger of this bench; its file may not exist."""
     return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
 
 
 def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
-    """Refuse a run if its station is strict and the ledger has a break that nobody has explained.
-
-    Raises EvidenceError: When it is refused; nothing was written.
-    """
+    """Refuse a run if its station is strict and the ledger has a break that nobody has explained."""
     if job.station.ledger.strict:
         ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
 
@@ -122,7 +113,6 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
 
     known: Place of a run that began before; it is entered again if the ledger does not have it, because it
       began on another bench, without a ledger, or in a ledger that was lost.
-    Raises EvidenceError: When the ledger has an unexplained break, and the station is strict.
     """
     station = job.station
     anchor, strict = station.ledger.anchor, station.ledger.strict
@@ -153,10 +143,7 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
 
 
 def ledger_lines(place: LedgerPlace) -> list[str]:
-    """Return what the operator must know about the ledger before a run begins.
-
-    Returns: Lines of text; usually none.
-    """
+    """Return lines that the operator must know about the ledger before a run begins; usually none."""
     faults = [f"FAULT OF THE LEDGER: {fault}" for fault in place.get("faults", ())]
     return faults + [f"WARNING: {warning}" for warning in place.get("warnings", ())]
 
@@ -197,10 +184,7 @@ _SERIAL = "station.camera.serial"
 
 
 def serial_number(scanned: str) -> str:
-    """Return the serial number in the text of a scanner: without the spaces and the end of line around it.
-
-    Raises UsageError: If no serial number can be this text.
-    """
+    """Return the serial number in the text of a scanner: without the spaces and the end of line around it."""
     serial = scanned.strip()
     if not serial or len(serial) > 64 or not serial.isprintable():
         raise UsageError(
@@ -248,10 +232,8 @@ def start_run(
     seed: Random seed of a simulated bench; drawn and recorded where None.
     settings: Settings that replace those of the files (`bench.plan.plan.load_documents`); the copies of both
       files in the run folder hold them.
-    expect_serial: Serial number that the camera must have, in place of the station's; any other camera is refused
-      before anything moves.
-    Raises RunFolderError, StorageError: If the folder cannot be used.
-    Raises EvidenceError: If the signing key cannot be used.
+    expect_serial: Serial number that the camera must have, in place of the station's; any other camera is
+      refused before anything moves.
     Raises UsageError: If no camera can have this serial number.
     """
     if expect_serial is not None:
@@ -336,10 +318,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
 
 
 def read_intentions(folder_path: Path) -> list[str]:
-    """Return what resuming a run would do. Nothing is changed.
-
-    Raises RunFolderError, JournalBroken, ScriptError: As for `resume_run`.
-    """
+    """Return what resuming a run would do. Nothing is changed."""
     require_resumable(folder_path)
     job, history = job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
     return intentions(job, history, read_crash(folder_path))
@@ -364,10 +343,7 @@ def job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
 
 
 def default_folder(plan: Plan, now: datetime) -> Path:
-    """Return the default folder of a run, named by time and sequence.
-
-    Returns: A folder below ``runs/``.
-    """
+    """Return the default folder of a run, named by time and sequence, below ``runs/``."""
     ascii_name = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
     name = "-".join(filter(None, ascii_name.split("-")))[:40] or "run"
     return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"

@@ -28,11 +28,7 @@ _FIXED = frozenset({"prompt", "wait", "settle"})
 
 
 class TimeLeft:
-    """Time left of one run; `apply` follows the journal.
-
-    steps: ``steps`` of plan.json, in order.
-    duration_s: ``duration_s`` of plan.json.
-    """
+    """Time left of one run, from ``steps`` and ``duration_s`` of plan.json; `apply` follows the journal."""
 
     def __init__(self, steps: Sequence[Mapping[str, Any]], duration_s: float) -> None:
         self._planned_s = {int(step["number"]): float(step["duration_s"]) for step in steps}
@@ -77,7 +73,6 @@ class TimeLeft:
     def left_s(self, now: datetime, *, held: bool) -> float:
         """Return the time left.
 
-        now: The present time, with its time zone.
         held: Whether the run is held; time does not pass for it then.
         Returns: Time, s. From the third step on, the planned times are scaled by what the steps so far took.
         """
@@ -88,10 +83,7 @@ class TimeLeft:
         return max(0.0, left_s - max(0.0, since_s))
 
     def left_at_step_s(self, step: int) -> float:
-        """Return the planned time from the last step done to the begin of a later step, scaled.
-
-        Returns: Time, s.
-        """
+        """Return the planned time from the last step done to the begin of a later step, scaled, s."""
         own_s = self._planned_s.get(step, 0.0)
         fixed_s = self._fixed_after_s.get(step, 0.0) - (own_s if step in self._fixed else 0.0)
         return self._scaled_s(self._after_s.get(step, 0.0) - own_s, fixed_s)
@@ -104,11 +96,7 @@ class TimeLeft:
         return min(max(self._took_s / self._counted_s, _SMALLEST), _LARGEST)
 
     def next_of(self, numbers: Sequence[int], done: set[int]) -> int | None:
-        """Return the first of some steps that is still to come.
-
-        numbers: Numbers of the steps, in order.
-        Returns: Its number; None if none is to come.
-        """
+        """Return the first of some steps, in order, that is still to come; None if none is."""
         return next((n for n in numbers if n not in done and self._after_s.get(n, 0.0) > self._begun_s), None)
 
 
@@ -181,17 +169,13 @@ class Listener(Protocol):
         ...
 
     def left_off(self, data: LeftOff) -> None:
-        """Receive the end of the work of a state, successful or not.
-
-        data: The state, and the error if the work failed.
-        """
+        """Receive the end of the work of a state, successful or not."""
         ...
 
 
 class RunMachine:
     """The state machine of one run.
 
-    work: Work to do on entering a state, by the state's name.
     listener: Receives every change before it is made, and the end of its work.
     Raises ValueError: If work is given for a state that does not exist.
     """
@@ -223,21 +207,14 @@ class RunMachine:
     def fire(
         self, trigger: str, step: Numbered | None = None, *causes: Any, **circumstances: Unpack[Circumstances]
     ) -> None:
-        """Take an edge and do the work of the state that it enters.
-
-        causes: Passed to the work only.
-        Raises transitions.MachineError: If the present state has no such edge.
-        """
+        """Take an edge, which must leave the present state, and do the work of the state that it enters."""
         self._unwritten: Exception | None = None
         self.trigger(trigger, step, *causes, **circumstances)  # type: ignore[attr-defined]
         if self._unwritten is not None:
             raise self._unwritten
 
     def can(self, trigger: str) -> bool:
-        """Return whether an edge leaves the present state.
-
-        Returns: True if it does.
-        """
+        """Return whether an edge leaves the present state."""
         return trigger in self._machine.get_triggers(self.state)
 
     def _intend(self, event: EventData) -> None:

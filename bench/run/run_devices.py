@@ -35,8 +35,6 @@ class RunDevices:
     """Stage, light and camera of a run, open or not.
 
     unsafe: Stage and light if they did not confirm a safe state, as text.
-    was_opened: Whether the devices were open at some time.
-    open_devices: Opens the station's devices.
     """
 
     def __init__(
@@ -71,10 +69,7 @@ class RunDevices:
         return self._devices is not None
 
     def open(self) -> Devices:
-        """Open the devices, unless they are open.
-
-        Raises DriverError, SimulationError: As `Devices` raises them.
-        """
+        """Open the devices, unless they are open."""
         if self._devices is None:
             try:
                 self._devices = self._open_devices()
@@ -85,27 +80,18 @@ class RunDevices:
         return self._devices
 
     def truth(self) -> Mapping[str, Any] | None:
-        """Return the truth of the simulated bench.
-
-        Returns: None on a real bench, and where no device is open.
-        """
+        """Return the truth of the simulated bench; None on a real bench, and where no device is open."""
         return self._devices.truth() if self._devices is not None else None
 
     def position_deg(self) -> dict[str, float]:
-        """Read the stage's axes.
-
-        Returns: Angle by axis, degrees, and ``{axis}_encoder`` where an axis has an encoder.
-        """
+        """Read angle by axis, degrees, and ``{axis}_encoder`` where an axis has an encoder."""
         stage = self.opened.stage
         return {**stage.position_deg(), **{f"{axis}_encoder": a for axis, a in stage.encoder_deg().items()}}
 
     # ------------------------------------------------------------------ safety
 
     def switch_off_light(self) -> None:
-        """Switch the light off, if devices are open.
-
-        Raises DriverError: When the light does not confirm.
-        """
+        """Switch the light off, if devices are open. Raises DriverError when the light does not confirm."""
         if self._devices is not None:
             self._devices.light.off()
 
@@ -155,11 +141,7 @@ class RunDevices:
     # ------------------------------------------------------------------ what interlocks read
 
     def reopen(self) -> str:
-        """Close all devices and open them again, each with the serial number it had. Nothing moves.
-
-        Returns: Why a device cannot be opened yet; empty when all are open.
-        Raises WrongDevice: When another device answers in the place of one.
-        """
+        """Open all devices again, with the serial numbers they had; nothing moves. Returns why one is not open yet."""
         if self._devices is not None:
             self._devices.close()
             self._devices = None
@@ -173,30 +155,20 @@ class RunDevices:
         return ""
 
     def camera_c(self) -> float | None:
-        """Read the temperature of the event camera's sensor.
-
-        Returns: Degrees Celsius; None where no camera is open or it does not measure its temperature.
-        """
+        """Read the temperature of the event camera's sensor, degrees Celsius; None if it is not known."""
         if self._devices is None or not self._is_event_camera:
             return None
         return cast("EventCamera", self._devices.camera).temperature_c()
 
     def last_mev_s(self) -> float:
-        """Return the event rate of the last recording, unless a dark recording was made since.
-
-        Returns: Millions of events a second; 0 where there is no such recording.
-        """
+        """Return the event rate of the last recording, millions a second; 0 without one, or after a dark one."""
         attempts = self._log.history.attempts
         if len(attempts) <= self._attempts_with_rate_checked:
             return 0.0
         return _rate_mev_s(attempts[-1].stored["facts"])
 
     def dark_mev_s(self, duration_s: float) -> float:
-        """Measure the event rate by a short recording in the dark, which is not kept.
-
-        duration_s: Length of the recording, s.
-        Returns: Millions of events a second; 0 for a camera without events.
-        """
+        """Measure the event rate in the dark, millions a second, by a short recording that is not kept."""
         self._attempts_with_rate_checked = len(self._log.history.attempts)
         if not self._is_event_camera:
             return 0.0

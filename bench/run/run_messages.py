@@ -20,10 +20,7 @@ HOLD_NOTIFY_INTERVAL_S = 600.0
 
 
 class RunMessages:
-    """Writes messages about one run.
-
-    say: Prints for the operator why a message could not be written; the run continues.
-    """
+    """Writes messages about one run; ``say`` prints why one could not be written, and the run continues."""
 
     def __init__(self, courier: Courier, folder: Path, say: Callable[[str], None]) -> None:
         self._courier = courier

@@ -73,10 +73,6 @@ class RunEnd:
 class Runner:
     """Work of one process on one run.
 
-    context: What the parts of the run share.
-    inbox: Decides about commands from elsewhere.
-    folder, journal: Run folder and journal, locked by this process.
-    open_devices: Opens the station's devices; called when a step first needs them.
     clock: Clock of the run; a requested stop ends the run safely.
     notify: Called with the occasion (``hold``, ``failure``), a short text and the hash of the journal's line,
       when absent people should be notified before the run ends.
@@ -133,7 +129,6 @@ class Runner:
         """Do every step that is not done yet.
 
         Returns: Also if the run was aborted or failed; the bench is then safe and the run can be resumed.
-        Raises Exception: Only for a defect of the program; the bench is safe even then.
         """
         try:
             with self.inbox:
@@ -340,10 +335,7 @@ class Runner:
             self._hold_notifier.entering(data, self.context.log.journal.head)
 
     def left_off(self, data: LeftOff) -> None:
-        """Journal that the work of a state has ended; nothing interrupts the time between two states.
-
-        data: The state, and the error if the work failed.
-        """
+        """Journal that the work of a state has ended; nothing interrupts the time between two states."""
         self.context.log.write_left_off(data)
         self.context.interlocks.left_off()
 

@@ -86,7 +86,6 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
     """Return what camera and light answer about the cables between them and to the computer.
 
-    light: The open light. A generator's sync polarity is made normal.
     Returns: In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``,
       ``sync_level``. What a device does not state is said to be so; the wiring test (`bench.run.wiring`)
       measures it.
@@ -105,18 +104,12 @@ def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Ligh
 
 
 def stage_faults(devices: Devices) -> list[str]:
-    """Read the faults and warnings of the stage.
-
-    Returns: One text per fault; empty if there are none.
-    """
+    """Read the faults and warnings of the stage, a text each."""
     return [f"stage: {fault}" for fault in devices.stage.faults()]
 
 
 def require_no_faults(reasons: list[str]) -> None:
-    """Raise an error if there is any reason against continuing.
-
-    Raises PreflightFailed: With every reason, if there is at least one.
-    """
+    """Raise PreflightFailed with every reason against continuing, if there is one."""
     if reasons:
         raise PreflightFailed(
             f"The bench is not ready: {'; '.join(reasons)}.",
@@ -137,10 +130,7 @@ class StateWork:
         self._measured: dict[int, Measurement] = {}
 
     def table(self) -> Mapping[str, Callable[..., None]]:
-        """Return the work of each state that has any, for the state machine.
-
-        Returns: Method to call, by the state's name.
-        """
+        """Return the method that does the work of each state that has any, by its name."""
         return {
             "recovering": self.recover,
             "preflight": self.preflight,
@@ -201,10 +191,7 @@ class StateWork:
         self._run.clock.sleep(step.duration_s)
 
     def record(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
-        """Record at the step's pose. On return, the recording is complete, in its place and journaled.
-
-        attempt: Number of the attempt, from 1.
-        """
+        """Record at the step's pose. On return, the recording is complete, in its place and journaled."""
         pose, kind, devices = step.pose, self._run.job.camera_kind, self._run.devices.opened
         before = self._run.devices.position_deg()
         light = devices.light.read()
@@ -228,10 +215,7 @@ class StateWork:
         )
 
     def check(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
-        """Measure the recording just stored; accept it or journal why not.
-
-        attempt: Number of the attempt, from 1.
-        """
+        """Measure the recording just stored; accept it or journal why not."""
         pose, job, history = step.pose, self._run.job, self._run.log.history
         stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
         frequency_hz = job.frequency_hz(step)
@@ -265,18 +249,13 @@ class StateWork:
         self._run.log.write(Event.UNTIL_DECIDED, **decided)
 
     def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
-        """Wait after a rejected recording, so that its cause may pass.
-
-        wait_s: Duration, s.
-        """
+        """Wait after a rejected recording, so that its cause may pass."""
         self._run.clock.sleep(wait_s)
 
     def hold(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
         """Hold for an operator, for an interlock, or for the answer to the step's question.
 
         step: Step that comes next, or the prompt step; None before the first step.
-        trip: Interlock that holds the run, if any.
-        by: Operator who holds the run; empty if there is none.
         """
         question = step if isinstance(step, PromptStep) else None
         if question is not None and self._run.job.board is not None:

@@ -44,10 +44,7 @@ from bench.terminal.encoding import clock_text, counted, times
 
 
 def line_text(entry: Entry) -> str:
-    """Return a journal line as text.
-
-    Returns: Time and text; empty for lines that only programs need.
-    """
+    """Return a journal line as text with its time; empty for lines that only programs need."""
     make_text = _ENTRY_TEXTS.get(entry.event)
     text = make_text(entry.data) if make_text is not None else ""
     return f"{entry.utc[11:19]} UTC  {text}" if text else ""
@@ -215,7 +212,6 @@ class _Plan(TypedDict):
 def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> Status:
     """Read the status of a run. Nothing is changed, and its process is not disturbed.
 
-    utc_now: Returns the present time, UTC.
     Raises RunFolderError: If there is no run.
     Raises JournalBroken: If the hash chain of its journal is broken.
     """

@@ -44,10 +44,7 @@ CRASHES_ALLOWED = 1
 
 
 def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
-    """Return the steps to do: those not done, and those done that the first of them depends on.
-
-    Returns: Steps to do, in the order of the script.
-    """
+    """Return the steps to do, in order: those not done, and those done that the first of them depends on."""
     done = set(done)
     undone = [i for i, step in enumerate(steps) if step.number not in done]
     again: set[int] = set()
@@ -59,10 +56,7 @@ def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[Sc
 
 
 def steps_to_do(job: Job, history: History) -> list[ScriptStep]:
-    """Return the steps that a run still has to do.
-
-    Returns: Steps in the order of the script, without those that an ``until`` left out because it ended.
-    """
+    """Return the steps that a run still has to do, in order, without those left out by an ``until`` that ended."""
     left_out = {step.number for step in job.steps if history.is_left_out(step.number)}
     return remaining_steps(job.steps, history.done_steps | left_out)
 
@@ -117,10 +111,7 @@ def poses_crashed_too_often(history: History) -> dict[int, str]:
 
 
 def intentions(job: Job, history: History, crash: str | None) -> list[str]:
-    """Return what resuming a run will do, before it is done.
-
-    crash: How the process that worked on it crashed (`bench.run.heartbeat`); None if it did not.
-    """
+    """Return what resuming a run will do, before it is done; ``crash`` tells how its process crashed."""
     if history.ended == "finished":
         return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
     history = replace(history, crashes=dict(history.crashes))
@@ -251,11 +242,7 @@ class Steps:
     # ------------------------------------------------------------------ safe points
 
     def reach(self, step: ScriptStep) -> None:
-        """Stop, hold or skip poses, as asked, before a step.
-
-        Raises Aborted: When a stop was asked for.
-        Raises Interrupted: When an interlock holds.
-        """
+        """Stop, hold or skip poses, as asked, before a step; a hold raises Interrupted."""
         self._run.clock.check()
         self._run.interlocks.require_clear()
         history = self._run.log.history
@@ -270,20 +257,14 @@ class Steps:
             self.prepare_again(step)
 
     def skip(self, pose_index: int, why: str) -> None:
-        """Skip a pose: its steps will not be done.
-
-        pose_index: Number of the pose, from 1.
-        """
+        """Skip a pose, numbered from 1: its steps will not be done."""
         name = self._run.job.record_step(pose_index).pose.name
         what = f"Pose {pose_index} ({name}) was skipped: {why}."
         self._run.log.write(Event.POSE_SKIPPED, pose=pose_index, pose_name=name, what=what)
         self._run.say(what)
 
     def is_skipped(self, step: ScriptStep) -> bool:
-        """Return whether a step belongs to a skipped pose alone, or is not needed because its ``until`` ended.
-
-        Returns: True where the step must not be done.
-        """
+        """Return whether a step belongs to a skipped pose alone, or is not needed because its ``until`` ended."""
         for pose in self._run.log.history.skipped.keys() - self._steps_skipped.keys():
             self._steps_skipped[pose] = {s.number for s in steps_of_pose(self._run.job.steps, pose)}
         if self._run.log.history.is_left_out(step.number):

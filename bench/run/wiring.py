@@ -65,7 +65,6 @@ class WiringReport:
 def check_wiring(devices: Devices, station: Station, clock: BenchClock) -> WiringReport:
     """Switch the light on, record, switch it off, and compare edges with events.
 
-    Raises UsageError: If the camera is no event camera; nothing is switched then.
     Raises drivers.errors.DriverError: If a device fails; the light is then off, or the error of switching it
       off is raised.
     """

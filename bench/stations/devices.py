@@ -83,11 +83,8 @@ class Devices:
     """A stage, a light and a camera, open. Opening moves nothing and switches nothing on.
 
     seed: Random seed of the simulated bench, if the station uses it.
-    clock: The run's clock; every wait of a driver goes through it.
-    wire_log: Records the bytes on serial lines; None to record nothing.
     Raises drivers.errors.DriverError: When a device cannot be opened, or is not the one that the station file
       names; the others are then closed.
-    Raises SimulationError: When the simulated bench does not start.
     """
 
     # Devices that may still be opening, by name; empty here (see `bench.stations.separate_devices`).
@@ -112,10 +109,7 @@ class Devices:
             self._opened = opened.pop_all()
 
     def truth(self) -> dict[str, Any] | None:
-        """Read the true parameters of the simulated bench, for the final comparison only.
-
-        Returns: Parameters by part; None on a real bench.
-        """
+        """Read the true parameters of the simulated bench, for the final comparison only; None on a real bench."""
         return self._simulation.truth() if self._simulation is not None else None
 
     @property
@@ -124,17 +118,11 @@ class Devices:
         return self._simulation
 
     def make_safe(self) -> list[str]:
-        """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
-
-        Returns: A sentence for stage and light each that did not confirm; empty when both are safe.
-        """
+        """Stop stage, light and camera, each even if another one fails; a sentence for each not confirmed."""
         return unsafe_devices(self.make_each_safe())
 
     def make_each_safe(self) -> list[DeviceEnd]:
-        """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
-
-        Returns: What each device answered. A device that is not open is left out.
-        """
+        """Stop stage, light and camera, each even if another one fails; what each one answered, if it was open."""
         if self._simulation is not None and not self._simulation.alive:
             return lost_ends(
                 "the simulated bench has ended unexpectedly; no simulated device is left to make safe"
@@ -182,18 +170,12 @@ class Devices:
 
 
 def left_devices(error: BaseException) -> list[DeviceEnd]:
-    """Return how an opening that failed left the devices that were open before.
-
-    Returns: Empty if none was open.
-    """
+    """Return how an opening that failed left the devices that were open before."""
     return list(getattr(error, LEFT_DEVICES, ()))
 
 
 def stop_stage(stage: Stage) -> str:
-    """Stop a stage.
-
-    Raises drivers.errors.DriverError: When it does not confirm.
-    """
+    """Stop a stage, which must confirm."""
     stage.stop()
     try:
         angles = ", ".join(f"{axis} {angle:.3f}" for axis, angle in stage.position_deg().items())
@@ -203,10 +185,7 @@ def stop_stage(stage: Stage) -> str:
 
 
 def switch_off(light: Light) -> str:
-    """Switch a light off.
-
-    Raises drivers.errors.DriverError: When it does not confirm.
-    """
+    """Switch a light off, which must confirm."""
     light.off()
     return "it was read back as off"
 
@@ -220,31 +199,17 @@ def _without_recording(camera: Camera) -> str:
 
 
 def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
-    """Open the stage of a station. Nothing moves, and nothing is switched on.
-
-    port: Returns the system's name of a port.
-    wire_log: Records the bytes on serial lines; None to record nothing.
-    Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
-    """
+    """Open the stage of a station. Nothing moves, and nothing is switched on."""
     return station.stage.open_device(port, clock=clock, wire_log=wire_log)
 
 
 def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
-    """Open the light of a station. Nothing moves, and nothing is switched on.
-
-    port: Returns the system's name of a port.
-    wire_log: Records the bytes on serial lines; None to record nothing.
-    Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
-    """
+    """Open the light of a station. Nothing moves, and nothing is switched on."""
     return station.light.open_device(port, clock=clock, wire_log=wire_log)
 
 
 def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:  # noqa: PLR0911 - one for each driver
-    """Open the camera of a station. Nothing moves, and nothing is switched on.
-
-    port: Returns the system's name of a port.
-    Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
-    """
+    """Open the camera of a station. Nothing moves, and nothing is switched on."""
     match station.camera:
         case station_cameras.SimulatedEvk4Config() as config:
             return SimulatedEvk4Camera.open(

@@ -238,10 +238,7 @@ class LightSection(AnyLight):
 
 
 def driver_axes(kind: Callable[..., _A], axes: Mapping[Axis, AxisConfig], port: PortName) -> list[_A]:
-    """Return the axes of a stage as its driver takes them.
-
-    kind: Class of the driver's axis; its parameters have the names of the keys.
-    """
+    """Return the axes of a stage as its driver takes them; the names of parameters are those of the keys."""
     made = []
     for name, axis in axes.items():
         options = axis.driver_options()
@@ -406,10 +403,7 @@ class Plugin:
 
 @functools.cache
 def plugins(kind: Kind) -> tuple[Plugin, ...]:
-    """Load the plug-ins of a kind, once a process. No exception of a plug-in passes through.
-
-    Returns: In the order of their names.
-    """
+    """Load the plug-ins of a kind, by name, once a process. No exception of a plug-in passes through."""
     found: dict[str, Plugin] = {}
     for entry in sorted(entry_points(group=GROUPS[kind]), key=lambda entry: entry.name):
         plugin = _load(kind, entry)

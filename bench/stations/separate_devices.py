@@ -26,11 +26,7 @@ _CLOSE_S: Final = 15.0
 
 
 class LateDevice:
-    """A device that is opened on its own thread.
-
-    name: ``stage`` or ``light``.
-    opener: Opens the device, and leaves on the stack how it is closed.
-    """
+    """A ``stage`` or ``light`` that is opened on its own thread; the opener leaves on the stack how it is closed."""
 
     def __init__(self, name: str, opener: Callable[[ExitStack], Any]) -> None:
         self.name = name
@@ -49,10 +45,7 @@ class LateDevice:
         return "open" if self._device is not None else "failed" if self._error is not None else "opening"
 
     def listen(self, on_end: Callable[[], None]) -> None:
-        """Have a function called after each attempt to open it, by the opening thread.
-
-        on_end: Called without arguments; at once if an attempt has ended already.
-        """
+        """Have a function called after each attempt to open it, by its thread; at once if one has ended already."""
         with self._lock:
             self._on_end = on_end
             ended = self.state != "opening"
@@ -69,11 +62,7 @@ class LateDevice:
             self._thread.start()
 
     def get(self) -> Any:
-        """Return the open device.
-
-        Raises StillOpening: If it is being opened.
-        Raises DriverError: Why it could not be opened.
-        """
+        """Return the open device. Raises StillOpening, or the DriverError why it could not be opened."""
         device, error = self._device, self._error
         if device is not None:
             return device
@@ -111,15 +100,7 @@ class LateDevice:
 
 
 class SeparateDevices(Devices):
-    """A camera that is open, and a stage and a light that open meanwhile.
-
-    seed: Random seed of the simulated bench, if the station uses it.
-    clock: Every wait of a driver goes through it.
-    wire_log: Records the bytes on serial lines; None to record nothing.
-    Raises drivers.errors.DriverError: When the camera cannot be opened, or is not the one that the station
-      file names.
-    Raises SimulationError: When the simulated bench does not start.
-    """
+    """A camera that is open, and a stage and a light that open meanwhile."""
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
         self._clock = clock

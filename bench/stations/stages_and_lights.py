@@ -332,10 +332,7 @@ class ScpiLightConfig(AnyLight):
         return [(self.port, self.serial)]
 
     def settings(self, flicker: Flicker) -> LightSettings:
-        """Convert the flicker of a sequence to settings of the driver.
-
-        Returns: With the levels of this lamp, V.
-        """
+        """Convert the flicker of a sequence to settings of the driver, with the levels of this lamp, V."""
         high_v = self.low_v + (self.high_v - self.low_v) * flicker.level_percent / 100
         return replace(super().settings(flicker), low_v=self.low_v, high_v=high_v)
 

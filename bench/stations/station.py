@@ -123,10 +123,7 @@ class ExpectedConfig(StrictModel):
     collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
 
     def errors(self, collimator: CollimatorConfig) -> CollimatorErrors:
-        """Return the expected errors of the collimator.
-
-        Returns: Errors for a forecast; a defocus that is not stated has a typical size.
-        """
+        """Return the collimator's expected errors; a defocus that is not stated has a typical size."""
         return CollimatorErrors(
             self.collimator.rms_px,
             self.collimator.pupil_wander_mm,
@@ -297,7 +294,6 @@ def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -
 
     name_or_path: Path of the file, or name of a shipped station such as ``simulated``.
     settings: Values that replace those of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
-    Raises DocumentFaults: When the file is not valid, with all faults.
     """
     station = read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
     use_descriptions(station)

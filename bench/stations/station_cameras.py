@@ -95,11 +95,7 @@ class OpenCvCameraConfig(FrameCameraConfig):
         return self
 
     def source_in_use(self, environ: Mapping[str, str] = os.environ) -> str:
-        """Return the source to open.
-
-        Returns: The source; it is secret if an environment variable holds it.
-        Raises UsageError: When the environment variable is not set, or holds something that is not a source.
-        """
+        """Return the source to open; it is secret if an environment variable holds it."""
         if self.source is not None:
             return self.source
         name = str(self.source_env)

@@ -62,10 +62,7 @@ class Discovery:
 
 
 def discover(by_id: Path = BY_ID) -> Discovery:
-    """List the serial ports and cameras of this computer.
-
-    Returns: The ports in the order of their system names, and the cameras.
-    """
+    """List the serial ports, in the order of their system names, and the cameras of this computer."""
     names = {os.path.realpath(link): str(link) for link in by_id.iterdir()} if by_id.is_dir() else {}
     ports = tuple(_port(info, names) for info in sorted(list_ports.comports(), key=lambda info: info.device))
     cameras, missing = find_cameras()
@@ -258,8 +255,6 @@ def draft_station(
     """Write a new station file.
 
     found: What is connected. The first adapter is used for the stage, the second for the light.
-    stage: Driver of the stage: a key of ``STAGE_SECTIONS``.
-    light: Driver of the light: a key of ``LIGHT_SECTIONS``.
     camera: Driver of the camera: a key of ``CAMERA_SECTIONS``; None for the first connected camera, event
       cameras first.
     """

@@ -421,9 +421,6 @@ class TargetConfig(StrictModel):
         )
 
     def in_simulation(self) -> dict[str, Any]:
-        """Return the sections of the simulated world that describe this target.
-
-        Returns: Sections ``target`` and ``reticle``, as JSON has them.
-        """
+        """Return the sections ``target`` and ``reticle`` of the simulated world that describe this target."""
         keys = {"squares", "pitch_mm", "segments", "tag_family", "tag_id", "tag_square", "tag_squares"}
         return {"target": self.model_dump(mode="json", include=keys), "reticle": {"polarity": self.polarity}}

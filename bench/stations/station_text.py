@@ -55,7 +55,6 @@ def find_description(name_or_path: str, folder: Path | None) -> Path:
 
     name_or_path: Name of a shipped description, or a path.
     folder: Folder to which a path is relative; None for the working directory.
-    Returns: The file, which need not exist if a path was given.
     Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
     """
     path = Path(name_or_path)
@@ -208,10 +207,7 @@ def use_descriptions(station: Located[Any]) -> None:
 
 
 def description_documents(station: Any) -> dict[str, bytes]:
-    """Return the descriptions that a run folder keeps.
-
-    Returns: Bytes by name of the file; empty if no section has driver ``text``.
-    """
+    """Return bytes by file name of the descriptions that a run folder keeps."""
     found = {}
     for name, copy in PROTOCOL_COPIES.items():
         section = getattr(station, name)

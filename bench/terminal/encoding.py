@@ -51,10 +51,7 @@ def outlive_readers() -> None:
 
 
 def output_is_lost() -> bool:
-    """Return whether the reader of standard output has gone.
-
-    Returns: False as long as nothing was written after it had gone.
-    """
+    """Return whether the reader of standard output has gone, by the last write."""
     return bool(getattr(getattr(getattr(sys.stdout, "buffer", None), "raw", None), "lost", False))
 
 
@@ -88,10 +85,7 @@ _PLAIN = {
 
 
 def replace_unencodable(*streams: TextIO | None) -> None:
-    """Make text streams replace characters that their encoding lacks. Otherwise writing them would raise an error.
-
-    streams: Streams such as standard output; anything that is not a text stream is left as it is.
-    """
+    """Make text streams replace characters that their encoding lacks; others are left as they are."""
     codecs.register_error(_NAME, _replaced)
     for stream in streams:
         if isinstance(stream, io.TextIOWrapper):

@@ -107,7 +107,6 @@ _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 class Progress:
     """Shows the progress of a run: one live line on a terminal; elsewhere a new line for each change of state.
 
-    monotonic: Returns the time of the run's clock, s.
     total_s: Expected duration of the whole run, s.
     stream: Where to write; None for standard error.
     """
@@ -137,16 +136,12 @@ class Progress:
             self._live.stop()
 
     def done(self, seconds: float) -> None:
-        """Set how much of the expected duration has passed.
-
-        seconds: Time from the start of the run in the plan, s.
-        """
+        """Set how much of the expected duration has passed, s from the start of the run in the plan."""
         self._done_s, self._counted_from_s = seconds, self._monotonic()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
         """Show the present state.
 
-        state: State of the run's state machine.
         pose: Number of the present pose, from 1; None if it has not changed.
         detail: Further words, shown in brackets after the pose.
         """
@@ -166,10 +161,7 @@ class Progress:
             self._console = Console(quiet=True)
 
     def left_s(self) -> float:
-        """Return the expected time to the end of the run: that of the plan, counted down during the present step.
-
-        Returns: Seconds, not negative.
-        """
+        """Return the expected time to the end of the run, s: that of the plan, counted down during the step."""
         return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
 
     def _where(self) -> str:

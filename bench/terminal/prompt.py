@@ -43,11 +43,9 @@ def ask(
     """Ask the operator, and wait for an answer.
 
     default: The answer if nobody answers in time: ``continue`` or ``abort``.
-    timeout_s: How long to wait, s.
     terminal: Where answers are typed; None for standard input. If it is not a terminal, or is closed, only
       ``elsewhere`` gives an answer. An empty line is the default.
     elsewhere: Returns the answer given from another terminal (`starbench tell`); None while there is none.
-    Raises Aborted, Interrupted: When the clock is asked to stop or to pause.
     """
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input

@@ -20,11 +20,7 @@ _RESEND_AFTER_S = 0.05
 
 @contextmanager
 def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
-    """Turn SIGINT, SIGTERM and SIGHUP into a request to stop while the block runs. Only for the main thread.
-
-    request_stop: Called in the signal handler with the reason, such as ``SIGINT received``.
-    Yields: Earlier handlers are restored after the block.
-    """
+    """Turn SIGINT, SIGTERM and SIGHUP into a request to stop, with its reason. Only for the main thread."""
     received = 0
 
     def ask(number: int, _frame: FrameType | None) -> None:

@@ -78,19 +78,13 @@ class CameraKind(Protocol):
         ...
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """Set the camera.
-
-        Returns: Every reason against a run; empty if there is none.
-        """
+        """Set the camera, and return every reason against a run."""
         ...
 
     def record(
         self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float
     ) -> RecordingFacts | FrameFacts:
-        """Record into a new file.
-
-        frequency_hz: Frequency of the flicker, Hz.
-        """
+        """Record into a new file, at the flicker's frequency, Hz."""
         ...
 
     def measure(
@@ -105,7 +99,6 @@ class CameraKind(Protocol):
     ) -> Measurement:
         """Find the stars in a recording.
 
-        frequency_hz: Frequency of the flicker, Hz.
         expected_grid: Predicts where the stars lie; used only if the tag does not label them.
         motion: Whether to measure how far the stars moved, which takes twice as long as finding them.
         """
@@ -114,10 +107,7 @@ class CameraKind(Protocol):
     def judge(
         self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
-        """Judge a recording by its numbers.
-
-        frequency_hz: Frequency of the flicker, Hz.
-        """
+        """Judge a recording, made at the flicker's frequency in Hz, by its numbers."""
         ...
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
@@ -125,18 +115,12 @@ class CameraKind(Protocol):
         ...
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """Return what results state about the camera's state during the accepted recordings.
-
-        accepted: Facts of the accepted recordings, at least one.
-        """
+        """Return what results state about the camera's state during the accepted recordings, at least one."""
         ...
 
 
 class EventKind:
-    """An event camera under a flickering light.
-
-    roi: Region of interest: the only part of the sensor that sends events; None for the whole sensor.
-    """
+    """An event camera under a flickering light; without a region of interest, the whole sensor sends events."""
 
     name = "event"
     ending = ".raw"
@@ -304,10 +288,7 @@ _LEAST_SHARE = 0.5
 
 
 class EventBoardKind(EventKind):
-    """An event camera in front of a board.
-
-    roi: Region of interest: the only part of the sensor that sends events; None for the whole sensor.
-    """
+    """An event camera in front of a board; without a region of interest, the whole sensor sends events."""
 
     def __init__(
         self,

@@ -43,11 +43,7 @@ class WholeImage(NamedTuple):
 
 
 def read_events(path: Path) -> EventData:
-    """Read a recording.
-
-    path: RAW file.
-    Raises drivers.errors.RecordingFileError: If the file cannot be read.
-    """
+    """Read the events of a RAW file."""
     raw = RawFile.open(path)
     events, triggers = raw.read()
     origin_us = _subtract_origin(events.t, triggers)
@@ -66,13 +62,11 @@ def whole_image(
 ) -> WholeImage:
     """Make the event image of whole flicker periods.
 
-    image: Kind of event image, or ``auto``.
     periods: Number of whole flicker periods to use; None for all that the recording holds.
     expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
     facts: Changed in place: numbers about flicker and image are added.
     one_phase: Whether the light of all pixels changes at the same moment, as that of a lamp does.
     compare_flicker: Whether to add what the events alone tell about the flicker to the facts.
-    Raises calib.errors.CalibrationError: If the events show no flicker, or are too few.
     """
     events, triggers, size, origin_us = data
     flicker = _flicker(triggers, (events.t, events.p), expected_hz)
@@ -90,11 +84,7 @@ def whole_image(
 def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
     """Return the event image in which a board is searched, of all whole flicker periods of a recording.
 
-    path: RAW file.
     image: Kind of event image, or ``auto``.
-    Returns: The image that `bench.views.measure_board` would use.
-    Raises calib.errors.CalibrationError: If the events show no flicker, or are too few.
-    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
     events, triggers, size, _ = read_events(path)
     flicker = _flicker(triggers, (events.t, events.p), None)

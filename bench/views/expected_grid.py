@@ -45,19 +45,12 @@ def grid_from_earlier_poses(history: History, stored: CaptureStored, target: Sta
 
 
 def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
-    """Return the grid that was expected when a recording was accepted.
-
-    Returns: None if the tag labelled its stars.
-    """
+    """Return the grid expected when a recording was accepted; None if the tag labelled its stars."""
     grid = attempt.measured.get("expected_grid")
     return None if grid is None else lambda _image_size: np.array(grid)
 
 
 def best_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
-    """Return the angles of a stage: by encoder if the axis has one, else the position stated.
-
-    measured_deg: Angle by axis, degrees; ``pan_encoder`` is what the encoder of ``pan`` states.
-    Returns: Angle by axis, degrees.
-    """
+    """Return angle by axis, degrees: that of the encoder (``pan_encoder``) if there is one, else the stated one."""
     axes = ("pan", "tilt", "roll")
     return {a: measured_deg.get(f"{a}_encoder", measured_deg[a]) for a in axes if a in measured_deg}

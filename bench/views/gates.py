@@ -46,10 +46,7 @@ class Gate:
     verdict: Verdict  # ``pass``, ``marginal`` or ``fail``
 
     def as_data(self) -> GateData:
-        """Return the gate as results and journal hold it.
-
-        Returns: The gate's fields.
-        """
+        """Return the gate as results and journal hold it."""
         return cast("GateData", asdict(self))
 
 
@@ -86,7 +83,6 @@ def recording_gates(
 ) -> list[Gate]:
     """Judge one recording by its numbers.
 
-    frequency_hz: Nominal frequency of the flicker, Hz.
     measured: Numbers measured in the recording (`bench.views.measure.measure`); what is absent or None is not
       judged.
     """
@@ -112,10 +108,7 @@ def recording_gates(
 def gate_values(
     facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: MeasuredFacts
 ) -> dict[str, Any]:
-    """Return all numbers of a recording that a sequence may limit.
-
-    frequency_hz: Nominal frequency of the flicker, Hz.
-    """
+    """Return all numbers of a recording that a sequence may limit."""
     values = {**measured, **(measured.get("image") or {})}
     if gates.require_triggers and "triggers_expected" in measured:
         values["triggers_missed"] = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
@@ -188,10 +181,7 @@ def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
 
 
 def rejection_reasons(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
-    """Return why a recording is rejected.
-
-    Returns: Reasons; empty if the recording is accepted.
-    """
+    """Return why a recording is rejected; empty if it is accepted."""
     reasons = failed_gate_texts(judged)
     reasons += [f"data lost: {gap}" for gap in facts.gaps]
     active = [f for f in FILTERS_TO_DISABLE if facts.filters.get(f)]

@@ -61,11 +61,7 @@ class KeptEntries:
     otherwise: ClassVar[str] = "it is calculated"
 
     def read_entry(self, key: str) -> bytes | None:
-        """Return the content of an entry.
-
-        key: 64 hexadecimal digits.
-        Returns: As it was written, if nobody changed it; None if there is no entry, or it cannot be read.
-        """
+        """Return an entry, by its key of 64 hexadecimal digits, as it was written; None if that is not possible."""
         path = self._path(key)
         try:
             if path.stat().st_size > self.most_bytes // _BUCKETS:
@@ -91,10 +87,7 @@ class KeptEntries:
             path.unlink()
 
     def write_entry(self, key: str, data: bytes) -> None:
-        """Keep an entry. If this is not possible, say so and go on.
-
-        key: 64 hexadecimal digits.
-        """
+        """Keep an entry, by a key of 64 hexadecimal digits. If this is not possible, say so and go on."""
         if not self.is_usable():
             return
         path = self._path(key)
@@ -140,10 +133,7 @@ class KeptEntries:
             total -= had
 
     def is_usable(self) -> bool:
-        """Return whether entries can be kept.
-
-        Returns: Whether the folder is there, belongs to this user, and nobody else may write to it.
-        """
+        """Return whether the folder is there, belongs to this user, and nobody else may write to it."""
         if self._usable is None:
             self._usable = True
             try:
@@ -211,17 +201,11 @@ class KeptViews(KeptEntries):
 
     @classmethod
     def of_bench(cls) -> KeptViews:
-        """Return the folder of this user's bench.
-
-        Returns: In the folder of the bench's own files.
-        """
+        """Return the folder of this user's bench."""
         return cls(home_folder() / FOLDER)
 
     def view(self, path: Path, options: Mapping[str, Any], find: Callable[[], View]) -> View:
-        """Return the view of a recording. A recording in which no stars are found is not kept.
-
-        Returns: The same as ``find`` returns.
-        """
+        """Return the view of a recording, as ``find`` returns it. One in which no stars are found is not kept."""
         if not self.is_usable():
             return find()
         try:
@@ -242,11 +226,7 @@ class KeptViews(KeptEntries):
         return view
 
     def read(self, key: str) -> View | None:
-        """Return the view of a key.
-
-        key: As `view_key` returns it.
-        Returns: None if there is no entry, or it is broken; a broken one is deleted and told.
-        """
+        """Return the view of a `view_key`; None if there is none, or it is broken: then it is deleted and told."""
         data = self.read_entry(key)
         if data is None:
             return None
@@ -257,20 +237,12 @@ class KeptViews(KeptEntries):
             return None
 
     def write(self, key: str, view: View) -> None:
-        """Keep a view. If this is not possible, say so and go on.
-
-        key: As `view_key` returns it.
-        """
+        """Keep a view under a `view_key`. If this is not possible, say so and go on."""
         self.write_entry(key, pack_view(view, key))
 
 
 def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
-    """Return the key of a view.
-
-    recording_sha256: SHA-256 of the recording.
-    Returns: 64 hexadecimal digits.
-    Raises TypeError, ValueError: If an option cannot be written as JSON.
-    """
+    """Return the key of a view, 64 hexadecimal digits, from the SHA-256 of its recording and the options."""
     parts = {
         "format": FORMAT,
         "recording": recording_sha256,
@@ -282,10 +254,7 @@ def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
 
 @functools.cache
 def detector_version() -> str:
-    """Return the version of everything that finds stars: this program's sources, the libraries, the processor.
-
-    Returns: 64 hexadecimal digits.
-    """
+    """Return the version of everything that finds stars: this program's sources, the libraries, the processor."""
     digest = hashlib.sha256(f"{platform.machine()} {platform.python_version()}\n".encode())
     for library in _LIBRARIES:
         try:
@@ -328,14 +297,7 @@ def pack_view(view: View, key: str) -> bytes:
 
 
 def unpack_view(data: bytes, key: str) -> View:
-    """Return the view of an entry.
-
-    data: The entry, as `pack_view` returns it.
-    key: The key that it must have.
-    Returns: Equal to the one that was kept, to the last bit.
-    Raises ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile: If the entry is broken.
-    Raises calib.errors.InputMismatch: If its arrays are no view.
-    """
+    """Return the view that `pack_view` made an entry of, to the last bit; it must be whole, and of this key."""
     stated, _, body = data.partition(b"\n")
     if hashlib.sha256(body).hexdigest().encode() != stated:
         raise ValueError("its hash does not match")

@@ -50,10 +50,7 @@ pixels alone do."""
 
 
 def without_light(error: TargetNotFound, facts: MeasuredFacts, pixels: int) -> TargetNotFound:
-    """Return the error of a recording that shows no target; if it shows no light either, one that says so.
-
-    pixels: Number of pixels of the sensor.
-    """
+    """Return the error of a recording that shows no target; if it shows no light either, one that says so."""
     image = facts.get("image")
     if image is None or image["lit_pixels"] >= LEAST_LIT * pixels:
         return error
@@ -78,17 +75,11 @@ class StoredImage:
 
     @classmethod
     def from_image(cls, image: NDArray[Any]) -> StoredImage:
-        """Stretch the grey values of an image (`calib.events.grey_image.to_uint8`) and compress it.
-
-        image: (H, W), any numeric dtype, grey values.
-        """
+        """Stretch grey values, (H, W) of any dtype, as `calib.events.grey_image.to_uint8`, and compress them."""
         return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
 
     def decoded(self) -> NDArray[np.uint8]:
-        """Return the image.
-
-        Returns: (H, W) uint8, grey values.
-        """
+        """Return the image: (H, W) uint8, grey values."""
         image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert image is not None
         return np.asarray(image, np.uint8)
@@ -148,10 +139,7 @@ def measure(
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
-    path: RAW file.
-    image: Kind of event image, or ``auto``.
     periods: Number of whole flicker periods to use; None for all that the recording holds.
-    expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
     expected_grid: Predicts where the stars lie; used only if the tag does not label them.
     motion: Whether to measure how far the stars moved from the first half of the recording to the second,
       which takes twice as long as finding them. Without it, what else only gates and report need is left out
@@ -267,10 +255,7 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
 
 
 def plain_facts(facts: Any) -> Any:
-    """Replace numbers that are not finite by None, because JSON has none.
-
-    Returns: The same without such numbers.
-    """
+    """Replace numbers that are not finite by None, because JSON has none."""
     if isinstance(facts, dict):
         return {name: plain_facts(fact) for name, fact in facts.items()}
     if isinstance(facts, list):
@@ -327,10 +312,7 @@ def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gat
 
 
 def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
-    """Return why frames are rejected, whatever they show.
-
-    Returns: Reasons; empty if there is none.
-    """
+    """Return why frames are rejected, whatever they show."""
     return [] if facts.complete else ["fewer frames were recorded than asked for"]
 
 

@@ -51,12 +51,8 @@ _LEAST_APART_S = 0.1
 class MovingRecording:
     """Pictures of one recording.
 
-    path: RAW file.
     cutoff_hz: Cutoff frequency of the filter, Hz.
     at_s: Times of the pictures after the first event, s, ascending; None for at most 40 times, spread evenly.
-    Raises UsageError: If a time lies after the end of the recording.
-    Raises calib.errors.TooFewEvents: If the recording holds no event.
-    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
 
     def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
@@ -74,11 +70,7 @@ class MovingRecording:
         self._stream = self._reconstructed()
 
     def picture(self, number: int) -> ReconstructedPicture:
-        """Return a picture; fastest in the order of their times.
-
-        number: Which one, from 0.
-        Raises drivers.errors.RecordingFileError: If the file cannot be read.
-        """
+        """Return a picture, numbered from 0; fastest in the order of their times."""
         if number < self._next:
             self._next, self._stream = 0, self._reconstructed()
         while True:
@@ -118,10 +110,7 @@ def _spread(length_s: float) -> tuple[float, ...]:
 
 
 def with_advice(step: PromptStep, history: History, board: Board) -> PromptStep:
-    """Add to a question what the last placement showed, and where the board is needed next.
-
-    Returns: The question; its text is unchanged if nothing has been recorded.
-    """
+    """Add to a question what the last placement showed, if anything, and where the board is needed next."""
     if not history.attempts:
         return step
     last, seen = history.attempts[-1], placements_seen(history, board)
@@ -129,10 +118,7 @@ def with_advice(step: PromptStep, history: History, board: Board) -> PromptStep:
 
 
 def placements_seen(history: History, board: Board) -> Sequence[Seen]:
-    """Return where the board stood in the accepted recordings.
-
-    Returns: In the order of the recordings.
-    """
+    """Return where the board stood in the accepted recordings, in their order."""
     from calib.boards.coverage import Seen
     from calib.model.homography import apply_homography
 
@@ -189,10 +175,8 @@ def measure_board(
 ) -> Measurement:
     """Read a recording of events and find a board in it.
 
-    path: RAW file.
     image: Kind of event image, or ``auto``; blinking dots have their own.
     periods: Number of whole flicker periods to use; None for all that the recording holds.
-    expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
     Returns: Also if the file cannot be read or shows no board; then it holds the fault.
     """
     facts: MeasuredFacts = {}
@@ -210,11 +194,7 @@ def measure_board(
 
 
 def measure_board_frames(path: Path, *, name: str, board: Board) -> Measurement:
-    """Read the frames of a placement and find a board in their mean.
-
-    board: The board; no blinking dots, which need events.
-    Returns: Also if the file cannot be read or shows no board; then it holds the fault.
-    """
+    """Read the frames of a placement and find a board, not of blinking dots, in their mean; else the fault."""
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
     try:
@@ -278,11 +258,7 @@ def _of_dots(data: EventData, board: Board, name: str, stored: list[StoredImage]
 
 
 def stored_image(stored: list[StoredImage]) -> Any:
-    """Return a function that keeps an image.
-
-    stored: Where to keep it.
-    Returns: Takes the image, (H, W) float32.
-    """
+    """Return a function that keeps an image, (H, W) float32, in ``stored``."""
 
     def keep(image: NDArray[np.float32]) -> None:
         stored.append(StoredImage.from_image(image))

@@ -43,10 +43,7 @@ class Pictured(Protocol):
     """An image that can be decoded, as `bench.views.measure.StoredImage`."""
 
     def decoded(self) -> NDArray[np.uint8]:
-        """Return the image.
-
-        Returns: (H, W) uint8, grey values.
-        """
+        """Return the image: (H, W) uint8, grey values."""
         ...
 
 
@@ -94,32 +91,19 @@ def views_file(
 
 
 def read_views(path: Path) -> list[StoredView]:
-    """Read the views and residuals of a `views.h5`, in the order of its groups.
-
-    Returns: One for each pose. The images stay in the file (`read_picture`).
-    Raises RunFolderError: If the file cannot be read, or does not have this layout.
-    """
+    """Read the views and residuals of a `views.h5`, in the order of its groups, without images (`read_picture`)."""
     with _opened(path) as file:
         return [_stored_view(member(file, _group_name(number))) for number in range(1, len(file) + 1)]
 
 
 def has_pictures(path: Path) -> bool:
-    """Return whether a `views.h5` holds the images of the poses.
-
-    Returns: False for the views of recalculated results.
-    Raises RunFolderError: If the file cannot be read, or does not have this layout.
-    """
+    """Return whether a `views.h5` holds the images of the poses; views of recalculated results have none."""
     with _opened(path) as file:
         return all("picture" in group for group in file.values())
 
 
 def read_picture(path: Path, number: int) -> NDArray[np.uint8]:
-    """Read the image of one pose from a `views.h5`.
-
-    number: Number of the group, from 1.
-    Returns: (H, W) uint8, grey values, the image as the report shows it.
-    Raises RunFolderError: If the file cannot be read, or does not have this layout.
-    """
+    """Read the image of a group from 1 of a `views.h5`: (H, W) uint8, grey values as the report shows them."""
     with _opened(path) as file:
         return np.asarray(_array(member(file, _group_name(number)), "picture"), np.uint8)
 

@@ -64,11 +64,9 @@ def page_token(
 ) -> PageToken | None:
     """Return the token of the pages.
 
-    token_file: File that holds the token; None if the environment variable counts.
-    none: Whether the pages shall need no token.
     Returns: The token, made now if nobody gives one; None if the pages need none.
-    Raises UsageError: If the file cannot be read, if others may read it, if the token is too short, or if a file
-      is named although no token is wanted.
+    Raises UsageError: If the file cannot be read, if others may read it, if the token is too short, or if a
+      file is named although no token is wanted.
     """
     if none:
         if token_file is not None:
@@ -94,11 +92,7 @@ def page_token(
 
 
 def require_token(host: str, token: PageToken | None) -> None:
-    """Check that pages for other computers have a token.
-
-    token: The token; None if there is none.
-    Raises UsageError: If other computers could use the pages without a token.
-    """
+    """Check that pages for other computers have a token."""
     if token is None and not is_loopback(host):
         raise UsageError(
             "Pages that other computers can open need a token.",
@@ -155,11 +149,7 @@ class WrongTokens:
 
 
 def client_name(host: str, port: int, own_port: int) -> str:
-    """Return what tells clients apart: the address, and on this computer the user as well.
-
-    host, port: Where the request comes from.
-    Returns: The address; on Linux, of this computer's own processes, followed by the number of the user.
-    """
+    """Return what tells clients apart: the address; on Linux, for this computer, also the user's number."""
     return f"{host} {_local_user(port, own_port)}" if is_loopback(host) else host
 
 
@@ -214,11 +204,7 @@ _COOKIE_AGE_S = 30 * 24 * 3600
 
 
 class Guard:
-    """ASGI middleware with the checks of this module.
-
-    token: The token; None if none is needed.
-    monotonic: Returns the time of a monotonic clock, s.
-    """
+    """ASGI middleware with the checks of this module."""
 
     def __init__(
         self,

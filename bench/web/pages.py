@@ -73,10 +73,7 @@ def _encoded(data: str, event: str, number: str) -> bytes:
 
 
 def last_id(request: Request) -> str:
-    """Return the id of the last message that the reader has.
-
-    Returns: From the header ``Last-Event-ID``, else from the query ``after``; empty if the reader has none.
-    """
+    """Return the last message's id from header ``Last-Event-ID``, or else query ``after``; empty for none."""
     return request.headers.get("last-event-id") or request.query_params.get("after", "")
 
 
@@ -195,8 +192,6 @@ def page_app(
 ) -> Starlette:
     """Make the application of a set of pages.
 
-    assets: Folder with the pages' own scripts and styles, served below ``/assets/own/``; None if there is
-      none.
     Returns: The application. The shared assets are below ``/assets/``. Every foreseen error becomes an answer
       with ``{"error": {"kind", "what", "where", "remedy"}}``.
     """
@@ -210,10 +205,7 @@ def page_app(
 
 
 async def read_object(request: Request) -> dict[str, Any]:
-    """Read the JSON object that a request carries.
-
-    Raises UsageError: If the body is larger than 16 KiB, takes longer than 10 s, or is not a JSON object.
-    """
+    """Read the JSON object that a request carries: at most 16 KiB, and within 10 s."""
     body = b""
     try:
         async with asyncio.timeout(BODY_S):
@@ -232,10 +224,7 @@ async def read_object(request: Request) -> dict[str, Any]:
 
 
 def whole_number(text: str) -> int:
-    """Return a number of a request: of a line, a pose, an attempt.
-
-    Raises UsageError: If it is not a whole number of at most 15 digits.
-    """
+    """Return a number of a request (a line, a pose, an attempt) of at most 15 digits."""
     if not _WHOLE_NUMBER.fullmatch(text):
         raise UsageError(
             "The request names no line, pose or attempt by its number.", remedy="Load the page again."
@@ -244,10 +233,7 @@ def whole_number(text: str) -> int:
 
 
 def error_answer(failure: Failure, status: int) -> Response:
-    """Return an error as an answer.
-
-    Returns: JSON, ``{"error": {"kind", "what", "where", "remedy", "message"}}``.
-    """
+    """Return an error as JSON, ``{"error": {"kind", "what", "where", "remedy", "message"}}``."""
     return JSONResponse({"error": {**failure.to_dict(), "message": failure.message}}, status_code=status)
 
 

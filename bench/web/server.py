@@ -55,7 +55,6 @@ def serve_pages(
 
     port: Port; 0 for any free one.
     token: Secret that a browser or program must have; None if none is needed.
-    open_browser: Whether to open the page in a browser of this computer.
     announce: Called with the URL when the server accepts connections; by default it prints the URL.
     Raises UsageError: If the port is in use, the address is not of this computer, or other computers could
       use the pages without a token.
@@ -75,11 +74,7 @@ def serve_pages(
 
 
 class PageServer:
-    """A server of pages that is bound to its port.
-
-    host, port, token: As for `serve_pages`.
-    Raises UsageError: As `serve_pages`.
-    """
+    """A server of pages that is bound to its port."""
 
     def __init__(
         self, app: ASGIApp, *, host: str = LOOPBACK, port: int = 0, token: PageToken | None = None
@@ -114,10 +109,7 @@ class PageServer:
         return self._server.ended_by_signal
 
     def serve(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Serve until a signal, or `stop` from another thread.
-
-        ready: Called once, when the server accepts connections.
-        """
+        """Serve until a signal, or `stop` from another thread; ``ready`` is called when it accepts connections."""
         self._server.ready = ready
         try:
             self._server.run(sockets=[self._socket])

@@ -37,10 +37,7 @@ class TooLarge(ValueError):
 
 
 def svg(drawing: Drawing, units: str) -> bytes:
-    """Write a drawing as SVG.
-
-    units: Unit of the coordinates, a key of `MM_PER_UNIT`; the printed size does not depend on it.
-    """
+    """Write a drawing as SVG; units is a key of `MM_PER_UNIT`, and the printed size does not depend on it."""
     scale = 1.0 / MM_PER_UNIT[units]
     width, height = drawing.width_mm * scale, drawing.height_mm * scale
     view = " ".join(_short(n) for n in (-0.5 * width, -0.5 * height, width, height))
@@ -68,11 +65,7 @@ def svg(drawing: Drawing, units: str) -> bytes:
 
 
 def pdf(drawing: Drawing, units: str) -> bytes:
-    """Write a drawing as a PDF of one page, which is as large as the glass.
-
-    units: Unused: the unit of a PDF is the point, 1/72 inch.
-    Raises TooLarge: If the glass is larger than a page may be.
-    """
+    """Write a drawing as a PDF of one page, as large as the glass; its unit is the point, 1/72 inch."""
     del units
     if max(drawing.width_mm, drawing.height_mm) > _LARGEST_PDF_MM:
         raise TooLarge(f"A page of a PDF is at most {_LARGEST_PDF_MM:.0f} mm wide and high.")
@@ -147,11 +140,7 @@ _NO_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def dxf(drawing: Drawing, units: str) -> bytes:
-    """Write a drawing as DXF (AutoCAD 2010), with a closed polyline for each area.
-
-    units: Unit of the coordinates; the file states it as ``$INSUNITS``.
-    Raises UsageError: If ezdxf is not installed.
-    """
+    """Write a drawing as DXF (AutoCAD 2010): closed polylines, units in ``$INSUNITS``. It needs ezdxf."""
     ezdxf = _library("ezdxf")
     was = ezdxf.options.write_fixed_meta_data_for_testing
     ezdxf.options.write_fixed_meta_data_for_testing = True
@@ -175,12 +164,7 @@ _ON_OPAQUE = {"layer": OPAQUE_LAYER}
 
 
 def gdsii(drawing: Drawing, units: str) -> bytes:
-    """Write a drawing as GDSII, with one flat cell and steps of 1 nm.
-
-    units: Unit of the coordinates that a program shows; the steps do not depend on it.
-    Raises UsageError: If gdstk is not installed.
-    Raises TooLarge: If the glass is larger than steps of 1 nm can count.
-    """
+    """Write a drawing as GDSII, with one flat cell and steps of 1 nm in any units. It needs gdstk."""
     gdstk = _library("gdstk")
     if max(drawing.width_mm, drawing.height_mm) >= _LARGEST_GDS_MM:
         raise TooLarge(f"A GDSII file with steps of 1 nm is at most {_LARGEST_GDS_MM:.0f} mm wide and high.")
@@ -229,13 +213,7 @@ WRITERS: Mapping[str, Callable[[Drawing, str], bytes]] = {
 
 
 def drawing_file(target: TargetConfig, path: Path) -> bytes:
-    """Return the file with the drawing of a target. Nothing is written.
-
-    target: Section ``target`` of a station.
-    path: Name of the file; its ending is one of `WRITERS`.
-    Raises UsageError: If the ending is unknown, the library that writes it is missing, or the drawing does
-      not fit into it.
-    """
+    """Return the file with the drawing of a target, of the ending of ``path``. Nothing is written."""
     write = WRITERS.get(path.suffix.lower())
     if write is None:
         kind = f"of a name that ends in {path.suffix!r}" if path.suffix else "of a name without an ending"

@@ -86,10 +86,7 @@ GLYPHS = {
 
 
 def unknown_letters(text: str) -> str:
-    """Return the letters of a text that cannot be drawn, each once.
-
-    Returns: The letters in their order; empty if all can be drawn.
-    """
+    """Return the letters of a text that cannot be drawn, each once, in their order."""
     return "".join(dict.fromkeys(letter for letter in text.upper() if letter not in GLYPHS))
 
 
@@ -101,7 +98,6 @@ def text_width(text: str, height: float) -> float:
 def text_rectangles(text: str, height: float) -> NDArray[np.float64]:
     """Return the rectangles of a text, with the upper left corner of its first letter at the origin, Y down.
 
-    text: The text, with letters of `GLYPHS` only.
     Returns: (N, 4) float64, in the unit of the height: left, top, right, bottom of each rectangle; they do
       not overlap.
     """
@@ -164,7 +160,6 @@ class Drawing:
 def draw_target(target: TargetConfig) -> Drawing:
     """Draw the reticle that a station describes.
 
-    target: Section ``target`` of the station.
     Raises UsageError: If the serial number has letters that cannot be drawn, the marks do not fit into the
       margin, or the pattern has too many parts for a file.
     """
@@ -193,11 +188,7 @@ def draw_target(target: TargetConfig) -> Drawing:
 
 
 def title_of(target: TargetConfig) -> str:
-    """Return what a target is, in one line, such as ``36h11-3 50/72 4.01389 mm``.
-
-    target: Section ``target`` of the station.
-    Returns: Serial number (if any), tag family and number, squares and pitch.
-    """
+    """Return serial number (if any), tag family and number, squares and pitch: ``36h11-3 50/72 4.01389 mm``."""
     serial = f"{target.serial.upper()}  " if target.serial else ""
     columns, rows = target.squares
     return f"{serial}{target.tag_family.upper()}-{target.tag_id} {columns}/{rows} {target.pitch_mm:.6g} mm"
@@ -294,12 +285,7 @@ def _moved(rectangles: Array, x: float, y: float) -> Array:
 
 
 def scale_bar_mm(target: TargetConfig) -> float:
-    """Return the length of the scale bars of a drawing.
-
-    target: Section ``target`` of the station.
-    Returns: Length, mm; 0 if there are none.
-    Raises UsageError: If the bar that is asked for is longer than the pattern.
-    """
+    """Return the length of the scale bars of a drawing, mm; 0 if there are none."""
     pattern, given = target.pattern(), target.drawing.scale_bar_mm
     shorter = min(pattern.columns, pattern.rows) * pattern.pitch_mm
     if given is None:

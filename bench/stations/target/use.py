@@ -68,8 +68,6 @@ def optics_of(
 ) -> Optics:
     """Return lens, sensor and beam: as given, or else from sections ``expected`` and ``collimator`` of a station.
 
-    focal_length_mm: Focal length of the lens; None: that of the station.
-    r_mm: Focal length of the collimator; None: that of the station.
     pixel_um: Side of a pixel; None: that of the IMX636.
     Raises UsageError: If neither the options nor the station give a value.
     """
