@@ -1,20 +1,26 @@
-"""Rounding, conformity and budgets: what a reader can calculate again from the printed certificate."""
+"""A certificate's numbers and words: what a reader can calculate again, its JSON, and planar calibrations."""
 
+import copy
 import dataclasses
 import json
 import math
+import re
 from decimal import Decimal
 
 import pytest
-from certificate_sample import LAB, full_certificate, identity, sample_lab, sample_results
+from certificate_sample import LAB, full_certificate, identity, sample_lab, sample_results, small_certificate
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
 from bench.base.errors import EvidenceError
 from bench.certificate.budget_rows import budget_of, expanded, print_result, round_expanded
+from bench.certificate.certificate_data import Certificate
 from bench.certificate.compose import compose
+from bench.certificate.dcc import render_dcc
+from bench.certificate.pdf_plots import draw_plots, pictures
 from bench.records.conformity import conformity, verdict_of
+from bench.report.text import BOARD, STARS
 from sequences.limits import ResultLimitConfig
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
@@ -180,3 +186,116 @@ def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_si
     results, lab = run_with_limits({"result": "kb1", "upper": 1.0})
     with pytest.raises(EvidenceError, match=r"The run has limits of kb1, and no such result. State"):
         compose(results, lab, identity())
+
+
+# ---------------------------------------------------------------- JSON
+
+
+@pytest.mark.parametrize("make", [full_certificate, small_certificate])
+def test_comes_back_the_same(make):
+    certificate = make()
+    data = certificate.to_json()
+    assert Certificate.from_json(data) == certificate
+    assert Certificate.from_json(data).to_json() == data
+
+
+def changed_data(change):
+    found = json.loads(full_certificate().to_json())
+    change(found)
+    return json.dumps(found).encode()
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda c: c.pop("number"), "number is missing"),
+        (lambda c: c.update(numbr="x"), "numbr is unknown"),
+        (lambda c: c["results"][2].update(U="2.9"), r"results\[2\].U must be a finite number"),
+        (lambda c: c["results"][0].update(value=True), r"results\[0\].value must be a finite number"),
+        (lambda c: c["conformity"][0].update(verdict="passed"), "one of pass, conditionalPass"),
+        (lambda c: c.update(simulated=1), "simulated must be true or false"),
+        (lambda c: c.update(results={}), "results must be a list"),
+        (lambda c: c.update(laboratory=None), "laboratory must be a mapping"),
+        (lambda c: c.update(format="starbench/certificate/2"), "format must be one of"),
+        (lambda c: c["covariance"].update(matrix=[[None]]), r"covariance.matrix\[0\]\[0\]"),
+    ],
+)
+def test_refuses_what_is_not_of_this_form_and_names_it(change, named):
+    with pytest.raises(EvidenceError, match=named):
+        Certificate.from_json(changed_data(change))
+
+
+@pytest.mark.parametrize("text", [b"", b"[]", b"{", b'{"a":1,"a":2}', b"\xff", b"[" * 100_000, b"null"])
+def test_refuses_what_is_no_json_mapping(text):
+    with pytest.raises(EvidenceError):
+        Certificate.from_json(text)
+
+
+def test_refuses_numbers_that_are_not_finite():
+    with pytest.raises(EvidenceError, match="NaN"):
+        Certificate.from_json(changed_data(lambda c: c["results"][0].update(value=float("nan"))))
+    one = full_certificate()
+    broken = dataclasses.replace(one.results[0], value=float("inf"))
+    with pytest.raises(ValueError, match="Out of range"):
+        dataclasses.replace(one, results=(broken,)).to_json()
+
+
+# ---------------------------------------------------------------- a planar calibration speaks of points
+
+STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")
+
+WRITTEN_BY_THE_LABORATORY = ("Camera before a collimator with a star target", "coordinates of the stars")
+
+
+def of_board():
+    found = copy.deepcopy(sample_results())
+    found["run"] |= {"board": "checkerboard:11x7:20mm"}
+    calibration = found["calibration"]
+    calibration["budget"] = {"stars": calibration["sigma"]}  # a planar calibration knows no other source
+    calibration["budget_rows"] = [row for row in calibration["budget_rows"] if row["name"] == "stars"]
+    calibration["notes"] = []
+    found["passport"] = None
+    found["gates"] = [{"name": "pose 1: stars", "value": 7, "unit": "", "limit": ">= 39", "verdict": "fail"}]
+    return found
+
+
+def texts(value):
+    if isinstance(value, str):
+        return [value]
+    if isinstance(value, dict):
+        return [text for one in value.values() for text in texts(one)]
+    return [text for one in value for text in texts(one)] if isinstance(value, (list, tuple)) else []
+
+
+def with_stars(found):
+    said = texts(compose(found, sample_lab().value, identity()).to_json().decode())
+    return [
+        line
+        for line in said[0].splitlines()
+        if STAR.search(re.sub("|".join(WRITTEN_BY_THE_LABORATORY), "", line))
+    ]
+
+
+def test_a_certificate_of_a_board_says_points_and_names_the_board():
+    assert with_stars(sample_results())  # else the pattern is of no use
+    assert with_stars(of_board()) == []
+    made = compose(of_board(), sample_lab().value, identity())
+    assert {row.name for budget in made.budgets for row in budget.rows} >= {"points"}
+    assert "Limit not met: pose 1: points is 7, limit >= 39." in [one.text for one in made.deviations]
+    assert ("board", "checkerboard:11x7:20mm") in [(one.name, one.text) for one in made.conditions]
+
+
+def test_the_digital_certificate_says_the_same():
+    dcc = render_dcc(compose(of_board(), sample_lab().value, identity())).decode()
+    for text in WRITTEN_BY_THE_LABORATORY:
+        dcc = dcc.replace(text, "")
+    assert not [line for line in dcc.splitlines() if STAR.search(line)]
+    assert "checkerboard:11x7:20mm" in dcc
+
+
+def test_captions_of_the_plots_fit_the_target():
+    made = compose(of_board(), sample_lab().value, identity())
+    plots = dict.fromkeys(("coverage", "vectors", "regions"), "<svg/>")
+    assert [one.name for one in pictures(made, plots, STARS) if STAR.search(one.caption)] == list(plots)
+    assert [one.name for one in pictures(made, plots, BOARD) if STAR.search(one.caption + one.alt)] == []
+    assert set(draw_plots(of_board())) == set(draw_plots(sample_results()))

@@ -1,4 +1,4 @@
-"""Comparisons of methods: specifications, resuming, statistics, and one repetition on the simulated bench."""
+"""Comparisons of methods: specifications, resuming, statistics, one repetition, the check by the gimbal's angles."""
 
 import json
 
@@ -7,13 +7,14 @@ import pytest
 
 from bench.base.errors import ScriptError, UsageError
 from bench.commands.cli import main
-from bench.compare.methods import compare_with_truth
+from bench.compare.methods import bench_time_s, compare_with_truth, gimbal_ratio_error
 from bench.compare.page import render_page
 from bench.compare.run_comparison import ROWS, Task, compare, row_key, run_task
 from bench.compare.scenes import recordings_key, star_poses
-from bench.compare.spec import ComparisonConfig, read_spec, shipped_names
+from bench.compare.spec import ColumnConfig, ComparisonConfig, read_spec, shipped_names
 from bench.compare.table import parameter_rows, summarise, table_rows, table_text
 from calib.model.camera import CameraModel
+from calib.view import View
 
 TRUE = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), {"k1": 0.06, "k2": -0.9})
 
@@ -203,3 +204,51 @@ def test_one_image_needs_a_known_collimator(tmp_path):
     file.write_text(text.replace("METHOD", "starbench").replace("MORE", ", known_collimator: true"))
     (column,) = read_spec(str(file)).value.columns
     assert recordings_key(column) != recordings_key(column.model_copy(update={"known_collimator": None}))
+
+
+# ---------------------------------------------------------------- the check by the gimbal
+
+SIZE = (1280, 720)
+
+CAMERA = CameraModel(3345.0, 3345.0, 640.0, 360.0, SIZE, {"k1": 0.06, "k2": -0.9})
+
+POSES = ((-6.0, 2.0), (6.0, 2.0), (0.0, -3.0))
+
+
+def views_and_readings():
+    """Stars of three poses: the camera is turned by pan about Y, which carries tilt about X."""
+    across = np.linspace(-0.3, 0.3, 41)
+    stars = np.array([[x, y, 1.0] for y in across for x in across])
+    views, readings = [], []
+    for pan, tilt in POSES:
+        p, t = np.radians([pan, tilt])
+        about_y = np.array([[np.cos(p), 0, np.sin(p)], [0, 1, 0], [-np.sin(p), 0, np.cos(p)]])
+        about_x = np.array([[1, 0, 0], [0, np.cos(t), -np.sin(t)], [0, np.sin(t), np.cos(t)]])
+        points = CAMERA.project(stars @ (about_y @ about_x))
+        seen = np.flatnonzero(((points > 0) & (points < np.array(SIZE) - 1)).all(axis=1))
+        unit = np.tile(np.eye(2), (len(seen), 1, 1))
+        views.append(View(f"pose {pan}", SIZE, seen, points[seen], stars[seen, :2], unit))
+        readings.append({"pan_deg": pan, "tilt_deg": tilt})
+    return views, readings
+
+
+def test_the_true_camera_turns_as_the_gimbal_says():
+    assert gimbal_ratio_error(CAMERA, *views_and_readings()) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_camera_that_is_two_per_cent_too_long_turns_two_per_cent_too_little():
+    long = CameraModel(1.02 * CAMERA.fx, 1.02 * CAMERA.fy, 640.0, 360.0, SIZE, {"k1": 0.06, "k2": -0.9})
+    assert gimbal_ratio_error(long, *views_and_readings()) == pytest.approx(-0.02, abs=0.002)
+
+
+def test_a_board_has_no_gimbal():
+    views, _ = views_and_readings()
+    assert gimbal_ratio_error(CAMERA, views, ()) is None
+
+
+def test_images_of_stars_take_seconds_and_boards_minutes():
+    stars = bench_time_s(ColumnConfig(name="a", method="starbench", images=3))
+    board = bench_time_s(ColumnConfig(name="a", method="checkerboard", images=20))
+    moving = bench_time_s(ColumnConfig(name="a", method="reconstruction", images=20))
+    assert stars == pytest.approx(10.1)
+    assert stars < moving < board == 400.0

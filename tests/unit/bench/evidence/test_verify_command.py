@@ -1,8 +1,11 @@
-"""What the command verify says about a run, and its exit status."""
+"""What `verify` says of sealed runs, its exit status, and what leaves a run valid."""
 
+import contextlib
+import io
 import json
 import os
 import shutil
+from pathlib import Path
 from unittest import mock
 
 import pytest
@@ -10,8 +13,12 @@ from click.testing import CliRunner
 
 from bench.base.home import HOME_VARIABLE
 from bench.commands.cli import cli
-from bench.evidence.keys import create_key
-from tests.unit.bench.evidence.attack_steps import by_another_program, edit
+from bench.commands.verify import show_verification
+from bench.evidence.keys import AUTHORISATION_NAMESPACE, create_key
+from bench.evidence.signers import Signer, read_signers
+from bench.evidence.sshsig import sign
+from tests.unit.bench.evidence.attack_steps import by_another_program, checked, copied, edit, result
+from tests.unit.bench.evidence.resealed import kinds
 
 pytestmark = pytest.mark.usefixtures("made_once")
 
@@ -82,3 +89,126 @@ def test_again_says_first_that_the_numbers_were_compared(run_once, bench_home):
     said = told_by_command(run_once, bench_home, "--again")
     assert said.return_value == 0, said.output
     assert "The results were made again from the recordings and compared." in said.stdout.splitlines()[0]
+
+
+# ---------------------------------------------------------------- what happens to any archive
+
+
+def unchanged(folder):
+    return folder
+
+
+def renamed(folder):
+    return folder.rename(folder.with_name("another name, with ü"))
+
+
+def older(folder):
+    for path in folder.rglob("*"):
+        os.utime(path, (0, 0))
+    return folder
+
+
+def read_only(folder):
+    for path in [*folder.rglob("*"), folder]:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    return folder
+
+
+def other_modes(folder):
+    for path in folder.rglob("*"):
+        path.chmod(0o700 if path.is_dir() else 0o600)
+    return folder
+
+
+def linked(folder):
+    link = folder.with_name("link")
+    link.symlink_to(folder)
+    return link
+
+
+@pytest.mark.parametrize(
+    "change", [unchanged, renamed, older, read_only, other_modes, linked], ids=lambda c: c.__name__
+)
+def test_what_happens_to_any_archive_leaves_it_valid(run_once, trusted, tmp_path, change):
+    folder = change(copied(run_once, tmp_path / "run"))
+    found = checked(folder, trusted)
+    assert (found.faults, found.not_compared) == ((), ())
+
+
+def test_a_relative_path_leaves_it_valid(run_once, trusted, monkeypatch):
+    monkeypatch.chdir(run_once.parent)
+    assert checked(Path("run"), trusted).complete
+
+
+def test_an_authorised_run_is_valid_and_names_the_person(forger, trusted, tmp_path):
+    person = create_key(tmp_path / "ada", principal="ada@lab.example")
+    public = read_signers(tmp_path / "ada" / "allowed_signers")[0].public_key
+    seal = (forger / "SHA256SUMS.sig").read_bytes()
+    signature = sign(person.private, seal, AUTHORISATION_NAMESPACE)
+    (forger / "SHA256SUMS.authorised.sig").write_bytes(signature)
+    ada = Signer("ada@lab.example", public, (AUTHORISATION_NAMESPACE,))
+    found = checked(forger.folder, [*trusted, ada])
+    assert found.complete
+    assert (found.state, found.person) == ("AUTHORISED", "ada@lab.example")
+    assert kinds(checked(forger.folder, trusted)) == [("authorisation", "SHA256SUMS.authorised.sig")]
+
+
+# ---------------------------------------------------------------- other versions of the program
+
+
+def with_a_plugin(f):
+    """Journal and results state a plug-in that this computer does not have."""
+    f.edit_line("run_started", lambda d: d.update(plugins={"starbench-turntable": ["stage turntable"]}))
+    f.edit_results(lambda r: r["run"].update(plugins={"starbench-turntable": ["stage turntable"]}))
+    by_another_program(f, **{"starbench-turntable": "1.0"})
+
+
+def test_a_run_on_a_plugin_that_is_not_here_is_not_compared_and_no_fault(forger, trusted):
+    with_a_plugin(forger)
+    station = (forger / "station.yaml").read_text().replace("driver: zaber_ascii", "driver: turntable")
+    (forger / "station.yaml").write_text(station)
+    forger.tell_of_files()
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert found.faults == ()
+    (what,) = found.not_compared
+    assert "the station needs starbench-turntable 1.0, which this computer does not have" in what
+
+
+def test_a_plugin_that_the_station_does_not_use_is_found(forger, trusted):
+    with_a_plugin(forger)
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert "journal.jsonl:1" in {fault.where for fault in found.faults}
+    assert "the stage turntable was driven by a plug-in: starbench-turntable 1.0" in found.remarks
+
+
+def test_another_program_that_writes_the_same_bytes_is_compared(forger, trusted, job):
+    by_another_program(forger, program="0" * 16)
+    forger.render(job)
+    forger.tell_of_files()
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert found.complete
+    assert any("program 0000000000000000 (here " in remark for remark in found.remarks)
+
+
+def test_a_report_of_another_form_is_not_compared_and_the_folder_not_plainly_valid(forger, trusted):
+    by_another_program(forger, report_form="0" * 16)
+    forger.replace("report.html", "Calibration report", "Report of a calibration")
+    forger.tell_of_files()
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert found.ok
+    assert not found.complete
+    assert [what for what in found.not_compared if what.startswith("report.html with results.json")]
+    with contextlib.redirect_stdout(io.StringIO()) as shown:
+        assert show_verification(found) == 4
+    assert "NOT COMPARED. Only the seal protects these parts" in shown.getvalue()
+
+
+def test_another_program_does_not_excuse_what_both_state(forger, trusted):
+    by_another_program(forger, program="0" * 16, starbench="9.9")
+    result("devices", "camera", "serial", to="00050999")(forger)
+    forger.seal()
+    assert ("results", "results.json") in kinds(checked(forger.folder, trusted))

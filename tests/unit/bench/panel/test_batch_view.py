@@ -1,13 +1,22 @@
-"""A batch as its page shows it."""
+"""A batch as its page shows it, and what the helper process calculates."""
 
 from __future__ import annotations
 
+import io
 import json
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
 from journals import MadeRun
 
-from bench.panel import panel_app
+from bench.panel import helper_process, panel_app
+from bench.panel.extras import Helper, forecast_poses
+from bench.panel.helper_process import answer_requests, make_coverage, picture_of_view, smooth_residuals
 from bench.panel.panel_app import BatchView
+from bench.run.heartbeat import LastView
+from bench.views.measure import StoredImage
+from calib.target import StarTarget
 
 QUEUE = """\
 format: starbench/queue/1
@@ -63,3 +72,82 @@ def test_failures_come_first_and_what_has_not_begun_last(tmp_path, monkeypatch):
         "aborted",
         "not begun",
     ]
+
+
+# ---------------------------------------------------------------- the helper process
+
+NODES = np.stack(np.meshgrid(np.arange(14.0), np.arange(10.0)), axis=-1).reshape(-1, 2)
+
+
+def _points(nodes):
+    """A perspective image of the nodes with some distortion."""
+    x, y = nodes.T / 10.0 - 0.6
+    w = 1.0 + 0.02 * x - 0.01 * y
+    u, v = x / w, y / w
+    r2 = u**2 + v**2
+    return 500.0 * np.column_stack([u, v]) * (1.0 + 0.05 * r2)[:, None] + 600.0
+
+
+def test_a_smooth_fit_leaves_perspective_and_distortion_out_and_a_bad_star_in():
+    points = _points(NODES)
+    assert np.abs(smooth_residuals(NODES, points)).max() < 0.01
+    points[40] += (0.6, 0.0)
+    residuals = smooth_residuals(NODES, points)
+    assert int(np.argmax(np.linalg.norm(residuals, axis=1))) == 40
+    assert residuals[40, 0] == pytest.approx(0.6, abs=0.1)
+
+
+def test_too_few_stars_have_no_residuals():
+    assert smooth_residuals(NODES[:19], _points(NODES[:19])) is None
+
+
+def test_the_picture_that_a_run_left_is_shown_with_its_stars():
+    png = StoredImage.from_image(np.random.default_rng(1).random((36, 64))).png
+    found = picture_of_view(LastView(1, 1, NODES.tolist(), _points(NODES).tolist(), "", png))
+    assert found["size"] == [64, 36]
+    assert len(found["stars"]) == len(found["residuals"]) == 140
+    assert found["rms_px"] < 0.01
+    json.dumps(found, allow_nan=False)
+    nothing = picture_of_view(LastView(1, 1, [], [], "no stars", png))
+    assert (nothing["stars"], nothing["residuals"], nothing["fault"]) == ([], None, "no stars")
+
+
+def test_coverage_counts_the_stars_in_their_cells(monkeypatch):
+    monkeypatch.setattr(helper_process, "job_of_run", lambda _folder: SimpleNamespace(target=StarTarget()))
+    column, row = StarTarget().node_of([0])[0]
+    grid = [[100.0, 0.0, 50.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]]  # one star in each cell of 100 px
+    request = {"folder": "x", "size": [400, 300], "cells": [4, 3], "grids": [[1, grid, 12], [2, grid, 12]]}
+    counts = make_coverage(request)[0]["counts"]
+    assert (column, row) == (0, 0)
+    assert counts == [2] * 12
+    request["grids"] = [[1, grid, 5]]
+    assert sum(make_coverage(request)[0]["counts"]) == 5
+
+
+def test_one_request_that_fails_does_not_end_the_others():
+    requests = io.BytesIO(b'{"operation": "nonsense"}\n{"operation": "picture"}\n')
+    answers = io.BytesIO()
+    answer_requests(requests, answers)
+    found = [json.loads(line) for line in answers.getvalue().splitlines()]
+    assert len(found) == 2
+    assert all(one["fault"] and one["bytes"] == 0 for one in found)
+
+
+def test_the_plan_is_forecast_as_a_whole_first():
+    assert forecast_poses(1) == [1]
+    assert forecast_poses(10_000)[0] == 60
+    assert len(forecast_poses(10_000)) <= 8
+
+
+def test_a_killed_helper_is_started_again(tmp_path, children):
+    folder = str(MadeRun(tmp_path / "run").folder)
+    helper = Helper()
+    try:
+        assert helper.ask("forecast", folder=folder, poses=1)[0]["fault"]
+        children[0].kill()
+        children[0].wait()
+        assert helper.ask("forecast", folder=folder, poses=1)[0]["fault"]
+        assert len(children) == 2
+    finally:
+        helper.close()
+    assert helper.ask("forecast", folder=folder, poses=1)[0]["fault"] == "The panel is ending."

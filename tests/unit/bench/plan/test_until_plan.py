@@ -1,13 +1,23 @@
-"""The plan of a run that chooses its poses: at least, at most, and what is refused."""
+"""Plans: of runs that choose their poses, options of the solve step, and credentials in URLs."""
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from flat import flatten
 from station_texts import PLAIN
 
-from bench.plan.job import Job, ParkStep
-from bench.plan.plan import load_documents, make_plan
+from bench.base.errors import ScriptError, UsageError
+from bench.batch.batch_plan import read_job, read_queue
+from bench.plan.job import Job, ParkStep, calibration_options
+from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.plan.plan_text import render_plan
+from bench.stations.station_cameras import OpenCvCameraConfig
+from calib.calibration import LossName, ModelName
+from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE, SKEW
+from sequences import solve_schema as schema
+from sequences.reader import check_document, find_document
+from sequences.schema import Sequence
 from sequences.script import ChooseStep, LightStep, MoveStep
 
 SHIPPED = Path(__file__).parents[4] / "sequences" / "until_good.yaml"
@@ -109,3 +119,128 @@ def test_a_choice_uses_the_same_passport_as_the_solve():
     steps = [step for step in plan.script if isinstance(step, ChooseStep)]
     assert plan.passport.in_use is not None
     assert all(plan.passport_for(step.solve) is plan.passport.in_use.passport for step in steps)
+
+
+# ---------------------------------------------------------------- words of a solve step
+
+TEXT = "format: starbench/sequence/1\nname: S\nsteps: [{move: {pan_deg: 1}}, record, {solve: %s}]\n"
+
+
+def solve_step(settings: str):
+    return flatten(check_document((TEXT % settings).encode(), "s.yaml", Sequence))[-1]
+
+
+def test_the_script_language_has_every_model_lens_and_loss_of_the_engine():
+    assert set(get_args(schema.CalibrationModel)) == set(get_args(ModelName))
+    assert set(get_args(schema.Loss)) == set(get_args(LossName))
+    assert ((*BROWN, SKEW), FISHEYE) == schema.LENS_FAMILIES
+    assert get_args(schema.DistortionTerm) == (*BROWN, SKEW, *FISHEYE)
+    assert dict(schema.DISTORTION_SETS) == dict(DISTORTION_SETS)
+    assert set(get_args(schema.DistortionSet)) == {*DISTORTION_SETS, "auto"}
+    limits = set(schema.LimitConfig.model_fields)
+    assert {f"sigma_{name}" for name in (*BROWN, "skew_px", *FISHEYE)} <= limits
+
+
+@pytest.mark.parametrize("model", get_args(schema.CalibrationModel))
+def test_every_model_reaches_the_engine(model):
+    assert calibration_options(solve_step(f"{{model: {model}}}")).model == model
+
+
+@pytest.mark.parametrize("name", DISTORTION_SETS)
+def test_every_set_of_lens_coefficients_reaches_the_engine(name):
+    assert calibration_options(solve_step(f"{{distortion: {name}}}")).distortion == DISTORTION_SETS[name]
+
+
+def test_the_other_settings_reach_the_engine():
+    made = calibration_options(
+        solve_step("{loss: l2, huber_px: 0.5, guard_band: 0.9, drift_mm: 0.2, distortion: [kb2, kb1]}")
+    )
+    assert (made.loss, made.huber_px, made.guard_band, made.drift_mm) == ("l2", 0.5, 0.9, 0.2)
+    assert made.distortion == ("kb1", "kb2")
+
+
+# ---------------------------------------------------------------- no credential in a URL
+
+SECRET = "pa55"
+
+HOOK = f"\nmessages: {{webhooks: [{{url: 'https://bot:{SECRET}@chat.example/'}}]}}\n"
+
+
+def plan_of(tmp_path, more="", sequence="three_pose", **words):
+    path = tmp_path / "station.yaml"
+    path.write_text(PLAIN + more)
+    return make_plan(*load_documents(sequence, str(path), **words))
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (HOOK, "url_env: NAME in place of url"),
+        ("\nmessages: {webhooks: [{url: 'https://hooks.slack.com/services/T/B/x'}]}\n", "url_env: NAME"),
+        (f"\n# the camera is rtsp://admin:{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
+        (f"\n# the camera is https://x%3A{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
+        (
+            f"\noperator: Ada, https://lab.example/?token={SECRET}\n",
+            "operator: this is a URL with a token",
+        ),
+    ],
+)
+def test_a_station_with_a_credential_is_refused_at_its_line(tmp_path, more, says):
+    (fault,) = plan_of(tmp_path, more).faults
+    assert says in str(fault)
+    assert fault.line > PLAIN.count("\n")
+    assert SECRET not in str(fault)
+
+
+def test_a_setting_with_a_credential_is_refused(tmp_path):
+    settings = {"station.laboratory": f"https://x:{SECRET}@lab.example/"}
+    assert "URL with a password" in str(plan_of(tmp_path, settings=settings).faults[0])
+
+
+def test_a_sequence_with_a_credential_is_refused(tmp_path):
+    text = find_document("three_pose", SHIPPED_SEQUENCES).read_text()
+    (tmp_path / "own.yaml").write_text(f"{text}# from https://u:{SECRET}@git.example/\n")
+    (fault,) = plan_of(tmp_path, sequence=str(tmp_path / "own.yaml")).faults
+    assert "own.yaml" in str(fault)
+
+
+def test_the_files_of_a_run_that_has_begun_are_read_as_they_are(tmp_path):
+    path = tmp_path / "station.yaml"
+    path.write_text(PLAIN + HOOK)
+    assert make_plan(*load_documents("three_pose", str(path)), passport_copy=tmp_path / "none").faults == ()
+
+
+@pytest.mark.parametrize("read", [read_queue, read_job])
+def test_a_queue_or_job_with_a_credential_is_refused(tmp_path, read):
+    job = f"{{name: a, sequence: three_pose, station: simulated, settings: {{station.operator: 'https://u:{SECRET}@h/'}}}}"
+    text = f"format: starbench/queue/1\nname: q\njobs: [{job}]\n"
+    if read is read_job:
+        text = f"format: starbench/job/1\nname: a\nsequence: three_pose\nstation: simulated\n# https://u:{SECRET}@h/\n"
+    (tmp_path / "file.yaml").write_text(text)
+    with pytest.raises(ScriptError, match="URL with a password") as refused:
+        read(tmp_path / "file.yaml")
+    assert SECRET not in str(refused.value)
+
+
+def camera(**words):
+    return OpenCvCameraConfig(driver="opencv", **words)
+
+
+def test_the_source_of_a_camera_may_be_an_environment_variable():
+    found = camera(source_env="CAM")
+    assert found.ports == ()
+    assert found.source_in_use({"CAM": "rtsp://admin:pw@10.0.0.9/"}) == "rtsp://admin:pw@10.0.0.9/"
+    assert camera(source="/dev/video0").source_in_use({}) == "/dev/video0"
+
+
+@pytest.mark.parametrize(("environ", "why"), [({}, "is not set"), ({"CAM": "concat:a|b"}, "is not a source")])
+def test_a_variable_without_a_source_is_an_error_that_does_not_show_it(environ, why):
+    with pytest.raises(UsageError, match=why) as refused:
+        camera(source_env="CAM").source_in_use(environ)
+    assert "concat" not in str(refused.value)
+
+
+@pytest.mark.parametrize("words", [{}, {"source": "0", "source_env": "CAM"}])
+def test_a_camera_has_one_source(words):
+    with pytest.raises(ValueError, match="either source or source_env"):
+        camera(**words)

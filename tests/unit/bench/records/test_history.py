@@ -1,13 +1,15 @@
-"""History of a run: entries of the journal are found at once, however long the run."""
+"""History of a run: found at once however long; lines that last; entries that somebody replaced."""
 
+import os
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from bench.base.errors import JournalBroken
 from bench.records.events import Event
-from bench.records.history import Attempt, History, replay
+from bench.records.history import Attempt, History, RunLog, replay
 from bench.records.journal import Journal
+from bench.views.kept_views import KeptEntries
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -85,3 +87,78 @@ def test_decisions_give_the_chosen_poses_and_what_is_left_out(tmp_path):
     assert before.chosen == after.chosen == {4: {"pan": 1.5}}
     assert not any(before.is_left_out(step) for step in range(40))
     assert [step for step in range(40) if after.is_left_out(step)] == list(range(16, 31))
+
+
+# ---------------------------------------------------------------- what a cut of power may take
+
+POSE = {"pose": 1, "pose_name": "p"}
+
+STORED = {**POSE, "attempt": 1, "capture": "c", "size": 1, "sha256": "0"}
+
+LAST = [
+    (Event.RUN_STARTED, {"id": "r"}),
+    (Event.DEVICES, {"camera": {}}),
+    *((Event.ENTERING, {"state": s, **POSE}) for s in ("homing", "lighting", "slewing", "recording", "holding", "parking")),
+    (Event.CAPTURE_STORED, STORED),
+    (Event.LEFT_OFF, {"state": "slewing", "error": "stalled"}),
+    (Event.DEVIATION, {"what": "so"}),
+    (Event.POSE_SKIPPED, {**POSE, "what": "so"}),
+    (Event.SOLVED, {"model": "spherical"}),
+    (Event.RUN_ENDED, {"how": "finished", "why": ""}),
+]  # fmt: skip
+
+ON_THE_WAY = [
+    *((Event.ENTERING, {"state": state, **POSE}) for state in ("settling", "checking")),
+    (Event.LEFT_OFF, {"state": "slewing"}),
+    (Event.STEP_DONE, {"step": 3}),
+    (Event.ATTEMPT_CHECKED, {"pose": 1, "attempt": 1, "accepted": True, "reasons": []}),
+]
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    with Journal.create(path, utc_now=lambda: datetime.now(UTC), monotonic=lambda: 0.0) as journal:
+        log = RunLog(journal)
+        log.write(Event.CAPTURE_STORED, **STORED)
+        yield log
+
+
+def syncs(log, monkeypatch, event, data):
+    synced = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    log.write(event, **data)
+    return len(synced)
+
+
+@pytest.mark.parametrize(
+    ("event", "data"), LAST, ids=lambda x: x if isinstance(x, str) else x.get("state", "")
+)
+def test_what_counts_lasts_when_it_is_told(log, monkeypatch, event, data):
+    assert syncs(log, monkeypatch, event, data) == 1
+
+
+@pytest.mark.parametrize(
+    ("event", "data"), ON_THE_WAY, ids=lambda x: x if isinstance(x, str) else x.get("state", "")
+)
+def test_what_only_tells_of_the_way_lasts_with_the_next_line(log, monkeypatch, event, data):
+    assert syncs(log, monkeypatch, event, data) == 0
+    assert syncs(log, monkeypatch, Event.ENTERING, {"state": "slewing", **POSE}) == 1
+
+
+# ---------------------------------------------------------------- replaced entries
+
+KEY = "ab" * 32
+
+
+def test_an_entry_larger_than_any_is_not_read(tmp_path):
+    kept = KeptEntries(tmp_path / "kept", 1 << 20)
+    kept.write_entry(KEY, b"content")
+    assert kept.read_entry(KEY) == b"content"
+    (path,) = (tmp_path / "kept").rglob("*.entry")
+    with path.open("r+b") as file:
+        file.truncate(10 << 30)
+    assert kept.read_entry(KEY) is None
+    assert not path.exists()
+    (remark,) = kept.remarks
+    assert "a kept entry is broken (it is larger than any entry)" in remark

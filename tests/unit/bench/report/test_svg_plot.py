@@ -1,17 +1,23 @@
-"""The frame of a plot: everything within the picture, the same unit on both axes where wanted, words escaped."""
+"""Charts of a report: their frame, their scales, and the outlines of maps."""
 
 import re
 import subprocess
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
+from bench.report.maps import outlines
 from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.plots import deviations_from_truth, regions, residual_vectors
-from bench.report.svg_plot import Picture, Scale
+from bench.report.svg_plot import Picture, Scale, log_ticks, text_width, tick_labels, ticks
 from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
+
+# ---------------------------------------------------------------- the frame
 
 
 def framed(x=None, y=None, words=None, size=(280.0, 190.0), **more):
@@ -112,3 +118,109 @@ def test_deviations_lie_on_bands_of_one_and_two_standard_uncertainties():
         assert len({x for x, _ in band}) == len({y for _, y in band}) == 2
     widths = [max(x for x, _ in band) - min(x for x, _ in band) for band in (wide, narrow)]
     assert widths[0] == pytest.approx(2 * widths[1], abs=0.03)
+
+
+# ---------------------------------------------------------------- values along an axis
+
+FINITE = st.floats(-1e6, 1e6)
+
+
+@given(FINITE, st.floats(1e-3, 1e6), st.integers(2, 12))
+@example(1.0, 400_001.0, 2)  # the round number next to it, 500,000, lies outside
+def test_ticks_are_few_round_numbers_within_the_range(low, span, most):
+    found = ticks(low, low + span, most)
+    assert 1 <= len(found) <= most + 1
+    step = found[1] - found[0] if len(found) > 1 else 1.0
+    assert all(low - 1e-6 * step - 1e-9 <= value <= low + span + 1e-6 * step + 1e-9 for value in found)
+    if len(found) > 1:
+        assert float(f"{step:.0e}") == pytest.approx(step, rel=1e-6)
+        assert len(set(tick_labels(found))) == len(found)
+
+
+def test_a_range_that_is_upside_down_has_its_first_value_at_the_bottom():
+    rows = Scale(719.5, -0.5)
+    np.testing.assert_allclose(rows.share([719.5, 359.5, -0.5]), [0, 0.5, 1])
+    assert [label for _, label in rows.chosen_ticks(4)] == ["0", "200", "400", "600"]
+
+
+def test_a_logarithmic_axis_spreads_ratios_evenly_and_has_round_numbers():
+    np.testing.assert_allclose(Scale(1, 100, "log").share([1, 10, 100]), [0, 0.5, 1])
+    assert log_ticks(0.7, 30) == [1, 2, 5, 10, 20]
+    assert log_ticks(1e-4, 1e4, 5)[0] == 1e-4
+    assert set(np.log10(log_ticks(1e-4, 1e4, 5)) % 1) == {0}
+    assert log_ticks(3.1, 3.9) == [3.2, 3.4000000000000004, 3.6, 3.8000000000000003]
+    assert [label for _, label in Scale(3.1, 3.9, "log").chosen_ticks(5)] == ["3.2", "3.4", "3.6", "3.8"]
+
+
+def test_a_two_sided_axis_is_linear_near_zero_and_logarithmic_beyond():
+    scale = Scale(-500, 500, "symlog", 5.0)
+    shares = scale.share([-500, -50, -5, 0, 2.5, 5, 50, 500])
+    np.testing.assert_allclose(shares, np.array([0, 1, 2, 3, 3.5, 4, 5, 6]) / 6)
+
+
+def test_a_wider_text_is_estimated_as_wider():
+    assert text_width("column, px", 9) < text_width("COLUMN, px", 9)
+    assert text_width("\N{CJK UNIFIED IDEOGRAPH-5C71}", 10) > text_width("l", 10)
+
+
+# ---------------------------------------------------------------- outlines of the part of a map that reaches a level
+
+X, Y = np.arange(0.0, 161.0, 4.0), np.arange(0.0, 91.0, 3.0)
+
+
+def area(points):
+    x, y = points.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def total(found):
+    return abs(sum(area(one.points) for one in found))
+
+
+def test_a_plane_is_cut_where_it_reaches_the_level():
+    slope = np.tile(X, (len(Y), 1))
+    (half,) = outlines(X, Y, slope, 50.5)
+    assert total([half]) == pytest.approx((160 - 50.5) * 90)
+    (line,) = half.lines()
+    np.testing.assert_allclose(line[:, 0], 50.5)
+    assert sorted(line[[0, -1], 1].tolist()) == [0.0, 90.0]
+
+
+def test_a_disc_within_the_map_is_one_closed_line_and_outside_of_it_a_hole():
+    distance = np.hypot(X[None] - 80, Y[:, None] - 45)
+    (disc,) = outlines(X, Y, -distance, -30.0)
+    assert total([disc]) == pytest.approx(np.pi * 900, rel=0.01)
+    (line,) = disc.lines()
+    np.testing.assert_array_equal(line[0], line[-1])
+    outside = outlines(X, Y, distance, 30.0)
+    assert len(outside) == 2
+    assert total(outside) == pytest.approx(160 * 90 - np.pi * 900, rel=0.01)
+
+
+def test_a_map_that_reaches_the_level_everywhere_is_whole_and_without_contours():
+    (whole,) = outlines(X, Y, np.ones((len(Y), len(X))), 1.0)
+    assert total([whole]) == pytest.approx(160 * 90)
+    assert whole.lines() == []
+    assert outlines(X, Y, np.zeros((len(Y), len(X))), 1.0) == []
+
+
+def test_where_the_map_is_not_known_nothing_is_inside():
+    values = np.ones((len(Y), len(X)))
+    values[10:20, 10:20] = np.nan
+    found = outlines(X, Y, values, 0.5)
+    assert total(found) == pytest.approx(160 * 90 - (X[20] - X[9]) * (Y[20] - Y[9]), rel=0.01)
+    assert [one.lines() for one in found] == [[], []]
+    assert all(np.isfinite(one.points).all() for one in found)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-1.0, 1.0))
+def test_another_program_finds_the_same_area(seed, level):
+    contourpy = pytest.importorskip("contourpy")
+    values = np.random.default_rng(seed).normal(size=(len(Y), len(X)))
+    theirs = contourpy.contour_generator(X, Y, values, fill_type="OuterOffset", corner_mask=True)
+    points, offsets = theirs.filled(level, 1e9)
+    rings = [p[a:b] for p, o in zip(points, offsets, strict=True) for a, b in pairwise(o.tolist())]
+    assert total(outlines(X, Y, values, level)) == pytest.approx(
+        abs(sum(map(area, rings))), rel=1e-9, abs=1e-9
+    )

@@ -1,13 +1,18 @@
-"""Results held against those calculated again: rounding counts as equal, anything else is told with its place."""
+"""Results held against those calculated again and against the simulated truth: rounding counts as equal."""
 
 import copy
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from report_sample import sample
 
 from bench.evidence.findings import Findings
 from bench.results import compare_numbers
+from bench.results.compare_numbers import differences, tolerance
 from bench.results.results_content import other_software, software
+from bench.results.solution import compare_with_truth
+from simulators.config import bench_config
 
 
 def check_numbers(stored, again, found):
@@ -115,3 +120,55 @@ def test_notes_of_another_program_may_have_other_words_but_not_those_of_the_same
         if not is_fault:
             assert "calibration.notes[0]" in found.not_compared[0]
             assert not any("rounding" in remark for remark in found.remarks)
+
+
+# ---------------------------------------------------------------- how far numbers may differ
+
+
+def results(fx, planar_fx, rms_px):
+    return {
+        "calibration": {"camera": {"fx": fx}, "sigma": {"fx": 1.0}, "rms_px": rms_px},
+        "planar": {"camera": {"fx": planar_fx}, "sigma": {"fx": 40.0}, "rms_px": 0.3},
+    }
+
+
+def places(stored, derived):
+    equal = tolerance(derived["calibration"]["sigma"], derived["planar"]["sigma"])
+    return [one.where for one in differences(stored, derived, equal)]
+
+
+def test_values_may_differ_by_a_thousandth_of_their_uncertainty_and_planar_ones_by_a_hundredth():
+    derived = results(3345.0, 3300.0, 0.08)
+    assert places(results(3345.0009, 3300.39, 0.08), derived) == []
+    assert places(results(3345.0011, 3300.41, 0.08), derived) == ["calibration.camera.fx", "planar.camera.fx"]
+
+
+def test_other_numbers_of_the_calibration_may_differ_by_a_millionth():
+    derived = results(3345.0, 3300.0, 0.08)
+    assert places(results(3345.0, 3300.0, 0.08000007), derived) == []
+    assert places(results(3345.0, 3300.0, 0.0800001), derived) == ["calibration.rms_px"]
+
+
+# ---------------------------------------------------------------- the simulated truth
+
+NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
+
+CALIBRATION = SimpleNamespace(
+    parameter_names=NAMES, values=np.arange(1.0, 10.0), sigma=dict.fromkeys(NAMES, 0.5)
+)
+
+
+def rows(collimator: str):
+    truth = bench_config({"collimator": collimator}).truth.to_dict()
+    return {row["name"]: row for row in compare_with_truth(CALIBRATION, truth)}
+
+
+def test_each_value_is_compared_in_its_unit_and_in_its_uncertainty():
+    found = rows("ideal")
+    assert tuple(found) == NAMES
+    assert found["fx"]["error"] == pytest.approx(1.0 - 3345.06)
+    assert found["fx"]["error_sigmas"] == pytest.approx(2 * (1.0 - 3345.06))
+
+
+def test_the_apparent_centre_is_not_compared_with_that_of_an_ideal_collimator():
+    assert tuple(rows("like-bench")) == ("fx", "fy", "cx", "cy", "k1", "k2", "r")

@@ -1,13 +1,65 @@
-"""The interlock for a lost device: the run waits, identifies the device, and uses it again."""
+"""Devices of a run: their cables are asked before it, a lost one is waited for, and how each is left is journaled."""
+
+from types import SimpleNamespace
 
 import pytest
-from rehearsed import Scene
+from rehearsed import TWO, Scene
 
+from bench.base.device_ends import DEVICES, NOT_ASKED
 from bench.records.events import Event
+from bench.records.history import replay
+from bench.records.journal import Journal, read_journal
+from bench.report import run_tables
 from bench.run.run_devices import NOT_REOPENED
-from drivers.errors import CameraLost, PortLost, PortNotFound, ReplyTimeout, WrongDevice
+from bench.run.states import NOT_STATED, connections
+from drivers.camera import CameraIdentity
+from drivers.errors import CameraLost, LightFault, PortLost, PortNotFound, ReplyTimeout, WrongDevice
+
+# ---------------------------------------------------------------- before a run
+
+EVK4 = CameraIdentity("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 720)
+
+
+@pytest.mark.parametrize(
+    ("link_mbit_s", "told"),
+    [
+        (None, NOT_STATED),
+        (480, "480 Mbit/s (USB 2)"),
+        (5000, "5000 Mbit/s (USB 3)"),
+        (10000, "10000 Mbit/s (USB 3)"),
+    ],
+)
+def test_the_speed_of_the_connection_is_told(link_mbit_s, told):
+    camera = CameraIdentity(**{**vars(EVK4), "link_mbit_s": link_mbit_s})
+    assert connections(camera, {"trigger_in": True}, SimpleNamespace())["camera_link"] == told
+
+
+def test_what_a_device_does_not_state_is_said_to_be_so():
+    nothing = CameraIdentity("", "", "", "1", "", 10, 10)
+    assert connections(nothing, {"trigger_in": False}, SimpleNamespace()) == {
+        "camera_link": NOT_STATED,
+        "camera_firmware": NOT_STATED,
+        "trigger_input": "off",
+        "sync_polarity": NOT_STATED,
+        "sync_level": NOT_STATED,
+    }
+
+
+def test_firmware_and_polarity_are_told_and_printed():
+    camera = CameraIdentity(**{**vars(EVK4), "firmware_built": "Thu Jan  5 10:11:12 2023"})
+    light = SimpleNamespace(sync_polarity=lambda: "normal")
+    found = connections(camera, {"trigger_in": True}, light)
+    assert found["camera_firmware"] == "3.9.0, built Thu Jan  5 10:11:12 2023"
+    rows = dict(run_tables.connections({"connections": found}))
+    assert rows["sync polarity"] == "normal"
+    assert rows["trigger input"] == "on"
+    assert run_tables.connections({}) == []
+
+
+# ---------------------------------------------------------------- lost
 
 LOST = [PortLost("gone"), CameraLost("gone"), ReplyTimeout("silent")]
+
 LOST_WORDS = "\ninterlocks: {device_lost: {retry_s: 5, max_hold_s: 120}}\n"
 
 
@@ -91,3 +143,89 @@ def test_a_device_that_is_lost_in_the_same_step_again_and_again_ends_the_run(tmp
     assert end.how == "failed"
     assert "it has sent nothing" in end.why
     assert len(calls) == 6
+
+
+# ---------------------------------------------------------------- left
+
+END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
+
+
+def journaled(scene):
+    return [event for event, _ in scene.events()]
+
+
+def left(scene):
+    (told,) = scene.told(Event.DEVICES_LEFT)
+    return {end["device"]: (end["state"], end["said"]) for end in told["devices"]}
+
+
+def test_what_each_device_confirmed_stands_before_the_results(tmp_path):
+    scene = Scene(tmp_path, poses=TWO, end=END)
+    assert scene.run().how == "finished"
+    ends = left(scene)
+    assert list(ends) == list(DEVICES)
+    assert {state for state, _ in ends.values()} == {"confirmed safe"}
+    states = scene.states()
+    assert states.index("parking") < states.index("solving")
+    at = journaled(scene).index(Event.DEVICES_LEFT)
+    entered = [data["state"] for event, data in scene.events()[:at] if event == Event.ENTERING]
+    assert entered[-1] == "parking"
+
+
+def test_a_light_that_does_not_confirm_may_be_on_in_the_report(tmp_path):
+    scene = Scene(tmp_path, poses=TWO, end=END)
+
+    def hook(name):
+        if name == "light.off" and "stage.stop" in scene.calls:  # asked after the last step, not by one
+            raise LightFault("the output reads on.", where="COM1", remedy="Switch it off by hand.")
+
+    scene.hook = hook
+    scene.run()
+    assert left(scene)["light"][0] == "not confirmed"
+    told = scene.told(Event.DEVICES_LEFT)[0]["devices"]
+    rows = {device: (state, said) for device, state, said in run_tables.left(told)}
+    assert rows["light"][0] == "not confirmed"
+    assert rows["light"][1].endswith("The light may be on.")
+    assert "the output reads on" in rows["light"][1]
+    assert rows["stage"][0] == "confirmed safe"
+    assert "may" not in rows["stage"][1]
+
+
+def test_a_run_that_needs_no_further_step_states_it_at_its_end_only(tmp_path):
+    scene = Scene(tmp_path, poses=TWO)
+    assert scene.run().how == "finished"
+    assert not scene.told(Event.DEVICES_LEFT)
+    assert [end["state"] for end in scene.told(Event.RUN_ENDED)[0]["devices"]] == ["confirmed safe"] * 3
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_resumed_run_without_devices_claims_only_what_was_seen(tmp_path, monkeypatch, ended):
+    scene = Scene(tmp_path, poses=TWO, end=END)
+
+    class Cut(BaseException):
+        pass
+
+    def gone(*_, **__):
+        raise Cut
+
+    def cut(self):
+        if ended:
+            raise LightFault("gone.", where="COM1", remedy="Look.")
+        monkeypatch.setattr(Journal, "put", gone)  # a process that is gone writes no more
+        gone()
+
+    monkeypatch.setattr("bench.run.run_devices.RunDevices.leave", cut)
+    if ended:
+        assert scene.run().how == "failed"
+    else:
+        with pytest.raises(Cut):
+            scene.run()
+    monkeypatch.undo()
+    opened = len(scene.opened)
+    scene.run()
+    assert len(scene.opened) == opened  # no device is opened for a calculation
+    state, said = left(scene)["light"]
+    assert state == ("confirmed safe" if ended else "not confirmed")
+    assert (said == NOT_ASKED) is not ended
+    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    assert [end["device"] for end in history.devices_left] == list(DEVICES)

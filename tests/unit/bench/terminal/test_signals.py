@@ -1,15 +1,17 @@
-"""Signals at any moment, and the clock that they ask to stop."""
+"""Signals and interrupts at any moment, and output whose reader has gone."""
 
 import os
 import signal
 import subprocess
 import sys
 import threading
+import weakref
+from pathlib import Path
 
 import pytest
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
-from bench.terminal.signals import stop_on_signals
+from bench.terminal.signals import reliable_interrupts, stop_on_signals
 
 MANY_SIGNALS = """
 import os
@@ -85,3 +87,132 @@ def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
     for thread in waiting:
         thread.join(10)
     assert len(ended) == 3
+
+
+# ---------------------------------------------------------------- work without devices
+
+
+class _Cleared:
+    """Something that Python clears away."""
+
+
+def _cleared_up_with(error):
+    """Clear an object away, with an error raised meanwhile, and go on working."""
+
+    def fail(_gone):
+        raise error
+
+    gone = _Cleared()
+    kept = weakref.ref(gone, fail)
+    del gone
+    return kept
+
+
+def test_an_interrupt_that_falls_into_clearing_up_is_raised_again():
+    def work():
+        kept = _cleared_up_with(KeyboardInterrupt)
+        threading.Event().wait(60)
+        return kept
+
+    before = sys.unraisablehook
+    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+        work()
+    assert sys.unraisablehook is before
+
+
+def test_none_is_lost_in_a_background_job_either():
+    """Shells start background jobs with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+
+        def work():
+            kept = _cleared_up_with(KeyboardInterrupt)
+            threading.Event().wait(60)
+            return kept
+
+        with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+            work()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_being_ended_breaks_off_as_an_interrupt_does():
+    def work():
+        os.kill(os.getpid(), signal.SIGTERM)
+        threading.Event().wait(60)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+        work()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    with reliable_interrupts():
+        _cleared_up_with(ValueError)
+    assert [one.exc_type for one in told] == [ValueError]
+
+
+# ---------------------------------------------------------------- output whose reader has gone
+
+PROGRAM = """
+import sys
+from bench.terminal.encoding import outlive_readers, output_is_lost
+outlive_readers()
+print(sys.stdin.readline(), flush=True)
+for number in range(3):
+    print("line", number, flush=True)
+    print("error", number, file=sys.stderr, flush=True)
+import subprocess
+subprocess.run(["echo", "a program that this one starts"], check=True)
+sys.exit(7 if output_is_lost() else 8)
+"""
+
+
+def started(stdout: int, stderr: int = subprocess.PIPE) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=stdout, stderr=stderr
+    )
+
+
+def test_the_work_goes_on_after_its_reader_has_gone():
+    read, write = os.pipe()
+    process = started(write)
+    os.close(write)
+    os.close(read)
+    _, said = process.communicate(b"begin\n")
+    assert process.returncode == 7
+    assert said == b"error 0\nerror 1\nerror 2\n"
+
+
+def test_both_outputs_may_lose_their_reader():
+    read, write = os.pipe()
+    process = started(write, write)
+    os.close(write)
+    os.close(read)
+    process.communicate(b"begin\n")
+    assert process.returncode == 7
+
+
+def test_a_reader_that_stays_gets_all():
+    said, errors = (process := started(subprocess.PIPE)).communicate(b"begin\n")
+    assert process.returncode == 8
+    assert said.splitlines()[-1] == b"a program that this one starts"
+    assert errors.count(b"error") == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_behind_the_output_is_one_message():
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "bench", "schema", "queue"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert ended.returncode == 1
+    said = ended.stderr.decode()
+    assert said.startswith("starbench: standard output: No space left on device. Make room on the disk.")
+    assert said.count("\n") == 1

@@ -1,14 +1,21 @@
-"""Gates: which recordings are rejected, and the reasons given."""
+"""Gates: which recordings are rejected, and the reasons given; what is measured in a recording."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from bench.views import measure as measuring
+from bench.views.event_window import WholeImage
 from bench.views.gates import recording_gates, rejection_reasons
+from bench.views.measure import StoredImage, aligned_poses, measure
+from calib.events.grey_image import to_uint8
+from calib.target import StarTarget
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
 GATES = Gates(min_stars=40, max_event_rate_mev_s=100.0, require_triggers=True)
+
 MEASURED = {"flicker_hz": 60.0, "flicker_source": "triggers", "triggers_expected": 3, "triggers_found": 3}
 
 
@@ -104,3 +111,71 @@ def test_too_many_events_or_too_much_data_are_rejected_with_what_to_do():
     assert full.startswith("data rate 1.6 Gbit/s, needed <= 1.5 (for less data, use a square flicker")
     (fast,) = reasons(events=9_000_000)
     assert fast.startswith("event rate 180 Mev/s, needed <= 100 (for fewer events, lower")
+
+
+# ---------------------------------------------------------------- errors that are correlated; the stored image
+
+
+def quality(roll_deg: float, kind: str) -> dict:
+    turn = np.radians(roll_deg)
+    grid = [
+        [50 * np.cos(turn), -50 * np.sin(turn), 300],
+        [50 * np.sin(turn), 50 * np.cos(turn), 200],
+        [1e-5, 0, 1],
+    ]
+    return {"grid": grid, "image": {"kind": kind}}
+
+
+@pytest.mark.parametrize("roll_deg", [0.4, -2, 44, 46.5, 90, 181, -135])
+def test_edges_along_rows_or_diagonals_are_counted(roll_deg):
+    assert aligned_poses([quality(roll_deg, "fired-per-edge"), quality(10, "fired-per-edge")]) == 1
+
+
+@pytest.mark.parametrize("roll_deg", [10, -10, 22.5, 35, 100, 170])
+def test_a_rolled_camera_is_not_counted(roll_deg):
+    assert aligned_poses([quality(roll_deg, "fired-per-edge")]) == 0
+
+
+def test_images_with_levels_of_grey_may_be_aligned():
+    assert aligned_poses([quality(0, "lock-in"), quality(0, "picture")]) == 0
+
+
+def test_recordings_without_stars_are_left_out():
+    assert aligned_poses([{"image": {"kind": "last-polarity"}}, {}]) == 0
+    blinking_dots = {"grid": quality(0, "lock-in")["grid"]}  # they have no event image
+    assert aligned_poses([blinking_dots]) == 0
+
+
+def test_a_stored_image_is_small_and_lossless():
+    image = np.zeros((720, 1280), np.float32)
+    image[::9, ::7] = np.random.default_rng(1).uniform(0, 40, image[::9, ::7].shape)
+    picture = StoredImage.from_image(image)
+    assert np.array_equal(picture.decoded(), to_uint8(image))
+    assert len(picture.png) < image.nbytes / 20
+
+
+# ---------------------------------------------------------------- no stars
+
+PIXELS = (720, 1280)
+
+
+@pytest.mark.parametrize(
+    ("lit", "source", "told"),
+    [
+        (12, "triggers", "The picture is dark: the sync signal comes, but only 0.0013 % of the pixels follow the light."),
+        (12, "events", "The picture is dark: some events flicker, but only 0.0013 % of the pixels follow the light."),
+        (400_000, "triggers", "Tag 3 of family 36h11 is not in the image, and no stars are either."),
+    ],
+)  # fmt: skip
+def test_a_dark_picture_is_told_from_one_without_target(tmp_path, monkeypatch, lit, source, told):
+    def picture(_data, _image, _periods, _hz, facts, **_):
+        facts["flicker_source"], facts["image"] = source, {"lit_pixels": lit}
+        return WholeImage(np.zeros(PIXELS, np.float32), lambda: iter(()))
+
+    monkeypatch.setattr(measuring, "read_events", lambda _path: ())
+    monkeypatch.setattr(measuring, "whole_image", picture)
+    found = measure(
+        tmp_path / "a.raw", name="left", target=StarTarget(), image="auto", periods=None, expected_hz=60.0
+    )
+    assert found.fault.startswith(f"view left: {told}")
+    assert found.fault.index("lamp is lit" if lit < 100 else "Turn the camera") > 0

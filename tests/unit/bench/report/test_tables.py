@@ -1,0 +1,320 @@
+"""Tables of a report: the budget, the gimbal, the witnesses, and what is known of the bench."""
+
+import copy
+import re
+from typing import get_args
+
+import numpy as np
+import pytest
+from certificate_sample import sample_results
+from report_sample import SMALL, sample
+
+from bench.certificate.run_facts import further_of
+from bench.report.calibration_tables import (
+    amplitude_rows,
+    budget_rows,
+    checks,
+    combined,
+    not_included,
+    overlap,
+    witness_rows,
+)
+from bench.report.html import ReportData, render_report
+from bench.report.run_tables import boresight_rows, inputs, passport_rows, readings_rows, source_rows
+from bench.report.text import NOTHING, angle
+from calib.model.boresight import Boresight
+from calib.model.budget_row import COMMON_FIELD as COMMON_ERRORS
+from calib.model.rotation import exp_map
+from calib.studies.gimbal_verdict import VerdictKind
+from tests.support.printed_text import printed_text
+
+# ---------------------------------------------------------------- the uncertainty budget
+
+TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+@pytest.fixture(scope="module")
+def calibration(data):
+    return data.results["calibration"]
+
+
+def test_a_row_is_printed_with_units_divisor_and_shares(calibration):
+    rows = {row.name: row for row in budget_rows(calibration)}
+    scale = rows["scale of the print"]
+    assert (scale.type, scale.value, scale.sensitivity) == ("B", f"20 {TIMES} 10⁻⁶", "0.00334 px / 10⁻⁶")
+    assert scale.distribution == "rectangular, divisor 1.73"
+    assert rows["passport of the collimator"].sensitivity == "13.1 px / mm"
+    assert rows["bow of the print"].value == "0.01 mm at 40 mm"
+    assert rows["bow of the print"].focal == "< 0.001"
+    stars = rows["stars"]
+    assert (stars.value, stars.sensitivity, stars.distribution) == (
+        NOTHING,
+        NOTHING,
+        "normal, \N{GREEK SMALL LETTER NU} = 1791",
+    )
+    assert sum(row.focal_share for row in rows.values()) == pytest.approx(1)
+
+
+def test_the_sums_are_those_of_the_contributions(calibration):
+    (u_focal, u_corner), (focal, corner) = combined(calibration)
+    assert (u_focal, u_corner) == ("2.1", "0.48")
+    assert (focal, corner) == ("4.3", "0.97")
+
+
+def test_what_is_not_included_keeps_its_effect(calibration):
+    names = [name for name, _ in not_included(calibration)]
+    assert names[0] == "bow of the print"
+    assert not_included({"not_included": ["mounting of the lens"]}) == [("mounting of the lens", "")]
+
+
+def test_results_without_rows_print_no_table():
+    assert (budget_rows({}), combined({}), not_included({})) == ([], None, [])
+    data = sample(size=SMALL)
+    for key in ("budget_rows", "not_included"):
+        del data.results["calibration"][key]
+    page = render_report(data, draw=False)
+    assert "Not known, not included" not in page
+    assert "<h3>Uncertainty budget</h3>" in page
+
+
+def test_the_page_has_the_table_and_escapes_what_a_station_says(html):
+    table = html[html.index('id="budget"') : html.index("Not known, not included")]
+    assert "maker&#39;s drawing &lt;4711&gt;" in table
+    assert len(re.findall("<tr", table)) == 6 + 3
+    assert "0.01 mm at 35 mm from the axis would move fx by 5.8 px" in html
+    assert "Shares of the variance of each value" in html
+
+
+def test_rows_that_can_hold_the_same_errors_are_named(calibration):
+    own = {**calibration["budget_rows"][0], "name": COMMON_ERRORS, "value": None, "unit": ""}
+    wavefront = {
+        **calibration["budget_rows"][0],
+        "name": "slopes of the wavefront",
+        "unit": "urad",
+        "value": 2.0,
+    }
+    rows = [
+        row for row in calibration["budget_rows"] if row["name"] != COMMON_ERRORS and row["unit"] != "urad"
+    ]
+    assert (
+        overlap({"budget_rows": [*rows, own]})
+        == overlap({"budget_rows": [*rows, wavefront]})
+        == overlap({})
+        == ""
+    )
+    said = overlap({"budget_rows": [*rows, own, wavefront]})
+    assert "slopes of the wavefront" in said
+    assert COMMON_ERRORS in said
+    assert said.endswith("the uncertainty is an upper limit.")
+    data = sample(size=SMALL)
+    data.results["calibration"]["budget_rows"] = [*rows, own, wavefront]
+    assert said in render_report(data, draw=False)
+
+
+# ---------------------------------------------------------------- the gimbal: no blame without evidence
+
+
+@pytest.mark.parametrize("verdict", get_args(VerdictKind))
+def test_every_verdict_has_a_heading(data, verdict):
+    gimbal = dict(data.results["gimbal"]) | {"verdict": verdict, "says": ["What was found."]}
+    (heading,) = [name for name, said in checks({"gimbal": gimbal}) if said == "What was found."]
+    assert heading.startswith("Gimbal: ")
+
+
+def test_the_verdict_and_its_sentences_are_printed(data):
+    results = copy.deepcopy(dict(data.results))
+    results["gimbal"] |= {"verdict": "slip", "agrees": False, "says": ["The pan axis slipped.", "And more."]}
+    words = printed_text(render_report(ReportData(results)))
+    assert "Gimbal: an axis slipped" in words
+    assert words[words.index("Gimbal: an axis slipped") + 1] == "The pan axis slipped. And more."
+
+
+def test_a_difference_alone_blames_nobody(data):
+    rows = dict(checks({"gimbal": dict(data.results["gimbal"]) | {"agrees": False}}))
+    said = rows["Hand-eye check: rotations against the gimbal's readings"]
+    assert said.endswith("more than the uncertainty of the stars explains.")
+    assert "slipped" not in " ".join(rows.values())
+
+
+def test_results_of_older_versions_have_no_verdict(data):
+    rows = checks({"gimbal": {"rms_arcsec": 1.83, "scale": {}, "scale_sigma": {}, "agrees": True}})
+    assert [name for name, _ in rows] == ["Hand-eye check: rotations against the gimbal's readings"]
+
+
+@pytest.mark.parametrize(
+    ("arcsec", "text"), [(359.0, "359\N{DOUBLE PRIME}"), (360.0, "0.100\N{DEGREE SIGN}")]
+)
+def test_angles_are_degrees_from_a_tenth_on(arcsec, text):
+    assert angle(arcsec) == text
+
+
+BORESIGHT = Boresight(
+    exp_map(np.radians([0.5, -1.25, 3.0])),
+    np.diag([1e-4, 4e-4, 9e-4]) ** 2,
+    np.degrees([2e-4, 8e-4, 18e-4]),
+    np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0]),
+    np.diag([1e-4, 2e-4]) ** 2,
+    np.degrees([2e-4, 4e-4]),
+)
+
+
+def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
+    results = copy.deepcopy(dict(data.results))
+    assert boresight_rows(results) == []
+    results["calibration"]["gimbal"] = {"entered": True}
+    assert "two axes of the stage must move" in dict(boresight_rows(results))["Boresight"]
+    results["calibration"]["boresight"] = BORESIGHT.to_dict()
+    results["mount_faces"] = [
+        {"name": "front", "normal_in_camera": [0, 0, 1], "angle_deg": 1.28, "expanded_deg": 0.023}
+    ]
+    turned, looks, face = (text for _, text in boresight_rows(results))
+    assert turned == "x 0.500° ± 0.011°, y \N{MINUS SIGN}1.250° ± 0.046°, z 3.00° ± 0.10°"
+    assert looks == "right 1.146° ± 0.011°, down \N{MINUS SIGN}0.573° ± 0.023° of the flange's axis"
+    assert face == "angle 1.280° ± 0.023°"
+
+
+def test_the_certificate_states_the_boresight_with_its_u():
+    results = sample_results()
+    before = further_of(results)
+    results["calibration"]["boresight"] = BORESIGHT.to_dict()
+    stated = {one.id: one for one in further_of(results)}
+    assert {one.id for one in before} < set(stated)
+    assert (stated["boresight_y"].text, stated["boresight_y"].unit) == ("-1.250 deg", "deg")
+    assert stated["boresight_y_expanded"].text == "0.046 deg"
+    assert stated["boresight_down"].value == pytest.approx(-0.573, abs=1e-3)
+
+
+# ---------------------------------------------------------------- what is stated beside what all others say
+
+
+def witness(name="certificate", **changed):
+    plain = {
+        "name": name,
+        "source": "station",
+        "unit": "mm",
+        "stated": 255.0,
+        "sigma": 0.05,
+        "expected": 255.02,
+        "expected_sigma": 0.04,
+        "innovation": -0.31,
+        "fault_probability": 0.01,
+    }
+    return {**plain, **changed}
+
+
+@pytest.mark.parametrize(
+    ("innovation", "fault", "verdict"),
+    [(-0.3, 0.01, "pass"), (2.4, 0.05, "marginal"), (4.2, 0.1, "fail"), (-2.9, 0.6, "fail")],
+)
+def test_a_statement_is_doubted_by_its_difference_or_by_its_probability_of_a_fault(
+    innovation, fault, verdict
+):
+    (row,) = witness_rows({"witnesses": [witness(innovation=innovation, fault_probability=fault)]})
+    assert row.verdict == verdict
+    assert row.fault == f"{100 * fault:.0f} %"
+
+
+def test_values_are_printed_with_their_standard_uncertainties():
+    (row,) = witness_rows({"witnesses": [witness()]})
+    assert (row.stated, row.expected) == ("255.000 ± 0.050 mm", "255.020 ± 0.040 mm")
+    assert row.innovation == "\N{MINUS SIGN}0.3"
+
+
+def test_a_joint_statement_has_no_single_value():
+    joint = witness(stated=None, sigma=None, expected=None, expected_sigma=None, innovation=1.2)
+    (row,) = witness_rows({"witnesses": [joint]})
+    assert row.stated == row.expected
+    assert "mm" not in row.stated
+
+
+def test_the_statement_most_at_odds_comes_first():
+    rows = witness_rows(
+        {"witnesses": [witness("a"), witness("b", fault_probability=0.9), witness("c", innovation=3.0)]}
+    )
+    assert [row.name for row in rows] == ["b", "c", "a"]
+
+
+def test_sizes_are_printed_with_their_unit_and_expectation():
+    size = {"name": "field of a pose", "value": 12.34, "log_sigma": 0.2, "unit": "urad", "expected": 5.0}
+    assert amplitude_rows({"amplitudes": [size]}) == [
+        ("field of a pose", "12 µrad, known to a factor of 1.2; expected 5.0 µrad")
+    ]
+
+
+def test_results_of_another_engine_have_no_witnesses():
+    assert witness_rows({}) == []
+    assert amplitude_rows({}) == []
+
+
+# ---------------------------------------------------------------- passport, readings and input files
+
+
+def test_the_report_names_the_passport_with_values_and_hash(data):
+    rows = dict(inputs(data.results))
+    assert rows["Collimator passport"] == (
+        "number T-2041, of the collimator C-17, dated 2026-02-11, valid until 2028-02-11, at 20 °C, "
+        "stated in the station file (certificate)"
+    )
+    assert rows["Values of the passport"] == "r = 255.03 mm, standard uncertainty 0.05 mm"
+    text = printed_text(render_report(data, draw=False))
+    assert "ab" * 32 in text
+    assert "compared with the result only. The station does not bound the parallax." in text
+
+
+def test_a_passport_from_views_lists_its_centre_and_names_its_aberrations(data):
+    passport = data.results["passport"] | {
+        "source": "sequence",
+        "name": "c17.json",
+        "number": None,
+        "values": {"x": 96.1, "y": 140.2, "r": 255.0, "radial": 0.1},
+        "sigma": {"x": 0.05, "y": 0.06, "r": 0.1, "radial": 0.01},
+    }
+    rows = dict(passport_rows(passport))
+    assert rows["Collimator passport"].endswith("file named by the sequence (c17.json)")
+    assert rows["Values of the passport"].endswith("r = 255 mm, standard uncertainty 0.1 mm; and radial")
+
+
+def test_results_of_older_versions_have_no_such_rows(data):
+    older = {k: v for k, v in data.results.items() if k not in ("passport", "gimbal_readings")}
+    names = [name for name, _ in inputs(older)]
+    assert not {"Collimator passport", "Gimbal readings"} & set(names)
+    assert (passport_rows(None), readings_rows(None, None), source_rows([])) == ([], [], [])
+
+
+def test_readings_that_entered_say_how_they_agree():
+    readings = {"entered": True, "statement": None, "bound": None, "why_not": None}
+    agreed = {
+        "chi_square": 20.4,
+        "degrees_of_freedom": 21,
+        "rms_deg": 0.001,
+        "scatter": 1.0,
+        "reading_sigma_deg": 0.002,
+    }
+    ((_, text),) = readings_rows(readings, agreed)
+    assert text == (
+        "entered the adjustment as measurements; chi-square 20.4 with 21 degrees of freedom, 3.6 arc seconds RMS"
+    )
+    ((_, text),) = readings_rows(readings, agreed | {"scatter": 2.0, "reading_sigma_deg": 0.004})
+    assert text.endswith(
+        "entered with a standard uncertainty of 0.004°, because they scatter more than stated"
+    )
+
+
+def test_an_offline_report_says_so_and_lists_its_files(data):
+    run = {
+        "software": {},
+        "id": "o1",
+        "offline": True,
+        "simulated": False,
+        "calibrated_utc": "2026-03-01T12:00:00.000Z",
+    }
+    sources = [{"view": "left", "path": "a/<left>.csv", "size_bytes": 567, "sha256": "cd" * 32}]
+    results = {"run": run, "calibration": data.results["calibration"], "sources": sources}
+    html = render_report(ReportData(results), draw=False)
+    text = printed_text(html)
+    assert "OFFLINE: calibrated from existing files, without devices." in " ".join(text)
+    assert {"a/<left>.csv", "cd" * 32, "567"} <= set(text)
+    assert "Started" not in text
+    assert not any("signature of this list" in line or "sealed" in line for line in text)
+    assert any("no seal protects it" in line for line in text)
+    assert not any("OFFLINE" in line for line in printed_text(render_report(data, draw=False)))
