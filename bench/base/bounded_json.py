@@ -2,13 +2,14 @@
 
 What two readers could read differently is refused: a key that stands twice, a byte-order mark, ``NaN``, blanks behind
 the end. `canonical_json` is the one form that the program writes; it also shows numbers that are too large. Files are
-read by `bench.records.storage`, which bounds their size.
+read by `bench.records.storage`, which bounds their size. `leaves` and `mapped` go through what was read.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 MOST_LEVELS: Final = 100
@@ -45,6 +46,32 @@ def canonical_json(found: Any, *, ascii_only: bool = True) -> bytes:
     Raises ValueError: When a number is not finite.
     """
     return (json.dumps(found, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
+
+
+def leaves(found: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Yield each value of a JSON value with its path of keys and places; empty mappings and lists are values."""
+    if isinstance(found, Mapping) and found:
+        for name, inner in found.items():
+            yield from leaves(inner, (*path, name))
+    elif isinstance(found, list | tuple) and found:
+        for number, inner in enumerate(found):
+            yield from leaves(inner, (*path, number))
+    else:
+        yield path, found
+
+
+def mapped(found: Any, change: Callable[[Any], Any]) -> Any:
+    """Return a JSON value in which each value is changed; tuples become lists."""
+    if isinstance(found, Mapping):
+        return {name: mapped(inner, change) for name, inner in found.items()}
+    if isinstance(found, list | tuple):
+        return [mapped(inner, change) for inner in found]
+    return change(found)
+
+
+def without_nan(found: Any) -> Any:
+    """Return a JSON value with None in place of numbers that are not finite, which JSON does not have."""
+    return mapped(found, lambda one: None if isinstance(one, float) and not math.isfinite(one) else one)
 
 
 def _without_doubles(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

@@ -13,9 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import leaves, parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.certificate import run_facts
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
@@ -51,6 +50,7 @@ from bench.records.storage import (
 )
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
+from sequences.tree import path_text
 
 # The folder of a certificate: its files from the data, written as a whole and sealed under its final name.
 #
@@ -353,7 +353,7 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
 
 def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
     """Return the fields that differ, sorted, except number, time, software and what they amend."""
-    old, new = (_leaves(json.loads(one.to_json())) for one in (before, after))
+    old, new = (_texts_by_path(one) for one in (before, after))
     paths = dict.fromkeys([*old, *new])
     changes = tuple(
         Change(path, old.get(path, ABSENT), new.get(path, ABSENT))
@@ -368,22 +368,17 @@ def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
     return changes
 
 
-def _leaves(found: dict[str, Any]) -> dict[str, str]:
-    leaves: dict[str, str] = {}
-
-    def walk(value: Any, path: str) -> None:
-        if isinstance(value, dict) and value:
-            for name, inner in value.items():
-                walk(inner, f"{path}.{name}" if path else name)
-        elif isinstance(value, list) and value:
-            for at, inner in enumerate(value):
-                walk(inner, f"{path}[{at}]")
-        else:
-            text = value if isinstance(value, str) else json.dumps(value)
-            leaves[path] = text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}..."
-
-    walk({name: value for name, value in found.items() if name not in _OWN}, "")
-    return {path: text for path, text in leaves.items() if not path.startswith(_PROGRAM)}
+def _texts_by_path(certificate: Certificate) -> dict[str, str]:
+    found = {name: value for name, value in json.loads(certificate.to_json()).items() if name not in _OWN}
+    texts = {
+        path_text(place): value if isinstance(value, str) else json.dumps(value)
+        for place, value in leaves(found)
+    }
+    return {
+        path: text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}..."
+        for path, text in texts.items()
+        if not path.startswith(_PROGRAM)
+    }
 
 
 def _also(before: Certificate) -> str:

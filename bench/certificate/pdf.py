@@ -17,7 +17,7 @@ import json
 import math
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import cache
 from importlib import resources
@@ -29,10 +29,12 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 from bench import __version__
+from bench.base.bounded_json import leaves, mapped
 from bench.base.errors import BenchError, UsageError
 from bench.certificate.pdf_plots import draw_plots, pictures
 from bench.records.results import Results
 from bench.report.text import MINUS, NOTHING, exact, moment, number, words_of
+from sequences.tree import path_text
 
 if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate, Covariance
@@ -98,8 +100,10 @@ def faults(certificate: Mapping[str, Any]) -> list[str]:
     """Return a line for each field with letters that cannot be printed, as ``customer.name has 山 (U+5C71)``."""
     return [
         f"{path} has {_named(found)}"
-        for path, text in _texts(certificate, "")
-        if not _is_from_run(certificate, path) and (found := missing(text))
+        for place, text in leaves(certificate)
+        if isinstance(text, str)
+        and not _is_from_run(certificate, path := path_text(place))
+        and (found := missing(text))
     ]
 
 
@@ -127,17 +131,6 @@ def _named(characters: Sequence[str]) -> str:
     ]
     more = len(characters) - _MOST_SHOWN
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
-
-
-def _texts(found: Any, path: str) -> Iterator[tuple[str, str]]:
-    if isinstance(found, str):
-        yield path, found
-    elif isinstance(found, Mapping):
-        for name, value in found.items():
-            yield from _texts(value, f"{path}.{name}" if path else name)
-    elif isinstance(found, Sequence):
-        for number, value in enumerate(found):
-            yield from _texts(value, f"{path}[{number}]")
 
 
 PDF = "certificate.pdf"
@@ -194,7 +187,7 @@ def document(
     issued = datetime.fromisoformat(certificate.issued_utc)
     content = json.loads(certificate.to_json())
     del content["covariance"]  # its digits are others
-    found = _printable(
+    found = mapped(
         {
             "title": f"{certificate.title} {certificate.number}",
             "subject": _subject(certificate),
@@ -219,22 +212,17 @@ def document(
             ],
             "attachments": [_attachment(name, data) for name, data in sorted(attachments.items())],
             "certificate": content,
-        }
+        },
+        _printable,
     )
     return {**found, "note": CODE_NOTE if "[U+" in json.dumps(found) else ""}
 
 
 def _printable(found: Any) -> Any:
-    """Replace every character that cannot be printed by its code, and every number by its printed forms."""
+    """Replace characters that cannot be printed by their codes, and a number by its printed forms."""
     if isinstance(found, str):
         return with_codes(found)
-    if isinstance(found, float):
-        return _forms(found)
-    if isinstance(found, dict):
-        return {name: _printable(value) for name, value in found.items()}
-    if isinstance(found, list | tuple):
-        return [_printable(value) for value in found]
-    return found
+    return _forms(found) if isinstance(found, float) else found
 
 
 def _forms(value: float) -> dict[str, str]:

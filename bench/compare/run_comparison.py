@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import parse_json, without_nan
 from bench.base.errors import UsageError
 from bench.compare.spec import ColumnConfig, ComparisonConfig
 from bench.records.storage import MOST_TABLE_BYTES, make_folder, read_bounded, storage_errors
@@ -167,7 +167,9 @@ def _task_rows(task: Task) -> dict[str, Row]:
     if task.columns[0].data is not None:
         from bench.compare.methods import solve_data
 
-        return {row_key(column, task.seed): _finite(solve_data(column, task.seed)) for column in task.columns}
+        return {
+            row_key(column, task.seed): without_nan(solve_data(column, task.seed)) for column in task.columns
+        }
     began = time.process_time()
     recorded = record(task.columns[0], task.seed)
     record_cpu_s = time.process_time() - began
@@ -182,16 +184,5 @@ def _task_rows(task: Task) -> dict[str, Row]:
         images, images_cpu_s = found[how]
         solved, why = _guarded(partial(solve, column, images, task.seed))
         row = solved or {"views": len(images.views), "missed": list(images.missed), "error": why}
-        rows[row_key(column, task.seed)] = {**_finite(row), "images_cpu_s": images_cpu_s}
+        rows[row_key(column, task.seed)] = {**without_nan(row), "images_cpu_s": images_cpu_s}
     return rows
-
-
-def _finite(value: Any) -> Any:
-    """Return a value with null in the place of numbers that are not finite, which JSON cannot hold."""
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    if isinstance(value, float) and value - value != 0.0:
-        return None
-    return value

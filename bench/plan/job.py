@@ -9,15 +9,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.errors import ScriptError
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
+from bench.records.history import Attempt
 from bench.records.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
 from bench.views.camera_kinds import CameraKind, camera_kind
+from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import Gate, at_most
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
@@ -28,6 +30,9 @@ from calib.target import StarTarget
 from drivers.light import LightSettings
 from sequences.limits import ResultLimitConfig
 from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
+
+if TYPE_CHECKING:
+    from bench.views.measure import Measurement
 
 # The steps of a script with parking after the last step that needs devices.
 
@@ -246,6 +251,14 @@ class Job:
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
+
+    def measure_again(self, folder: Path, attempt: Attempt) -> Measurement:
+        """Measure a stored recording from its file alone, with the grid that was expected at its time."""
+        step = self.record_step(attempt.pose_index)
+        path = folder / str(attempt.stored["capture"])
+        return self.camera_kind.measure(
+            path, step, self.frequency_hz(step), self.target, grid_from_journal(attempt)
+        )
 
     def done_after_s(self, step: ScriptStep) -> float | None:
         """Return the expected time from begin of run to the end of a step, s; None if the plan has none."""

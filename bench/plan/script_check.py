@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from bench.base.bounded_json import leaves
 from bench.plan.passports import NO_PASSPORT, setting_path
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
@@ -59,8 +60,8 @@ def find_url_secrets(document: Located[Any]) -> list[Fault]:
     """Find credentials: a fault for each value or line with one, at its place, without the credential itself."""
     found: dict[int, Fault] = {}
     tree = document.tree
-    for path, text in _texts(tree.value, ()):
-        if kind := _kind_of(text):
+    for path, text in leaves(tree.value):
+        if isinstance(text, str) and (kind := _kind_of(text)):
             spot = tree.spot(path)
             fault = Fault(document.file, *spot, path_text(path), f"this is {kind}. {_remedy(path)}")
             found.setdefault(spot.line, fault)
@@ -140,9 +141,9 @@ def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
     """
     axes = station.axes
     faults = Tree(sequence.file)
-    for path, text in _texts(sequence.value, ()):
+    for path, text in leaves(sequence.value):
         axis = next((axis for axis in AXES if f"{axis}_deg" in path), None)
-        if axis is None or path[-1] == "count":
+        if axis is None or path[-1] == "count" or not isinstance(text, str):
             continue
         spot = sequence.values[path]
         if axis not in axes:
@@ -158,18 +159,6 @@ def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
             )
             faults.add_fault(spot, path, message)
     return faults.faults
-
-
-def _texts(value: Any, path: DocumentPath) -> Iterator[tuple[DocumentPath, str]]:
-    """Yield all texts of a document with their paths."""
-    if isinstance(value, str):
-        yield path, value
-    elif isinstance(value, Mapping):
-        for key, inner in value.items():
-            yield from _texts(inner, (*path, key))
-    elif isinstance(value, list):
-        for i, inner in enumerate(value):
-            yield from _texts(inner, (*path, i))
 
 
 def _number(text: str) -> float | None:

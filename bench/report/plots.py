@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from textwrap import shorten
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,54 +257,67 @@ def report_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, st
         plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
     if not views:
         return plots
-    words = words_of(results)
     seen = [view for view in views if len(view.detected)]
-    plots |= _camera_plots(results, [view.detected for view in seen])
+    k = coverage_factor(results["calibration"], WORST_CORNER)
+    plots |= camera_plots(results, [view.detected for view in seen], k) | _change_plots(results)
     plots["poses"], plots["frames"] = pose_directions(results), pose_frames(results["calibration"])
     if seen:
-        width, height = results["calibration"]["image_size"]
-        camera = results["calibration"]["camera"]
-        centre = (camera["cx"], camera["cy"])
-        plots["vectors"] = residual_vectors(views, (width, height), words)
-        plots["cloud"] = residual_cloud(views)
-        plots["radial"] = residual_radial(views, centre)
-        plots["coverage"] = coverage(views, (width, height), centre, words)
-        plots["regions"] = regions(views, (width, height), words)
+        plots |= {"cloud": residual_cloud(views), **star_plots(results, views)}
     return plots
 
 
-def _camera_plots(results: Results, stars: Sequence[Array]) -> dict[str, str]:
-    """Draw what follows from the values of the camera and their covariance; nothing if there is no covariance."""
+def star_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]:
+    """Draw the residuals, and where the stars are; at least one pose has stars."""
+    width, height = results["calibration"]["image_size"]
+    camera = results["calibration"]["camera"]
+    centre, words = (camera["cx"], camera["cy"]), words_of(results)
+    return {
+        "vectors": residual_vectors(views, (width, height), words),
+        "radial": residual_radial(views, centre),
+        "coverage": coverage(views, (width, height), centre, words),
+        "regions": regions(views, (width, height), words),
+    }
+
+
+def camera_plots(
+    results: Results, stars: Sequence[Array], k: float, *, certificate: bool = False
+) -> dict[str, str]:
+    """Draw what follows from the values of the camera and their covariance; nothing if there is no covariance.
+
+    certificate: Directions in arcsec, and no labels for readers who do not see a plot: its page has them.
+    """
     calibration = results["calibration"]
     covariance = camera_covariance(calibration)
     if covariance is None:
         return {}
-    camera, k = (
-        camera_of(calibration["camera"], calibration["image_size"]),
-        coverage_factor(calibration, WORST_CORNER),
-    )
+    camera = camera_of(calibration["camera"], calibration["image_size"])
     found, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
+
+    def over_sensor(grid: Array, values: Array, name: str, identifier: str, label: str, **more: Any) -> str:
+        return sensor_map(grid, values, name, identifier, "" if certificate else label, **more)
+
     plots = {
-        "uncertainty": sensor_map(
+        "uncertainty": over_sensor(
             found.grid_px, k * found.sigma_px, "U of an image point, px", "uncertainty",
             "Uncertainty of an image point over the sensor", stars=points,
         ),
         "distortion": distortion_curve(camera, covariance, k, outermost_deg(camera, stars), words_of(results)),
     }  # fmt: skip
     if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
-        plots["direction"] = sensor_map(
-            found.grid_px, k * _URAD_PER_ARCSEC * found.sigma_arcsec, "U of a direction, \N{MICRO SIGN}rad",
+        unit, scale = ("arcsec", k) if certificate else ("\N{MICRO SIGN}rad", k * _URAD_PER_ARCSEC)
+        plots["direction"] = over_sensor(
+            found.grid_px, scale * found.sigma_arcsec, f"U of a direction, {unit}",
             "direction", "Uncertainty of a direction over the sensor", stars=points,
         )  # fmt: skip
     halves = results.get("halves")
     if halves and (cameras := halves.get("cameras")):
         first, second = (camera_of(half, calibration["image_size"]) for half in cameras)
         difference = camera_difference(first, second)
-        plots["halves"] = sensor_map(
+        plots["halves"] = over_sensor(
             difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), "Difference of the halves, px",
             "halves", "Difference between two halves of the poses", arrows=difference,
         )  # fmt: skip
-    return plots | _change_plots(results)
+    return plots
 
 
 def _change_plots(results: Results) -> dict[str, str]:

@@ -52,7 +52,6 @@ from bench.results.results_content import (
 )
 from bench.results.solution import main_numbers, solve_run
 from bench.views.camera_kinds import CameraKind
-from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement
 from calib.errors import CalibrationError
@@ -295,7 +294,7 @@ def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measureme
         if not (evidence.folder / name).is_file():
             found.remarks.append(f"{name} was lost before the run was resumed, so it was not measured again")
             continue
-        again = _measure(evidence, attempt)
+        again = evidence.job.measure_again(evidence.folder, attempt)
         if attempt.accepted and again.view is not None:
             kept[attempt.pose_index] = again
         if attempt.checked is None:
@@ -309,13 +308,6 @@ def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measureme
         for one in seen[:MOST_SHOWN]:
             found.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
     return kept
-
-
-def _measure(evidence: _Evidence, attempt: Attempt) -> Measurement:
-    job = evidence.job
-    step = job.record_step(attempt.pose_index)
-    path = evidence.folder / str(attempt.stored["capture"])
-    return job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt))
 
 
 def _judged(kind: CameraKind, evidence: _Evidence, attempt: Attempt, again: Measurement) -> dict[str, Any]:

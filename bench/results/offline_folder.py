@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from bench.base.bounded_json import mapped
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
@@ -127,7 +129,8 @@ def offline_files(
         "option_target": asdict(result.choices.target),
         "station": asdict(result.choices.station) if result.choices.station is not None else None,
     }
-    results, described = (_read_from(content, read_from or {}) for content in (results, described))
+    in_place = partial(_read_from, places=read_from or {})
+    results, described = (mapped(content, in_place) for content in (results, described))
     stars = [Stars(view) for view in result.views]
     files = {SOURCES: json_bytes(described), VIEWS: views_file(stars, result.calibration.residuals_px)}
     if result.passport is not None:
@@ -139,11 +142,7 @@ def offline_files(
 
 
 def _read_from(value: Any, places: Mapping[str, str]) -> Any:
-    """Replace the paths of copies in all texts of a JSON value by the places that were copied."""
-    if isinstance(value, dict):
-        return {name: _read_from(one, places) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_read_from(one, places) for one in value]
+    """Replace the paths of copies in a text by the places that were copied."""
     if isinstance(value, str):
         for copy, place in places.items():
             value = value.replace(copy, place)

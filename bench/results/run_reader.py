@@ -369,13 +369,8 @@ def _solve_again(folder: Path) -> tuple[Results, list[StoredView], list[ReadPict
 
 def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
     """Make the image of an accepted recording again; raise RunFolderError if this is not possible."""
-    from bench.views.expected_grid import grid_from_journal
-
-    step = job.record_step(attempt.pose_index)
-    path = folder / str(attempt.stored["capture"])
-    found = job.camera_kind.measure(
-        path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt)
-    )
+    found = job.measure_again(folder, attempt)
     if found.image is None:
-        raise RunFolderError(f"No image can be made of it: {found.fault}", where=str(path))
+        where = str(folder / str(attempt.stored["capture"]))
+        raise RunFolderError(f"No image can be made of it: {found.fault}", where=where)
     return found.image.decoded()

@@ -25,7 +25,6 @@ from bench.records.results import CheckData
 from bench.report.text import TargetWords, words_for
 from bench.results.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.results.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
-from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import Gate, at_most, solution_gates
 from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, CalibrationOptions, calibrate
@@ -103,11 +102,7 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
 
 def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
     """Find the stars of an accepted recording again, with the grid that was expected when it was recorded."""
-    step = job.record_step(attempt.pose_index)
-    path = folder / str(attempt.stored["capture"])
-    found = job.camera_kind.measure(
-        path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt)
-    )
+    found = job.measure_again(folder, attempt)
     if found.view is None:
         raise BenchError(
             f"{attempt.stored['capture']} was accepted, but now no stars are found in it: {found.fault}",

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from bench.base.bounded_json import leaves
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
 from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
-from sequences.tree import DocumentPath, Fault, Tree, path_text
+from sequences.tree import Fault, Tree, path_text
 
 # Placeholders in a drafted or example station file for values that a person must fill in.
 #
@@ -62,17 +62,9 @@ def find_placeholders(station: Tree) -> list[Fault]:
         Fault(
             station.file, *station.spot(path), path_text(path), f"this value is missing (placeholder {text})."
         )
-        for path, text in _texts(station.value, ())
-        if text in _ALL
+        for path, text in leaves(station.value)
+        if isinstance(text, str) and text in _ALL
     ]
-
-
-def _texts(value: Any, path: DocumentPath) -> Iterator[tuple[DocumentPath, str]]:
-    if isinstance(value, str):
-        yield path, value
-    elif isinstance(value, dict | list):
-        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _texts(inner, (*path, key))
 
 
 SIMULATED_PREFIX = "sim:"

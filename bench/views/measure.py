@@ -6,7 +6,6 @@ a recording is calculated here, from the file alone, so that it can be calculate
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.bounded_json import without_nan
 from bench.records.events import MeasuredFacts
 from bench.views.event_window import read_events, recorded_image, whole_image
 from bench.views.gates import Gate, at_least, at_most
@@ -93,7 +93,6 @@ __all__ = [
     "find_stars",
     "measure",
     "motion_px",
-    "plain_facts",
     "recorded_image",
 ]
 
@@ -160,8 +159,8 @@ def measure(
         if motion:
             facts["motion_px"] = motion_px(whole.halves(), target, facts)
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, stored, plain_facts(facts), str(error))
-    return Measurement(view, stored, plain_facts(facts))
+        return Measurement(None, stored, without_nan(facts), str(error))
+    return Measurement(view, stored, without_nan(facts))
 
 
 def find_stars(
@@ -254,15 +253,6 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
         return None
 
 
-def plain_facts(facts: Any) -> Any:
-    """Replace numbers that are not finite by None, because JSON has none."""
-    if isinstance(facts, dict):
-        return {name: plain_facts(fact) for name, fact in facts.items()}
-    if isinstance(facts, list):
-        return [plain_facts(fact) for fact in facts]
-    return None if isinstance(facts, float) and not math.isfinite(facts) else facts
-
-
 # From the frames of one pose to one view, and whether they are accepted: the recording of a frame camera.
 #
 # Stars are detected in the mean of all frames, and in the mean of each half to check that the camera stood
@@ -285,18 +275,22 @@ def measure_frames(
     facts: MeasuredFacts = {}
     image: StoredImage | None = None
     try:
-        frames = read_frames(path)
-        mean = _mean(frames)
+        mean, halves = mean_frames(path, facts)
         image = StoredImage.from_image(mean)
-        kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
-        facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
         view = downweight_vignetted(find_stars(mean, target, name, expected_grid, facts), target)
-        half = len(frames) // 2
-        halves = (_mean(part) for part in (frames[:half], frames[-half:]))
-        facts["motion_px"] = motion_px(halves, target, facts) if half else None
+        facts["motion_px"] = motion_px(halves, target, facts) if halves else None
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, image, facts, str(error))
     return Measurement(view, image, facts)
+
+
+def mean_frames(path: Path, facts: MeasuredFacts) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
+    """Return the mean of all frames, and the means of both halves unless there is one frame; state the image."""
+    frames = read_frames(path)
+    kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
+    facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
+    half = len(frames) // 2
+    return _mean(frames), [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
 
 
 def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.bounded_json import without_nan
 from bench.base.errors import UsageError
 from bench.records.events import MeasuredFacts
 from bench.records.history import Attempt, History
 from bench.views.event_window import EventData, read_events, whole_image
-from bench.views.measure import Measurement, StoredImage, plain_facts
+from bench.views.measure import Measurement, StoredImage, mean_frames
 from calib.boards.blinking_dots import detect_blinking_dots
 from calib.boards.board import Board
 from calib.boards.detect import detect_board, relocate_board
@@ -27,7 +28,6 @@ from calib.events.motion import motion_between
 from calib.events.reconstruction import ReconstructedPicture, reconstruct
 from calib.model.homography import fit_homography
 from calib.view import View
-from drivers.camera.frames import read_frames
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 from sequences.script import PromptStep
@@ -189,8 +189,8 @@ def measure_board(
             view, halves = _of_image(data, board, name, stored, facts, (image, periods, expected_hz))
         _state(view, halves, board, facts)
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, stored[0] if stored else None, plain_facts(facts), str(error))
-    return Measurement(view, stored[0], plain_facts(facts))
+        return Measurement(None, stored[0] if stored else None, without_nan(facts), str(error))
+    return Measurement(view, stored[0], without_nan(facts))
 
 
 def measure_board_frames(path: Path, *, name: str, board: Board) -> Measurement:
@@ -198,15 +198,10 @@ def measure_board_frames(path: Path, *, name: str, board: Board) -> Measurement:
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
     try:
-        frames = read_frames(path)
-        mean = _mean(frames)
+        mean, halves = mean_frames(path, facts)
         stored = StoredImage.from_image(mean)
-        kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
-        facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
         view = detect_board(mean, board, name=name)
-        half = len(frames) // 2
-        parts = [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
-        _state(view, [relocate_board(part, view, board) for part in parts], board, facts)
+        _state(view, [relocate_board(half, view, board) for half in halves], board, facts)
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, stored, facts, str(error))
     return Measurement(view, stored, facts)
@@ -275,7 +270,3 @@ def _state(view: View, halves: list[View], board: Board, facts: MeasuredFacts) -
     if len(halves) == 2:
         with suppress(TooFewStars):
             facts["motion_px"] = motion_between(halves[0], halves[1]).length_px
-
-
-def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:
-    return frames.mean(axis=0, dtype=np.float64).astype(np.float32)
