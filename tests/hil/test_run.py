@@ -80,16 +80,6 @@ def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(
     assert np.array_equal(again.poses[0].picture, run.poses[0].picture)
 
 
-def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(finished, home, tmp_path):
-    _, _, folder = finished
-    again = tmp_path / "again"
-    assert (
-        starbench("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", again, home=home).returncode
-        == 0
-    )
-    assert numbers(again) == numbers(folder)
-
-
 def test_the_seal_holds_for_us_and_for_the_programs_everyone_has(finished, home):
     _, _, folder = finished
     verified = starbench("verify", folder, "--json", home=home)
@@ -155,6 +145,13 @@ def quick(tmp_path_factory, home):
     return words, folder / "undisturbed"
 
 
+def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(quick, home, tmp_path):
+    words, undisturbed = quick
+    said = starbench(*words, "-o", tmp_path / "again", home=home)
+    assert said.returncode == 0, said.stderr
+    assert numbers(tmp_path / "again") == numbers(undisturbed)
+
+
 @pytest.mark.parametrize("reached", KILLED)
 def test_a_killed_run_resumes_to_the_same_numbers(quick, home, tmp_path, reached):
     words, undisturbed = quick
@@ -177,9 +174,9 @@ def test_a_killed_run_resumes_to_the_same_numbers(quick, home, tmp_path, reached
         pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
     ],
 )
-def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(home, tmp_path, number):
+def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(quick, home, tmp_path, number):
     folder = tmp_path / "stopped"
-    process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, home=home)
+    process = start(*quick[0], "-o", folder, home=home)
     said = end_when(process, folder, entering("slewing", 2), number)
     assert process.returncode == 3
     assert f"starbench resume {folder}" in said

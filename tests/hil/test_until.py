@@ -1,12 +1,10 @@
-"""A run that chooses its poses on the simulated bench: to its goal; killed in each phase of a round, then resumed."""
+"""A run that chooses its poses on the simulated bench: to its bound, and to its goal."""
 
-import json
 import re
-import shutil
 
 import pytest
 from quick_runs import THREE, write_station, write_until
-from running import end_when, entering, journal, results, starbench, start
+from running import journal, results, starbench
 
 SEED = 3
 UNTIL = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
@@ -64,35 +62,6 @@ def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
     )
 
 
-@pytest.mark.parametrize(
-    "reached",
-    [
-        pytest.param(entering("choosing"), marks=pytest.mark.slow),
-        entering("slewing", 4),
-        pytest.param(entering("settling", 4), marks=pytest.mark.slow),
-        pytest.param(entering("recording", 4), marks=pytest.mark.slow),
-        pytest.param(entering("checking", 4), marks=pytest.mark.slow),
-        pytest.param(lambda line: line["event"] == "until_decided", marks=pytest.mark.slow),
-    ],
-    ids=["choosing", "slewing", "settling", "recording", "checking", "decided"],
-)
-@pytest.mark.slow
-def test_killed_in_a_round_it_goes_on_with_the_same_poses(reached, files, undisturbed, tmp_path):
-    home, sequence, station = files
-    folder = tmp_path / "killed"
-    end_when(start("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home), folder, reached)
-    before = decisions(folder)
-    resumed = starbench("resume", folder, home=home)
-    assert resumed.returncode == 0, resumed.stderr
-    assert "Choose poses until U(fx) is at most 0.001 px" in resumed.stderr
-    assert decisions(folder)[: len(before)] == before
-    assert poses(folder)[4] == poses(undisturbed)[4]
-    assert len(poses(folder)) == 5
-    names = {json.dumps(one["chosen"]["angles_deg"]) for one in decisions(folder) if "chosen" in one}
-    assert len(names) == 2
-    shutil.rmtree(folder, ignore_errors=True)
-
-
 def test_a_goal_is_met_and_nothing_further_is_recorded(files, tmp_path):
     home, _, station = files
     sequence = write_until(tmp_path / "good.yaml", f"{{worst_corner_px: 0.9, at_most: 9, start: {THREE}}}")
@@ -104,17 +73,3 @@ def test_a_goal_is_met_and_nothing_further_is_recorded(files, tmp_path):
     assert last["now"]["worst_corner_px"] <= 0.9
     assert len(poses(folder)) == last["poses"] < 9
     assert "The goals are met." in said.stderr
-
-
-def test_it_is_rehearsed(files, tmp_path):
-    home, sequence, station = files
-    queue = tmp_path / "queue.yaml"
-    queue.write_text(
-        f"format: starbench/queue/1\nname: Night\njobs: [{{name: one, sequence: {sequence}, station: {station}}}]\n"
-    )
-    night = tmp_path / "night"
-    said = starbench("rehearse", queue, "--output", night, "--quiet", home=home)
-    assert said.returncode == 0, said.stderr + said.stdout
-    (folder,) = (path.parent for path in night.rglob("journal.jsonl") if decisions(path.parent))
-    assert [one["recorded"] for one in decisions(folder)] == [3, 4, 5]
-    assert json.loads((folder / "results.json").read_text())["untils"][-1]["ended"] == "at_most"

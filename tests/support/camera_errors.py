@@ -6,32 +6,16 @@ compared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.calibration import Calibration
 from calib.model.camera import CameraModel
-from calib.uncertainty.projection_uncertainty import (
-    camera_difference,
-    projection_derivatives,
-    projection_uncertainty,
-    sensor_grid,
-)
+from calib.uncertainty.projection_uncertainty import sensor_grid
 from simulators.world.truth import CameraTruth
 
 FloatArray = NDArray[np.float64]
 
 _ACROSS = 17
-
-
-@dataclass(frozen=True)
-class WorstCorner:
-    """Error of a camera where its stated projection uncertainty is largest, along the direction of the largest."""
-
-    error_px: float  # Error there, px
-    sigma_px: float  # Stated standard uncertainty, px
 
 
 def true_camera(truth: CameraTruth) -> CameraModel:
@@ -60,20 +44,6 @@ def corner_errors_urad(camera: CameraModel, truth: CameraTruth) -> FloatArray:
     corners = np.array([[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]])
     away = _unit(camera.rays(corners)) @ turn.T - _unit(exact.rays(corners))
     return np.asarray(1e6 * np.linalg.norm(away, axis=1))
-
-
-def worst_corner(found: Calibration, truth: CameraTruth) -> WorstCorner:
-    """Return the error where the stated projection uncertainty is largest."""
-    across = 33
-    sigma = projection_uncertainty(found.camera, found.camera_covariance, across).sigma_px
-    place = np.unravel_index(int(np.nanargmax(sigma)), sigma.shape)
-    pixels, derivatives = projection_derivatives(found.camera, across)
-    grid = sensor_grid(found.camera.image_size, across)
-    nearest = int(np.argmin(np.linalg.norm(pixels - grid[place], axis=1)))
-    own = derivatives[nearest]
-    direction = np.linalg.eigh(own @ found.camera_covariance @ own.T)[1][:, 1]
-    offset = camera_difference(found.camera, true_camera(truth), across).offset_px[place]
-    return WorstCorner(float(direction @ offset), float(sigma[place]))
 
 
 def _unit(rays: FloatArray) -> FloatArray:

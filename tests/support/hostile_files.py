@@ -9,7 +9,6 @@ import json
 import os
 import socket
 import struct
-import zipfile
 import zlib
 from pathlib import Path
 
@@ -76,17 +75,8 @@ def gzip_bomb(path):
     path.write_bytes(gzip.compress(bytes(200_000_000), 9))
 
 
-def zip_bomb(path):
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr("a", bytes(200_000_000))
-
-
 def deep_json(path):
     path.write_bytes(b"[" * 100_000)
-
-
-def deep_yaml(path):
-    path.write_text("a: " * 1 + "[" * 50_000)
 
 
 def xml_bomb(path):

@@ -25,168 +25,51 @@ def packet(servo: int, *content: int) -> bytes:
     return begins + crc_of(begins).to_bytes(2, "little")
 
 
-apt = bytes.fromhex
+def words(text: str) -> list[bytes]:
+    """Split a text at its bars."""
+    return [word.encode("latin-1") for word in text.split("|")]
 
 
-NUMBERS = [
-    b"0",
-    b"-1",
-    b"1e999",
-    b"nan",
-    b"inf",
-    b"1_0",
-    b"99999999999999999999",
-    b".",
-    b"-",
-    b"0x10",
-    b"5",
-    b"-3.5",
-]
+NUMBERS = words("0|-1|1e999|nan|inf|1_0|99999999999999999999|.|-|0x10|5|-3.5")
 
 #: Messages of each kind's protocol, which are joined at random, with noise between.
 WORDS: dict[str, list[bytes]] = {
-    "zaber": [
-        b"/1 1 ",
-        b"/0 0 7 ",
-        b"home",
-        b"move abs ",
-        b"move vel ",
-        b"set maxspeed ",
-        b"set limit.max ",
-        b"get pos",
-        b"tools parking park",
-        b"stop",
-        b"warnings clear",
-        b"system reset",
-        b"set pos ",
-        b"\n",
-        b":00",
-        b" ",
-    ],
+    "zaber": words(
+        "/1 1 |/0 0 7 |home|move abs |move vel |set maxspeed |set limit.max |get pos"
+        "|tools parking park|stop|warnings clear|system reset|set pos |\n|:00| "
+    ),
+    "grbl": words("$H|$X|$$|$J=|G0 |G1 |G4 P|X|Y|F|G91 |$110=|$120=|$100=|\n|?|!|~|\x18|\x85"),
+    "esp301": words("1MO|1OR|1PA|1PR|2PA|1VA|1AC|1DH|1WS|TB?|1TP|RS|AB|;|\r"),
+    "keysight": words("FREQ |VOLT:HIGH |VOLT |FUNC:SQU:DCYC |OUTP |OUTP:LOAD |SYST:ERR?|*RST|;|:|,|\n|?"),
+    "siglent": words("C1:BSWV |FRQ,|HLEV,|LLEV,|DUTY,|C1:OUTP LOAD,|C1:BSWV?|,|;|\n"),
+    "flir_ptu": words("PP|TP|PO|PS|PA|PNU|RP|R|H|FT|LU|VS| |-"),
+    "microcontroller": words("FREQ |DUTY |LEVEL |WAVE |ON*01|ID?*28|DOG |*|?|\n"),
+    "gardasoft": words("RT1,|RS1,|TT1,|ST1|TR|GR|,|us|;|\r"),
     "ximc": [
-        b"gets",
-        b"home",
-        b"zero",
-        b"stop",
-        b"sstp",
-        b"left",
-        b"rigt",
-        b"gmov",
-        b"\0",
+        *words("gets|home|zero|stop|sstp|left|rigt|gmov|\0"),
         with_crc(b"move", struct.pack("<ih6x", 2**31 - 1, 32767)),
         with_crc(b"movr", struct.pack("<ih6x", -(2**31), 0)),
         with_crc(b"shom", struct.pack("<IBIBihH9x", 0, 0, 0, 0, 0, 0, 0)),
         with_crc(b"smov", struct.pack("<IBHHIBB9x", 2**32 - 1, 255, 65535, 1, 0, 0, 0)),
         with_crc(b"seds", struct.pack("<BBihih6x", 0, 0, 5, 0, -5, 0)),
     ],
-    "grbl": [
-        b"$H",
-        b"$X",
-        b"$$",
-        b"$J=",
-        b"G0 ",
-        b"G1 ",
-        b"G4 P",
-        b"X",
-        b"Y",
-        b"F",
-        b"G91 ",
-        b"$110=",
-        b"$120=",
-        b"$100=",
-        b"\n",
-        b"?",
-        b"!",
-        b"~",
-        b"\x18",
-        b"\x85",
-    ],
-    "esp301": [
-        b"1MO",
-        b"1OR",
-        b"1PA",
-        b"1PR",
-        b"2PA",
-        b"1VA",
-        b"1AC",
-        b"1DH",
-        b"1WS",
-        b"TB?",
-        b"1TP",
-        b"RS",
-        b"AB",
-        b";",
-        b"\r",
-    ],
-    "keysight": [
-        b"FREQ ",
-        b"VOLT:HIGH ",
-        b"VOLT ",
-        b"FUNC:SQU:DCYC ",
-        b"OUTP ",
-        b"OUTP:LOAD ",
-        b"SYST:ERR?",
-        b"*RST",
-        b";",
-        b":",
-        b",",
-        b"\n",
-        b"?",
-    ],
-    "siglent": [
-        b"C1:BSWV ",
-        b"FRQ,",
-        b"HLEV,",
-        b"LLEV,",
-        b"DUTY,",
-        b"C1:OUTP LOAD,",
-        b"C1:BSWV?",
-        b",",
-        b";",
-        b"\n",
-    ],
-    "flir_ptu": [
-        b"PP",
-        b"TP",
-        b"PO",
-        b"PS",
-        b"PA",
-        b"PNU",
-        b"RP",
-        b"R",
-        b"H",
-        b"FT",
-        b"LU",
-        b"VS",
-        b" ",
-        b"-",
-    ],
-    "microcontroller": [
-        b"FREQ ",
-        b"DUTY ",
-        b"LEVEL ",
-        b"WAVE ",
-        b"ON*01",
-        b"ID?*28",
-        b"DOG ",
-        b"*",
-        b"?",
-        b"\n",
-    ],
     "thorlabs_apt": [
-        apt("05 00 00 00 50 01"),
-        apt("11 00 00 00 50 01"),
-        apt("43 04 01 00 50 01"),
-        apt("65 04 01 01 50 01"),
-        apt("29 04 01 00 50 01"),
-        apt("90 04 01 00 50 01"),
-        apt("92 04 00 00 50 01"),
-        apt("10 02 01 02 50 01"),
-        apt("53 04 06 00 d0 01 01 00 ff ff ff 7f"),
-        apt("48 04 06 00 d0 01 01 00 00 00 00 80"),
-        apt("10 04 06 00 d0 01 01 00 ff ff ff 7f"),
-        apt("13 04 0e 00 d0 01 01 00 00 00 00 00 00 00 00 00 ff ff ff ff"),
-        apt("13 04 ff ff d0 01"),
+        bytes.fromhex(message)
+        for message in (
+            "05 00 00 00 50 01",
+            "11 00 00 00 50 01",
+            "43 04 01 00 50 01",
+            "65 04 01 01 50 01",
+            "29 04 01 00 50 01",
+            "90 04 01 00 50 01",
+            "92 04 00 00 50 01",
+            "10 02 01 02 50 01",
+            "53 04 06 00 d0 01 01 00 ff ff ff 7f",
+            "48 04 06 00 d0 01 01 00 00 00 00 80",
+            "10 04 06 00 d0 01 01 00 ff ff ff 7f",
+            "13 04 0e 00 d0 01 01 00 00 00 00 00 00 00 00 00 ff ff ff ff",
+            "13 04 ff ff d0 01",
+        )
     ],
     "dynamixel": [
         packet(1, 1),
@@ -206,7 +89,6 @@ WORDS: dict[str, list[bytes]] = {
         packet(1, 16),
         b"\xff\xff\xfd\x00\x01\xff\xff",
     ],
-    "gardasoft": [b"RT1,", b"RS1,", b"TT1,", b"ST1", b"TR", b"GR", b",", b"us", b";", b"\r"],
 }
 WORDS["rigol"] = [word.replace(b"FREQ", b":SOUR1:FREQ") for word in WORDS["keysight"]]
 
@@ -225,13 +107,9 @@ def build(kind: str, clock: Callable[[], float]) -> Dialect:
 def test_a_device_survives_everything(kind, data):
     now_s = 0.0
     device = build(kind, lambda: now_s)
-    word, number = st.sampled_from(WORDS[kind]), st.sampled_from(NUMBERS)
-    piece = st.one_of(
-        word,
-        number,
-        st.binary(max_size=8),
-        st.tuples(word, number, st.sampled_from([b"\r", b"\n"])).map(b"".join),
-    )
+    alone, ends = [*WORDS[kind], *NUMBERS], (b"\r", b"\n")
+    lines = [word + number + end for word in WORDS[kind] for number in NUMBERS for end in ends]
+    piece = st.one_of(st.sampled_from(alone), st.sampled_from(lines), st.binary(max_size=8))
     for said, wait_s in data.draw(
         st.lists(st.tuples(st.lists(piece, max_size=8), st.floats(0.0, 2.0)), max_size=8)
     ):

@@ -1,5 +1,6 @@
 """Runs that choose their poses: on virtual devices, to the goal; killed at every kind of line; and what else can happen."""
 
+import json
 import shutil
 
 import pytest
@@ -67,6 +68,8 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path):
     assert states.count("choosing") == 3
     assert states[-5:] == ["lighting", "parking", "solving", "reporting", "finished"]
     assert not scene.light_is_on()
+    results = json.loads((scene.folder / "results.json").read_text())
+    assert results["untils"][-1]["ended"] == "at_most"
 
 
 def test_the_pose_is_journaled_before_the_stage_moves_there(tmp_path):

@@ -1,0 +1,50 @@
+"""What a run does when a pose keeps failing its gates: attempts kept, then skipped, held or failed, as written."""
+
+from quick_runs import END, write_sequence
+from rehearsed import TWO, Scene
+
+from bench.records.events import Event
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.results.results_content import journal_content
+
+
+def doomed(folder, on_failure, attempts=2):
+    """Two poses that pass and, before them, one that cannot."""
+    text = write_sequence(folder / "s.yaml", TWO, attempts=attempts, end=END).read_text()
+    record = f"record: {{gates: {{min_stars: 100000}}, on_failure: {on_failure}, hold_s: 1}}"
+    pose = f"  - move: {{name: doomed, tilt_deg: -3}}\n  - settle\n  - {record}\n"
+    (folder / "s.yaml").write_text(text.replace("  - repeat:\n", pose + "  - repeat:\n", 1))
+    return Scene(folder, sequence=folder / "s.yaml")
+
+
+def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(tmp_path):
+    scene = doomed(tmp_path, "skip")
+    assert scene.run().how == "finished"
+    found = journal_content(scene.task, replay(read_journal(scene.folder / "journal.jsonl")[0]), [])
+    attempts = [[attempt["accepted"] for attempt in pose["attempts"]] for pose in found["poses"]]
+    assert attempts == [[False, False], [True], [True]]
+    (deviation,) = found["deviations"]
+    assert deviation.startswith("Pose 1 (doomed) failed 2 attempts: stars 2")
+    assert deviation.endswith("It was skipped, as the sequence specifies.")
+
+
+def test_between_attempts_it_waits_twice_as_long_each_time(tmp_path):
+    scene = doomed(tmp_path, "fail", attempts=4)
+    end = scene.run()
+    assert (end.how, scene.states()[-1]) == ("failed", "failed")
+    assert "Pose 1 (doomed) failed 4 attempts: stars" in end.why
+    entered = scene.told(Event.ENTERING)
+    assert [told["wait_s"] for told in entered if told["state"] == "backing_off"] == [0.1, 0.2, 0.4, 0.0]
+
+
+def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable(tmp_path):
+    scene = doomed(tmp_path, "hold")
+    assert scene.run().how == "aborted"
+    assert not scene.light_is_on()
+    first = scene.events()
+    (asked,) = scene.told(Event.ASKED)
+    assert "Try it again?" in asked["text"]
+    assert scene.run().how == "aborted"
+    assert [told["attempt"] for told in scene.told(Event.CAPTURE_STORED)] == [1, 2, 3, 4]
+    assert scene.events()[: len(first)] == first  # nothing written is written over
