@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, cast
 
 from bench.align.live_loop import LiveLoop
-from bench.base.errors import ControlRefused
-from bench.base.failure import Failure
+from bench.base.errors import ControlRefused, Failure
 from bench.stations.devices import Camera
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import Station

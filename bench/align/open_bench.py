@@ -22,11 +22,9 @@ from bench.align.live_figures import LiveSetting
 from bench.align.live_loop import LiveLoop
 from bench.align.meter import Meter
 from bench.base.clock import BenchClock
-from bench.base.errors import ControlRefused
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, ControlRefused, Failure
 from bench.simulated import SimulatedBench
-from bench.stations.devices import Devices
-from bench.stations.separate_devices import SeparateDevices
+from bench.stations.devices import Devices, SeparateDevices
 from bench.stations.station import Station
 from bench.views.camera_kinds import camera_kind
 from drivers.errors import StillOpening

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from bench.align.device_controls import ANSWER_S
 from bench.align.open_bench import Bench
 from bench.align.session import Session
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, Failure
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.stations.station_fields import find_placeholders
 from bench.views.camera_kinds import camera_kind

@@ -30,9 +30,8 @@ from bench.batch.batch_record import (
     Requested,
     resume_text,
 )
-from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summary
+from bench.batch.batch_summary import RUNS, newest_place, summarise, summary_lines, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
-from bench.batch.summary_text import summary_lines
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.history.check_standard import standard_problem
 from bench.messaging.messages import Courier

@@ -28,7 +28,7 @@ from bench.plan.script_check import find_url_secrets
 from bench.records.events import Event
 from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import read_journal
-from bench.records.ledger_breaks import LedgerRun
+from bench.records.ledger_marks import LedgerRun
 from bench.records.run_folder import JOURNAL, PLAN
 from bench.records.run_index import QUEUE_COPY, is_rehearsal
 from bench.records.storage import is_locked, make_folder, read_json

@@ -262,7 +262,7 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
     if read_bounded(run / RESULTS) != results:
         found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
         return
-    from bench.certificate.pdf_plots import plots_of_run
+    from bench.certificate.pdf import plots_of_run
 
     drawn = plots_of_run(run, parse_json(results))
     stored = {path.stem: path.read_text("utf-8") for path in (folder / PLOTS).glob("*.svg")}

@@ -199,7 +199,7 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         raise EvidenceError(
             "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
         )
-    from bench.certificate.pdf_plots import plots_of_run
+    from bench.certificate.pdf import plots_of_run
 
     run = run_of(
         found,

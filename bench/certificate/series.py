@@ -19,7 +19,7 @@ from typing import Any, Literal
 from bench.base.errors import EvidenceError, JournalBroken
 from bench.records.journal import Entry, Journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import highest_counts
+from bench.records.ledger_marks import highest_counts
 from bench.records.storage import make_folder, storage_errors
 from drivers import file_lock
 

@@ -15,8 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import EvidenceError, StorageError, UsageError
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, EvidenceError, Failure, StorageError, UsageError
 from bench.cluster.kept_rows import Table, line_of
 from bench.cluster.tasks import (
     ROW_FORMAT,

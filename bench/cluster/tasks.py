@@ -19,8 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench.base.errors import BenchError, StorageError, UsageError
-from bench.base.failure import FORESEEN
+from bench.base.errors import FORESEEN, BenchError, StorageError, UsageError
 from bench.cluster.kept_rows import require_program_of
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.records.storage import read_json, sha256_of, storage_errors

@@ -14,8 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, UsageError
-from bench.base.failure import Failure
+from bench.base.errors import BenchError, Failure, UsageError
 from bench.cluster.kept_rows import KeptRows, content_key, require_program_of
 from bench.cluster.work import Finished, Workers, map_work
 from bench.evidence.findings import Derivation, Findings, SealFault, Verification

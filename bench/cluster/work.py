@@ -14,8 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import Any, Self
 
-from bench.base.errors import BenchError
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, BenchError, Failure
 
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""

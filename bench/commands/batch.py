@@ -112,8 +112,7 @@ def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
     Returns: Exit status: 0 every run has a result, 3 stopped on request, 4 a run does not keep its limits,
       else 1.
     """
-    from bench.batch.batch_summary import PAGE
-    from bench.batch.summary_text import summary_lines
+    from bench.batch.batch_summary import PAGE, summary_lines
 
     show(summary, [*summary_lines(summary), f"Summary: {folder / PAGE}"])
     if summary["how"] == "finished" and any(item.get("conformity") == "FAIL" for item in summary["items"]):

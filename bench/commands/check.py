@@ -87,7 +87,7 @@ def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
 
 def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
     """Tell what one view can tell that does not determine the camera."""
-    from bench.report.check_text import one_view_sentences
+    from bench.report.text import one_view_sentences
     from calib.studies.one_view_check import check_one_view
 
     checked = check_one_view(stated.camera, stated.covariance, view)
@@ -99,7 +99,7 @@ def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
 def _lines(checked: CameraCheck, stated: CameraFile, found: Calibration, skipped: list[str]) -> Iterator[str]:
     for reason in skipped:
         yield f"Left out: {reason}"
-    from bench.report.check_text import check_sentences
+    from bench.report.text import check_sentences
 
     yield from check_sentences(cast("CheckData", checked.to_dict()))
     yield f"Change of the image and its U, px (k = {checked.coverage_factor:.2f}, for all places at once):"

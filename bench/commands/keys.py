@@ -194,7 +194,7 @@ def keys_rotate(old_key: str, passphrase: bool) -> int:
     The old key's validity ends now, so that what it has sealed stays valid and nothing new does. Give the new line to
     those who verify.
     """
-    from bench.evidence.rotation import rotate
+    from bench.evidence.keys import rotate
 
     secret = _new_passphrase() if passphrase else None
     done = rotate(home_folder(), datetime.now(UTC), passphrase=secret, keep_old=old_key == "archive")

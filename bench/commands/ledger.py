@@ -18,7 +18,7 @@ from bench.terminal.encoding import counted
 
 if TYPE_CHECKING:
     from bench.records.ledger import Ledger
-    from bench.records.ledger_breaks import Break
+    from bench.records.ledger_marks import Break
 
 _LONGEST_REASON = 2000
 _MOST_SHOWN = 40
@@ -75,7 +75,7 @@ def _one_line(reason: str, option: str) -> str:
 def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     """Return unexplained breaks of the ledger, with what to do; explained ones, and places not asked."""
     from bench.evidence.ledger_check import sealed_strangers
-    from bench.records.ledger_breaks import EXPLAIN
+    from bench.records.ledger_marks import EXPLAIN
 
     faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
     if faults:
@@ -91,7 +91,7 @@ def _explained_text(one: Break) -> str:
 def _check() -> int:
     """Print the state of the ledger and every fault of it; return 1 if there is a fault."""
     from bench.evidence.authorisation import known_authorisations, lost_authorisations
-    from bench.records.ledger_breaks import runs_of
+    from bench.records.ledger_marks import runs_of
 
     found = bench_ledger()
     faults, notes = ledger_findings(found)

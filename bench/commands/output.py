@@ -18,8 +18,7 @@ from typing import Any
 
 import click
 
-from bench.base.errors import EvidenceError, ScriptError, StorageError
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, EvidenceError, Failure, ScriptError, StorageError
 from bench.base.home import home_folder
 from bench.terminal.encoding import printable
 from sequences.errors import DocumentFaults

@@ -19,7 +19,7 @@ from calib.model.budget_row import WORST_CORNER
 if TYPE_CHECKING:
     from bench.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
-    from bench.records.ledger_breaks import LedgerRun
+    from bench.records.ledger_marks import LedgerRun
     from bench.results.forecasts import PlanForecast
     from bench.results.next_pose import ExpectedCourse
     from calib.model.budget_row import BudgetRow

@@ -82,9 +82,7 @@ def rig(
     """
     from bench.records.storage import make_folder, write_atomic
     from bench.results.offline_options import OfflineOptions
-    from bench.results.rig import find_clocks, find_rig
-    from bench.results.rig_exports import rig_exports
-    from bench.results.rig_files import read_rig_file
+    from bench.results.rig import find_clocks, find_rig, read_rig_file, rig_exports
 
     earlier = read_rig_file(stated) if stated else None
     choices = OfflineOptions.from_command_line(**options)

@@ -24,8 +24,8 @@ from bench.commands.options import (
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, ask_passphrase, error_object, show
 from bench.records.journal import CAPTURES
 from bench.records.run_folder import REPORT
-from bench.report.check_text import check_sentences
 from bench.report.text import (
+    check_sentences,
     conformity_headline,
     conformity_sentences,
     fixed,

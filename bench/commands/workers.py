@@ -58,7 +58,7 @@ def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
       the command itself, unless a number of processes is asked for.
     """
     if isinstance(who, str):
-        from bench.cluster.scheduler import DaskWorkers
+        from bench.cluster.processes import DaskWorkers
 
         return DaskWorkers(who)
     from bench.cluster.processes import Processes, processors

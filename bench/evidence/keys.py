@@ -3,7 +3,7 @@
 The key is an Ed25519 key (RFC 8032) in OpenSSH's private key format (PROTOCOL.key of OpenSSH). Its file lies in the
 user's configuration folder, readable by its owner alone; the private key is never copied into a run folder or a log.
 Beside it lies ``allowed_signers``, the list of trusted keys (`bench.evidence.signers`). Those who verify reports need
-that file or its line. `bench.evidence.rotation` replaces the key.
+that file or its line. `bench.evidence.keys` replaces the key.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import re
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from datetime import datetime
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from cryptography.hazmat.primitives import serialization
@@ -32,9 +32,11 @@ from bench.evidence.signers import (
     Signer,
     read_public_key,
     read_revoked,
+    read_signer,
     read_signers,
     refuse_readable_by_others,
     refuse_writable_by_others,
+    replace_lines,
     trust,
 )
 from bench.evidence.sshsig import KEY_TYPE, encode_public_key, fingerprint, key_type_of, strings
@@ -353,3 +355,91 @@ def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path]
             where=str(path),
             remedy="Try again, or restore the file from a copy.",
         ) from error
+
+
+# Replace the bench's key. Reports sealed with the old key stay valid for their time.
+
+
+ARCHIVE = "old_keys"
+"""Folder of private keys that are no longer used."""
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A replacement of the bench's key."""
+
+    old: str
+    new: str
+    line: str  # Line of ``allowed_signers`` that trusts the new key
+    archived: Path | None  # Where the old private key is kept; None if it was deleted
+
+
+def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
+    """Replace the bench's key by a new one with the same principal.
+
+    passphrase: Encrypts the new private key; None leaves it unencrypted.
+    keep_old: Whether the old private key is kept in ``old_keys``; else it is deleted.
+    """
+    if not (folder / KEY_FILE).exists():
+        raise EvidenceError(
+            "There is no key to replace.", where=str(folder), remedy="Make one with `starbench keys create`."
+        )
+    with locked_folder(folder):
+        finish_rotation(folder)
+        old, principal = _read_public(folder / f"{KEY_FILE}.pub")
+        archived = _archive(folder, old, keep=keep_old)
+        line = _begin(folder, now, old, principal, passphrase)
+        finish_rotation(folder)
+    return Rotation(fingerprint(old), fingerprint(read_signer(line).public_key), line, archived)
+
+
+def _begin(folder: Path, now: datetime, old: bytes, principal: str, passphrase: bytes | None) -> str:
+    """Make the new key beside the old one, and change the list of trusted keys; return the new line."""
+    key = BenchKey(Ed25519PrivateKey.generate(), principal)
+    signer = replace(read_signer(key.signers_line), valid_after=now.replace(microsecond=0))
+    with storage_errors(folder):  # of a process that was killed before the new key was trusted
+        for name in (NEW_KEY, f"{NEW_KEY}.pub"):
+            (folder / name).unlink(missing_ok=True)
+    write_atomic(folder / NEW_KEY, private_text(key, passphrase), mode=0o600)
+    write_atomic(folder / f"{NEW_KEY}.pub", f"{key.public_text} {principal}\n".encode())
+    end = now.replace(microsecond=0) + timedelta(seconds=1)  # what was sealed in this second stays valid
+    replace_lines(folder, old, end, [signer.line])
+    return signer.line
+
+
+def _archive(folder: Path, old: bytes, *, keep: bool) -> Path | None:
+    """Keep the old private key under a name that no other key has, before it is replaced; or see that it is not."""
+    name = fingerprint(old).removeprefix("SHA256:").replace("/", "_").replace("+", "-")[:16]
+    path = folder / ARCHIVE / f"{KEY_FILE}-{name}"
+    with storage_errors(path):
+        if not keep:
+            path.unlink(missing_ok=True)
+            return None
+        make_folder(folder / ARCHIVE)
+        (folder / ARCHIVE).chmod(0o700)
+        with suppress(FileExistsError):  # of an interrupted replacement
+            os.link(folder / KEY_FILE, path)
+        sync_folder(folder / ARCHIVE)
+    return path
+
+
+def _read_public(path: Path) -> tuple[bytes, str]:
+    """Return the public key of a file ``.pub``, and its principal."""
+    with storage_errors(path):
+        text = path.read_text(encoding="utf-8")
+    try:
+        key = read_public_key(text)
+    except ValueError as error:
+        raise _not_public(path, str(error)) from error
+    principal = ([*text.split(), "", ""])[2]
+    if not PRINCIPAL.fullmatch(principal):
+        raise _not_public(path, "it does not name its signer as name@place")
+    return key, principal
+
+
+def _not_public(path: Path, why: str) -> EvidenceError:
+    return EvidenceError(
+        f"This is not the bench's public key: {why}.",
+        where=str(path),
+        remedy=f"Restore it: ssh-keygen -y -f {path.with_suffix('')}; write name@place at the end.",
+    )

@@ -21,7 +21,7 @@ from bench.evidence.sshsig import read_signature
 from bench.records.events import Event
 from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import (
+from bench.records.ledger_marks import (
     EXPLAIN,
     STILL_OPEN,
     KnownRun,

@@ -327,7 +327,7 @@ def _matches(pattern: str, text: str) -> bool:
 # keygen(1), ``-Y verify``). A binary list (KRL) cannot hold a date and a reason; here both stand behind the
 # key. A revoked key's signatures are refused unless a trusted time stamp proves that they are older than
 # the revocation: whoever has a stolen key can write any date into a report. A key that is only replaced is
-# not revoked; its line in ``allowed_signers`` ends (`bench.evidence.rotation`).
+# not revoked; its line in ``allowed_signers`` ends (`bench.evidence.keys`).
 
 REVOKED_FILE = "revoked_keys"
 _MARK = "revoked"

@@ -15,7 +15,7 @@ from bench.evidence.keys import KEY_FILE
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.records.journal import Entry
 from bench.records.ledger import LEDGER, Ledger
-from bench.records.ledger_breaks import LedgerRun, runs_of
+from bench.records.ledger_marks import LedgerRun, runs_of
 from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.records.run_index import IndexedRun, RunIndex
 from bench.records.storage import sha256_of

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import RunFolderError, StorageError
-from bench.base.failure import Failure
+from bench.base.errors import Failure, RunFolderError, StorageError
 from bench.panel.run_head import head_of, look_at_process
 from bench.panel.run_model import RunModel
 from bench.records.journal import MOST_LINE_BYTES

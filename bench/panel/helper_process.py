@@ -247,7 +247,7 @@ OPERATIONS: Mapping[str, Callable[[Mapping[str, Any]], Answer]] = {
 
 def answer_requests(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests, lines of JSON with ``operation`` and its arguments, until there are no more."""
-    from bench.base.failure import Failure
+    from bench.base.errors import Failure
 
     for line in requests:
         request = json.loads(line)

@@ -21,13 +21,11 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from bench.base.errors import BenchError, RunFolderError, UsageError
-from bench.base.failure import Failure
+from bench.base.errors import BenchError, Failure, RunFolderError, UsageError
 from bench.batch.batch_summary import RUNS, read_batch, read_batch_status, summarise
-from bench.panel.extras import Answer, Extras, Helper
 from bench.panel.folder_list import FolderList
 from bench.panel.line import Line
-from bench.panel.watching import MOST_LOG_LINES, RunWatch, Watcher
+from bench.panel.watching import MOST_LOG_LINES, Answer, Extras, Helper, RunWatch, Watcher
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import is_locked, storage_errors

@@ -437,7 +437,7 @@ class Deviation(TypedDict):
 
 
 class FailureData(TypedDict):
-    """An error as JSON holds it (`bench.base.failure.Failure`)."""
+    """An error as JSON holds it (`bench.base.errors.Failure`)."""
 
     kind: str
     what: str

@@ -4,7 +4,7 @@ It is one file for all runs, ``ledger.jsonl`` beside the signing key, in the for
 by line. A run is entered before it does anything, and again whenever it ends; a run without an end remains open.
 Certificates take their numbers from it, too. A run and its report state the run's number and the hash of its line (the
 head). `bench.records.ledger_marks` keeps the newest head elsewhere, so that lines removed from the end are noticed;
-`bench.records.ledger_breaks` decides what a break is.
+`bench.records.ledger_marks` decides what a break is.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bench.base.errors import BenchError, EvidenceError, JournalBroken, UsageErr
 from bench.base.home import home_folder
 from bench.records.events import LedgerPlace
 from bench.records.journal import Entry, Journal, read_journal
-from bench.records.ledger_breaks import (
+from bench.records.ledger_marks import (
     BREAK_EXPLAINED,
     EXPLAIN,
     LEDGER_BROKEN,
@@ -30,22 +30,20 @@ from bench.records.ledger_breaks import (
     RUN_ENDED,
     Break,
     BreakFindings,
+    LedgerMark,
     LedgerRun,
+    OwnMark,
     Strangers,
+    Witness,
+    append_to_anchor,
+    ask_anchor,
     breaks_of,
     find_breaks,
     highest_counts,
     highest_run,
     no_strangers,
-    runs_of,
-)
-from bench.records.ledger_marks import (
-    LedgerMark,
-    OwnMark,
-    Witness,
-    append_to_anchor,
-    ask_anchor,
     read_own_mark,
+    runs_of,
     write_own_mark,
 )
 from bench.records.run_folder import MANIFEST, is_sealed

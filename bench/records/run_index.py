@@ -20,7 +20,7 @@ from typing import Any
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
-from bench.records.ledger_breaks import KnownRun
+from bench.records.ledger_marks import KnownRun
 from bench.records.run_facts import Estimate, estimates, parameters_data, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import is_locked, make_folder, storage_errors

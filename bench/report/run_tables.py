@@ -23,9 +23,17 @@ from bench.records.results import (
     RunData,
     SourceData,
 )
-from bench.report.check_text import check_sentences
 from bench.report.pose_tables import gates
-from bench.report.text import NOTHING, exact, moment, number, value_text, with_uncertainty, words_of
+from bench.report.text import (
+    NOTHING,
+    check_sentences,
+    exact,
+    moment,
+    number,
+    value_text,
+    with_uncertainty,
+    words_of,
+)
 
 # Rows of the report about what a calibration used: passport of the collimator, readings and parallax, input
 # files.

@@ -40,7 +40,7 @@ from bench.results.compare_trees import (
     compare_plan,
     compare_trees,
 )
-from bench.results.previous_calibration import change_since
+from bench.results.result import change_since
 from bench.results.results_content import (
     other_engine,
     other_software,

@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import UsageError
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import BenchError, UsageError
 from bench.plan.camera_files import CameraFile, read_camera_file
+from bench.records.storage import read_bounded
+from bench.results.exports import (
+    NOT_WRITTEN,
+    FormatCannotCarry,
+    camera_info,
+    file_storage_bytes,
+    kalibr_camera,
+    opencv_coefficients,
+    refuse_skew,
+    yaml_bytes,
+)
 from bench.results.offline import calibrate_paths, read_views, require_common_views
 from bench.results.offline_options import OfflineOptions
 from bench.results.view_sources import RECORDINGS, ViewSource, view_sources
+from calib.model.rotation import exp_map, log_map
 from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
 from calib.studies.rig import Rig, stated_cameras, through_collimator, with_boards
 from calib.view import View
@@ -129,3 +147,175 @@ def _rising_us(path: Path) -> list[int]:
         )
     edges = RawFile.open(path).triggers()
     return list(map(int, edges.t[edges.value == 1]))
+
+
+# Reads a rig of two cameras from a file: `rig.json`, or the `extrinsics.json` of Metavision SDK 5.
+
+
+Array = NDArray[np.float64]
+
+_MOST_BYTES = 20_000_000
+_FARTHEST_MM = 1e6
+_LARGEST_VARIANCE = 1e12
+_OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+
+
+class NotARig(BenchError):
+    """A file does not hold one rig of two cameras that can be read."""
+
+
+@dataclass(frozen=True)
+class StatedRig:
+    """A rig as a file states it: X_second = rotation X_first + translation."""
+
+    rotation: Array  # (3, 3)
+    translation_mm: Array | None  # (3,)
+    # (6, 6) of rotation vector on the second camera's side, rad, and translation, mm; (3, 3) without translation.
+    covariance: Array | None
+
+
+def read_rig_file(path: Path) -> StatedRig:
+    """Read the rig of a file, which must hold exactly one."""
+    try:
+        content = parse_json(read_bounded(path, _MOST_BYTES))
+        stated = _of_sdk(content) if "T_slave_master" in content else _own(content)
+        _require_possible(stated)
+    except _OF_OTHER_FORM as error:
+        what = (
+            f"it has no {error}" if isinstance(error, KeyError) else str(error) or "its form is another one"
+        )
+        raise NotARig(
+            f"This file does not hold a rig: {what}.",
+            where=str(path),
+            remedy="Known are rig.json of this command, and extrinsics.json of the Metavision SDK.",
+        ) from error
+    return stated
+
+
+def _of_sdk(content: Any) -> StatedRig:
+    entries = content["T_slave_master"]
+    if len(entries) != 1:
+        raise ValueError(f"it states {len(entries)} cameras beside the master, not one")
+    turn = np.array(entries[0]["rvec"], np.float64).reshape(3)
+    return StatedRig(
+        exp_map(turn[None])[0], 1000.0 * np.array(entries[0]["tvec"], np.float64).reshape(3), None
+    )
+
+
+def _own(content: Any) -> StatedRig:
+    turn = np.deg2rad(np.array(content["vector_deg"], np.float64).reshape(3))
+    moved = content["translation"]
+    size = 3 if moved is None else 6
+    return StatedRig(
+        exp_map(turn[None])[0],
+        None if moved is None else np.array(moved, np.float64).reshape(3),
+        np.array(content["pose_covariance"], np.float64).reshape(size, size),
+    )
+
+
+def _require_possible(stated: StatedRig) -> None:
+    if not np.isfinite(stated.rotation).all():
+        raise ValueError("its rotation is not finite")
+    moved = stated.translation_mm
+    if moved is not None and not (np.abs(moved) <= _FARTHEST_MM).all():
+        raise ValueError("its translation is not a distance on a rig")
+    known = stated.covariance
+    if known is not None and not (
+        (np.abs(known) <= _LARGEST_VARIANCE).all() and np.linalg.eigvalsh(known)[0] >= -1e-9 * np.trace(known)
+    ):
+        raise ValueError("its covariance is impossible")
+
+
+# Export of a rig of two cameras: Kalibr, ROS with rectification, OpenCV, and the extrinsics of Metavision
+# SDK 5.
+
+
+_NAMES = ("cam0", "cam1")
+
+
+def rig_exports(rig: Rig, content: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return file name to content, for a rig with a translation; ``not-written.txt`` says what is missing and why."""
+    files = {
+        "rig.json": (json.dumps(content, indent=2, allow_nan=False) + "\n").encode(),
+        "extrinsics.json": _extrinsics(rig),
+    }
+    refused = []
+    for name, write in {"kalibr_camchain.yaml": _camchain, "stereo": _stereo}.items():
+        try:
+            for camera in (rig.first, rig.second):
+                refuse_skew(camera, name)
+            files |= write(rig)
+        except FormatCannotCarry as refusal:
+            refused.append(f"{name}: {refusal}\n")
+    if refused:
+        files[NOT_WRITTEN] = "".join(refused).encode()
+    return files
+
+
+def _metres(rig: Rig) -> Array:
+    assert rig.translation_mm is not None
+    return rig.translation_mm / 1000.0
+
+
+def _extrinsics(rig: Rig) -> bytes:
+    """Write the extrinsics.json of Metavision SDK 5: the slave's pose for a point of the master."""
+    one = {
+        "camera": _NAMES[1],
+        "rvec": log_map(rig.rotation[None])[0].tolist(),
+        "tvec": _metres(rig).tolist(),
+    }
+    return (json.dumps({"T_slave_master": [one]}, indent=4) + "\n").encode()
+
+
+def _camchain(rig: Rig) -> dict[str, bytes]:
+    """Write Kalibr's camchain; ``T_cn_cnm1`` takes points of the camera before to this one."""
+    told, chain = b"", {}
+    for name, camera in zip(_NAMES, (rig.first, rig.second), strict=True):
+        remark, chain[name] = kalibr_camera(camera, name)
+        told += remark
+        chain[name]["cam_overlaps"] = [1 - _NAMES.index(name)]
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rig.rotation, _metres(rig)
+    chain[_NAMES[1]]["T_cn_cnm1"] = pose.tolist()
+    return {"kalibr_camchain.yaml": told + yaml_bytes(chain)}
+
+
+def _stereo(rig: Rig) -> dict[str, bytes]:
+    """Write the pair of ROS's camera_info, and OpenCV's stereo file, with the rectification that both share."""
+    first, second = rig.first, rig.second
+    if first.image_size != second.image_size or first.is_fisheye != second.is_fisheye:
+        raise FormatCannotCarry(
+            "A rectified pair needs two cameras with images of one size and lenses of one family.",
+            remedy="Use kalibr_camchain.yaml or extrinsics.json.",
+        )
+    lenses = [opencv_coefficients(camera) for camera in (first, second)]
+    inputs = (first.matrix, lenses[0], second.matrix, lenses[1], first.image_size, rig.rotation)
+    place = 1000.0 * _metres(rig)[:, None]
+    if first.is_fisheye:
+        r1, r2, p1, p2, q = cv2.fisheye.stereoRectify(*inputs, place, cv2.CALIB_ZERO_DISPARITY)
+    else:
+        r1, r2, p1, p2, q, *_ = cv2.stereoRectify(*inputs, place, flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1)
+    metres = np.diag([1.0, 1.0, 1.0, 1e-3])
+    pair = zip(_NAMES, (first, second), (r1, r2), (p1 @ metres, p2 @ metres), strict=True)
+    files = {
+        f"{name}_camera_info.yaml": camera_info(camera, name, projection, turn)
+        for name, camera, turn, projection in pair
+    }
+    content = {
+        "image_width": first.image_size[0],
+        "image_height": first.image_size[1],
+        "fisheye_model": int(first.is_fisheye),
+        "M1": first.matrix,
+        "D1": lenses[0][None],
+        "M2": second.matrix,
+        "D2": lenses[1][None],
+        "R": rig.rotation,
+        "T": place,
+        "R1": r1,
+        "R2": r2,
+        "P1": p1,
+        "P2": p2,
+        "Q": q,
+        "pose_covariance": rig.pose_covariance,
+    }
+    return {**files, "opencv_stereo.yaml": file_storage_bytes(".yml", content)}

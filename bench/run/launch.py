@@ -32,7 +32,7 @@ from bench.records.events import Event, LedgerPlace
 from bench.records.history import History, replay, way_on
 from bench.records.journal import Entry, Journal, read_journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import EXPLAIN
+from bench.records.ledger_marks import EXPLAIN
 from bench.records.results import Results
 from bench.records.run_folder import (
     JOURNAL,

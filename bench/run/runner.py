@@ -14,8 +14,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.device_ends import DeviceEnd
-from bench.base.errors import StorageError
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, Failure, StorageError
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.records.events import Entering, Event, FailureData, LeftOff
 from bench.records.history import RunLog, way_on

@@ -20,7 +20,7 @@ from bench.run.heartbeat import leave_view
 from bench.run.interlocks import Trip, interlock_text
 from bench.run.run_devices import RunContext
 from bench.stations.devices import Devices
-from bench.terminal.prompt import Reply, ask
+from bench.terminal.progress import Reply, ask
 from bench.views.expected_grid import grid_from_earlier_poses
 from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement

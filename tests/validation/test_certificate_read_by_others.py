@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from bench.certificate.certificate_data import Deviation
-from bench.certificate.pdf import render_pdf
-from bench.certificate.pdf_plots import draw_plots
+from bench.certificate.pdf import draw_plots, render_pdf
 from bench.report.view_picture import ViewPicture
 from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts, squash

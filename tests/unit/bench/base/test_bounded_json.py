@@ -21,7 +21,7 @@ OWN_DATA = {
     "commands/status.py",  # channel of a message, from our own outbox
     "messaging/messages.py",
     "compare/methods.py",  # pydantic bounds the depth
-    "panel/extras.py",  # a process of our own
+    "panel/watching.py",  # a process of our own
     "panel/helper_process.py",
     "records/inbox.py",  # bounded size; pydantic bounds the depth
     "records/run_index.py",  # text that the index wrote

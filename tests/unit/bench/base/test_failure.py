@@ -9,8 +9,7 @@ from json_form import with_json
 from rehearsed import Scene
 
 from bench.base.device_ends import DeviceEnd
-from bench.base.errors import BenchError, JournalBroken
-from bench.base.failure import FORESEEN, Failure
+from bench.base.errors import FORESEEN, BenchError, Failure, JournalBroken
 from bench.commands.run import show_run
 from bench.records.events import Event
 from bench.records.history import replay

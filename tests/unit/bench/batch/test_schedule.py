@@ -12,7 +12,7 @@ from bench.batch.batch_plan import Pace, paces, plan_batch, planned_duration_s
 from bench.batch.schedule import Bounds, Item, bounds_of, choose_next, items_of, look_ahead, next_time
 from bench.records.events import Event
 from bench.records.journal import Journal
-from bench.records.ledger_breaks import LedgerRun
+from bench.records.ledger_marks import LedgerRun
 from sequences.queue import JobConfig, Queue
 
 EVENING = datetime(2026, 3, 1, 18, 0, tzinfo=UTC)

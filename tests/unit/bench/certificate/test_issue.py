@@ -31,7 +31,7 @@ class Killed(BaseException):
 def lab(tmp_path):
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
+        mock.patch("bench.certificate.pdf.plots_of_run", return_value={}),
     ):
         yield Lab(tmp_path)
 

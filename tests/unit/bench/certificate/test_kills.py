@@ -15,8 +15,7 @@ from certificate_sample import NOW
 from bench.certificate import issue as issue_module
 from bench.evidence.authorisation import authorise
 from bench.evidence.key_trust import Trust, read_trust
-from bench.evidence.keys import usable_key
-from bench.evidence.rotation import rotate
+from bench.evidence.keys import rotate, usable_key
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 
@@ -29,7 +28,7 @@ STORES = {"os.rename", "os.remove", "os.mkdir", "os.chmod", "os.link", "os.trunc
 def lab(tmp_path):
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
+        mock.patch("bench.certificate.pdf.plots_of_run", return_value={}),
     ):
         yield Lab(tmp_path / "lab")
 

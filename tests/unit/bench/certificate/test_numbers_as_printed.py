@@ -18,7 +18,7 @@ from bench.certificate.budget_rows import budget_of, expanded, print_result, rou
 from bench.certificate.certificate_data import Certificate
 from bench.certificate.compose import compose
 from bench.certificate.dcc import render_dcc
-from bench.certificate.pdf_plots import draw_plots, pictures
+from bench.certificate.pdf import draw_plots, pictures
 from bench.records.conformity import conformity, verdict_of
 from bench.report.text import BOARD, STARS
 from sequences.limits import ResultLimitConfig

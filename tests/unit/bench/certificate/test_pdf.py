@@ -12,8 +12,7 @@ import pytest
 from bench.base.errors import BenchError, UsageError
 from bench.certificate import pdf
 from bench.certificate.certificate_data import Conformity, Covariance, Deviation, Statement
-from bench.certificate.pdf import render_pdf
-from bench.certificate.pdf_plots import PLOTS, draw_plots, pictures
+from bench.certificate.pdf import PLOTS, draw_plots, pictures, render_pdf
 from bench.report.view_picture import ViewPicture
 from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts, numbers_of, texts_of

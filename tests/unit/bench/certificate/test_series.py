@@ -22,7 +22,7 @@ from bench.certificate.series import (
     reserve,
 )
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import LEDGER_BROKEN
+from bench.records.ledger_marks import LEDGER_BROKEN
 
 NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 

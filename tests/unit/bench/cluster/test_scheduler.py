@@ -9,7 +9,7 @@ import cluster_work
 import pytest
 
 from bench.base.errors import UsageError
-from bench.cluster.scheduler import DaskWorkers
+from bench.cluster.processes import DaskWorkers
 from bench.cluster.work import Work, WorkersLost
 
 distributed = pytest.importorskip("distributed")

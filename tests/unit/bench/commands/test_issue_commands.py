@@ -46,7 +46,7 @@ def bench(tmp_path, monkeypatch):
         mock.patch.object(certificate, "verify_sealed", verified),
         mock.patch.object(certificate, "datetime", LaterClock),
         mock.patch("bench.records.ledger.bench_ledger", return_value=ledger),
-        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
+        mock.patch("bench.certificate.pdf.plots_of_run", return_value={}),
     ):
         yield tmp_path
 

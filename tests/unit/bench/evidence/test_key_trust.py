@@ -15,8 +15,15 @@ from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
-from bench.evidence.keys import BenchKey, create_key, key_to_seal, load_key, require_usable, usable_key
-from bench.evidence.rotation import rotate
+from bench.evidence.keys import (
+    BenchKey,
+    create_key,
+    key_to_seal,
+    load_key,
+    require_usable,
+    rotate,
+    usable_key,
+)
 from bench.evidence.seal import seal_folder
 from bench.evidence.signers import (
     NAMESPACE,

@@ -19,8 +19,7 @@ from bench.history.merged_runs import (
     read_source,
 )
 from bench.records.ledger import LEDGER, Ledger
-from bench.records.ledger_breaks import LedgerRun
-from bench.records.ledger_marks import MARK
+from bench.records.ledger_marks import MARK, LedgerRun
 from bench.records.run_index import RunIndex, run_folders
 
 

@@ -11,9 +11,9 @@ import pytest
 from journals import MadeRun
 
 from bench.panel import helper_process, panel_app
-from bench.panel.extras import Helper, forecast_poses
 from bench.panel.helper_process import answer_requests, make_coverage, picture_of_view, smooth_residuals
 from bench.panel.panel_app import BatchView
+from bench.panel.watching import Helper, forecast_poses
 from bench.run.heartbeat import LastView
 from bench.views.measure import StoredImage
 from calib.target import StarTarget

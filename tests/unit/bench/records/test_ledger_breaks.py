@@ -15,8 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from bench.base.errors import EvidenceError, JournalBroken, StorageError, UsageError
 from bench.records.journal import Journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import KnownRun, highest_counts
-from bench.records.ledger_marks import MARK
+from bench.records.ledger_marks import MARK, KnownRun, highest_counts
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 

@@ -10,7 +10,7 @@ from report_sample import SMALL, sample
 
 from bench.records.ledger import Ledger
 from bench.report.pose_plot import camera_of
-from bench.results.previous_calibration import FIRST, previous_calibration
+from bench.results.result import FIRST, previous_calibration
 
 NOW = datetime(2026, 3, 1, tzinfo=UTC)
 

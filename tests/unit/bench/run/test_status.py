@@ -19,7 +19,7 @@ from bench.records.run_folder import RunFolder
 from bench.run.control import inbox_of
 from bench.run.heartbeat import CONTROL, LAST_VIEW, leave_view, read_last_view
 from bench.run.status import read_status, status_text
-from bench.terminal.prompt import Reply
+from bench.terminal.progress import Reply
 from bench.views.measure import Measurement, StoredImage
 from calib.target import StarTarget
 from calib.view import View

@@ -6,8 +6,8 @@ import pytest
 from align_fakes import FakeCamera, FakeLight, FakeStage, wait_until
 
 from bench.base.clock import BenchClock
-from bench.stations import separate_devices
-from bench.stations.separate_devices import LateDevice, SeparateDevices
+from bench.stations import devices as opening
+from bench.stations.devices import LateDevice, SeparateDevices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, StillOpening
 
@@ -27,9 +27,9 @@ def opened(monkeypatch):
         return made[-1]
 
     station = load_station("example_evk4").value
-    monkeypatch.setattr(separate_devices, "open_stage", stage)
-    monkeypatch.setattr(separate_devices, "open_light", lambda *_: FakeLight())
-    monkeypatch.setattr(separate_devices, "open_camera", lambda *_: FakeCamera())
+    monkeypatch.setattr(opening, "open_stage", stage)
+    monkeypatch.setattr(opening, "open_light", lambda *_: FakeLight())
+    monkeypatch.setattr(opening, "open_camera", lambda *_: FakeCamera())
     devices = SeparateDevices(station, seed=1, clock=BenchClock(), wire_log=None)
     yield devices, go, made
     go.set()

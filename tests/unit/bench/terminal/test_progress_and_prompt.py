@@ -10,8 +10,7 @@ import pytest
 
 from bench.base.clock import Aborted, BenchClock, VirtualClock
 from bench.terminal.encoding import clock_text
-from bench.terminal.progress import Progress
-from bench.terminal.prompt import Reply, ask
+from bench.terminal.progress import Progress, Reply, ask
 
 
 class Terminal(io.StringIO):
@@ -131,7 +130,7 @@ def test_an_answer_from_another_terminal_counts_at_once():
 
 
 def test_the_default_counts_after_the_time_out(monkeypatch):
-    monkeypatch.setattr("bench.terminal.prompt.select.select", lambda *_: ([], [], []))
+    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([], [], []))
     clock = BenchClock()
     reply = ask(
         "Go?", default="continue", timeout_s=0.05, clock=clock, say=lambda _: None, terminal=Terminal()
@@ -145,7 +144,7 @@ def test_the_default_counts_after_the_time_out(monkeypatch):
 )
 def test_the_operators_word_counts(monkeypatch, typed, word):
     terminal = Terminal(typed)
-    monkeypatch.setattr("bench.terminal.prompt.select.select", lambda *_: ([terminal], [], []))
+    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([terminal], [], []))
     reply = ask(
         "Go?", default="continue", timeout_s=60, clock=BenchClock(), say=lambda _: None, terminal=terminal
     )
@@ -155,7 +154,7 @@ def test_the_operators_word_counts(monkeypatch, typed, word):
 @pytest.mark.parametrize("default", ["abort", "continue"])
 def test_an_empty_line_is_the_default(monkeypatch, default):
     terminal = Terminal("\n")
-    monkeypatch.setattr("bench.terminal.prompt.select.select", lambda *_: ([terminal], [], []))
+    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([terminal], [], []))
     reply = ask("Go?", default=default, timeout_s=60, clock=Night(), say=lambda _: None, terminal=terminal)
     assert (reply.word, reply.by) == (default, "operator")
 
@@ -164,7 +163,7 @@ def test_an_empty_line_is_the_default(monkeypatch, default):
 def test_a_terminal_that_was_closed_answers_nothing(monkeypatch, waits_for_terminals):
     terminal, said = Terminal(""), []
     if waits_for_terminals:
-        monkeypatch.setattr("bench.terminal.prompt.select.select", lambda *_: ([terminal], [], []))
+        monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([terminal], [], []))
     reply = ask("Go?", default="abort", timeout_s=1, clock=BenchClock(), say=said.append, terminal=terminal)
     assert (reply.word, reply.by) == ("abort", "time-out")
     assert "starbench tell" in said[-1]
@@ -208,7 +207,7 @@ def test_without_standard_input_the_default_counts(monkeypatch):
 
 
 def test_a_stop_ends_the_question(monkeypatch):
-    monkeypatch.setattr("bench.terminal.prompt.select.select", lambda *_: ([], [], []))
+    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([], [], []))
     clock = BenchClock()
     clock.request_stop("SIGTERM received")
     with pytest.raises(Aborted, match="SIGTERM"):
