@@ -10,16 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
-from calib.model.boresight import Boresight
-from calib.model.budget_row import BudgetRow
+from calib.model.boresight import Boresight, RotationErrors
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.collimator import Collimator
-from calib.model.gimbal_estimate import GimbalEstimate
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.model.rotation_errors import RotationErrors
+from calib.model.result_parts import Amplitude, BudgetRow, GimbalEstimate, Witness
 from calib.model.type_b_terms import TypeBTerm
-from calib.model.witness import Amplitude, Witness
 
 Array = NDArray[np.float64]
 ModelName = Literal[

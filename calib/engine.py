@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calib.adjustment.bundle import Bundle
-from calib.adjustment.observations import Observations
+from calib.adjustment.bundle import Bundle, Observations
 from calib.calibration import (
     EARLIER_MODELS,
     REFERENCE_MODELS,
@@ -19,13 +18,12 @@ from calib.calibration import (
 from calib.diagnosis.checks import check_adjustment, check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import fit_model
+from calib.fit import fit_model, summarize
 from calib.joint.result import calibrate_jointly
 from calib.model.camera import PINHOLE
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
-from calib.summary import summarize
 from calib.threads import on_one_thread
 from calib.view import View
 

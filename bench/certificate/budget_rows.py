@@ -24,7 +24,7 @@ from bench.records.results import BudgetRowData, CalibrationData
 from bench.report.calibration_tables import overlap
 from bench.report.text import STARS as STAR_WORDS
 from bench.report.text import TargetWords
-from calib.model.budget_row import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
+from calib.model.result_parts import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
 from calib.uncertainty.covariance import coverage_factor
 
 DIGITS = 2

@@ -15,7 +15,7 @@ from bench.certificate.budget_rows import row_names
 from bench.certificate.lab_config import LabConfig, PreviousConfig
 from bench.certificate.run_facts import is_unnamed
 from bench.records.results import Results
-from calib.model.budget_row import PASSPORT
+from calib.model.result_parts import PASSPORT
 from sequences.reader import Located
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean

@@ -51,8 +51,8 @@ from bench.certificate.series import SIMULATED
 from bench.records.conformity import verdict_of
 from bench.records.results import Results
 from bench.report.text import words_of
-from calib.model.budget_row import PASSPORT
 from calib.model.lens import is_fisheye
+from calib.model.result_parts import PASSPORT
 from sequences.strict_model import StrictModel
 
 _SIMULATED = (

@@ -14,7 +14,7 @@ from bench.base.errors import BenchError, UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, epilog, settings_of
 from bench.commands.output import JSON, show
 from bench.report.text import angle_text
-from calib.model.budget_row import WORST_CORNER
+from calib.model.result_parts import WORST_CORNER
 
 if TYPE_CHECKING:
     from bench.batch.batch_plan import BatchPlan
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bench.records.ledger_marks import LedgerRun
     from bench.results.forecasts import PlanForecast
     from bench.results.next_pose import ExpectedCourse
-    from calib.model.budget_row import BudgetRow
+    from calib.model.result_parts import BudgetRow
     from calib.studies.planning import Forecast, SuggestedPose
     from sequences.queue import Queue
 

@@ -28,8 +28,13 @@ from calib.errors import CalibrationError
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
-from calib.studies.angle_invariance import calibrate_by_angles
-from calib.studies.reference_methods import MethodResult, opencv_planar, published_recipe, starbench_result
+from calib.studies.reference_methods import (
+    MethodResult,
+    calibrate_by_angles,
+    opencv_planar,
+    published_recipe,
+    starbench_result,
+)
 from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from calib.view import View

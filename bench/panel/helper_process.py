@@ -170,7 +170,7 @@ def make_forecast(request: Mapping[str, Any]) -> Answer:
     from bench.base.errors import UsageError
     from bench.results.forecasts import forecast_bench
     from calib.errors import CalibrationError
-    from calib.model.budget_row import WORST_CORNER
+    from calib.model.result_parts import WORST_CORNER
     from calib.studies.planning import forecast
 
     plan = job_of_run(request["folder"]).plan

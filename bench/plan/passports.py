@@ -27,8 +27,7 @@ from bench.records.storage import storage_errors
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
 from calib.errors import InputMismatch
-from calib.model.aberrations import ABERRATIONS
-from calib.model.collimator import CENTRE
+from calib.model.collimator import ABERRATIONS, CENTRE
 from calib.model.passport import Passport
 from sequences.reader import Located
 from sequences.schema import Sequence

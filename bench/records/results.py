@@ -86,7 +86,7 @@ class GimbalEstimateData(TypedDict):
 
 
 class BoresightData(TypedDict):
-    """The rotation from the stage's flange to the camera (`calib.model.boresight.Boresight`)."""
+    """The rotation from the stage's flange to the camera (`calib.model.result_parts.Boresight`)."""
 
     camera_from_flange: Sequence[Sequence[float]]  # (3, 3)
     vector_deg: Sequence[float]  # The same as a rotation vector
@@ -108,7 +108,7 @@ class MountFaceData(TypedDict):
 
 
 class WitnessData(TypedDict):
-    """A statement against what the views and all other statements say (`calib.model.witness.Witness`)."""
+    """A statement against what the views and all other statements say (`calib.model.result_parts.Witness`)."""
 
     name: str
     source: str
@@ -122,7 +122,7 @@ class WitnessData(TypedDict):
 
 
 class AmplitudeData(TypedDict):
-    """The size of a family of errors, estimated from the views (`calib.model.witness.Amplitude`)."""
+    """The size of a family of errors, estimated from the views (`calib.model.result_parts.Amplitude`)."""
 
     name: str
     value: float

@@ -30,7 +30,7 @@ from bench.report.pose_plot import (
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, WIDE, Axes, Picture, Scale, painted, shade
 from bench.report.text import STARS, TargetWords, words_of
 from bench.report.view_picture import PLOTS, ViewPicture, thinned
-from calib.model.budget_row import WORST_CORNER
+from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import ARCSEC, camera_difference, projection_uncertainty
 
 Array = NDArray[np.float64]

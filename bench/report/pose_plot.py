@@ -13,9 +13,9 @@ from bench.records.run_facts import coverage_factor
 from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Picture, Scale, text_width
 from bench.report.text import STARS, TargetWords
-from calib.model.budget_row import WORST_CORNER
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.lens import is_fisheye
+from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
 # The distortion curve: the radial displacement of an image point against the field angle, with its

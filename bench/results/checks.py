@@ -17,7 +17,7 @@ from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.model.gimbal_readings import AXES
 from calib.studies.gimbal_faults import GimbalFault
-from calib.studies.gimbal_pairs import PairRatios
+from calib.studies.gimbal_model import PairRatios
 from calib.studies.hand_eye import check_hand_eye
 from calib.studies.parallax import Parallax, PupilWalk, pupil_walk
 from calib.studies.split_half import split_half

@@ -18,9 +18,9 @@ from bench.report.text import meaning_of_goal
 from bench.results.solve_options import gimbal_readings, stated_radial_sigma
 from bench.stations.station import Station
 from calib.errors import DegenerateViews, TooFewStars
-from calib.model.budget_row import WORST_CORNER
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
+from calib.model.result_parts import WORST_CORNER
 from calib.studies.planning import REDUCED_BY_POSES, Forecast, SuggestedPose, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located

@@ -22,7 +22,10 @@ from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
 from calib.engine import Calibration
 from calib.errors import DegenerateViews, TooFewStars
-from calib.model.budget_row import (
+from calib.model.collimator import Collimator
+from calib.model.gimbal_readings import GimbalReadings
+from calib.model.passport import Passport
+from calib.model.result_parts import (
     COMMON_FIELD,
     GIMBAL_SCALE,
     PARALLAX,
@@ -31,12 +34,9 @@ from calib.model.budget_row import (
     WORST_CORNER,
     BudgetRow,
 )
-from calib.model.collimator import Collimator
-from calib.model.gimbal_readings import GimbalReadings
-from calib.model.passport import Passport
+from calib.studies.expected_posterior import Sigmas
 from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
 from calib.studies.pose_choice import Angles, GimbalModel, PoseWeigher, WeighedPose, fit_gimbal_model
-from calib.studies.pose_gains import Sigmas
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import RecordStep, Until

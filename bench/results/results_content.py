@@ -26,8 +26,8 @@ from bench.stations.sections import GROUPS, Plugin, plugins
 from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind
 from calib.calibration import ENGINES, Calibration, ViewSummary
-from calib.model.budget_row import WORST_CORNER
 from calib.model.camera import CameraModel
+from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import ARCSEC, ProjectionMap, projection_uncertainty
 from calib.view import View
 

@@ -17,8 +17,8 @@ from bench.stations.station import Station
 from bench.views.expected_grid import best_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
-from calib.model.budget_row import WORST_CORNER
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from calib.view import View
 from sequences.script import SolveStep

@@ -33,7 +33,7 @@ from bench.stations.station_fields import (
 from bench.stations.station_text import use_descriptions
 from calib.boards.board import Board, Kind
 from calib.errors import InputMismatch
-from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
+from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
 from sequences.limits import ResultLimits
 from sequences.plain_number import Within
 from sequences.reader import Located, find_document, read_document

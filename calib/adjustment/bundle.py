@@ -1,21 +1,27 @@
-"""The bundle of all views: residuals of all stars, and their derivatives.
+"""The bundle of all views: the stars in common arrays, their residuals with derivatives, and the normal equations.
 
 The residuals are those of arXiv:2512.16092, eq. 6. The structure follows bundle adjustment (Triggs et al., 2000). This
 module sets up the equations; `calib.adjustment.levenberg_marquardt` solves them.
+
+The views share few parameters, and each has its own rotation (and a centre, if it is free). The system is therefore
+reduced by the Schur complement onto the shared parameters: the reduced camera system (Brown, 1976; Triggs et al.).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.loss import Loss, lengths
-from calib.adjustment.normal_equations import ViewEquations
-from calib.adjustment.observations import Observations, mapped
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.errors import InputMismatch
+from calib.model.median import median
+from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -120,3 +126,159 @@ class Bundle:
         known |= {"x": moved[0], "y": moved[1], "r": -moved[2]}
         rows = [*(known[name] for name in self.names), *turned, *(moved if self.free_centres else ())]
         return mapped(obs.factors, np.array(rows))
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The N stars of all views, view after view."""
+
+    target: Array  # (N, 3) float64 positions on the target, mm, with Z = 0
+    points_px: Array  # (N, 2) float64 image points, px
+    # (N, 2, 2) float64 inverse Cholesky factors of the stars' covariances, 1 / px. They give residuals unit
+    # covariance (Aitken, 1936).
+    whitening: Array
+    slices: tuple[slice, ...]
+    view: NDArray[np.int64]  # (N,) int64 index of the view of each row
+
+    @classmethod
+    def from_views(cls, views: Sequence[View]) -> Observations:
+        """Stack the stars of views.
+
+        Returns: The stars of the views, in their order.
+        Raises InputMismatch: If the covariance of a star is not positive definite.
+        """
+        target = np.concatenate([view.target_mm for view in views])
+        return cls(
+            np.column_stack([target, np.zeros(len(target))]),
+            np.concatenate([view.points_px for view in views]),
+            _whitening(np.concatenate([view.covariances_px2 for view in views])),
+            *_stacked([len(view) for view in views]),
+        )
+
+    @cached_property
+    def stars(self) -> NDArray[np.int64]:
+        """(n,) int64 number of stars of each view."""
+        return np.array([rows.stop - rows.start for rows in self.slices], np.int64)
+
+    @cached_property
+    def farthest_px(self) -> float:
+        """Largest coordinate of an image point, px."""
+        return float(np.abs(self.points_px).max())
+
+    @cached_property
+    def sigmas_per_px(self) -> float:
+        """The factor from px to standard deviations of the typical star."""
+        return math.sqrt(median(np.abs(self.whitening[:, 0, 0] * self.whitening[:, 1, 1])))
+
+    @cached_property
+    def factors(self) -> Array:
+        """(2, 2, N) float64 the whitening as contiguous rows over the stars, for `mapped`."""
+        return np.ascontiguousarray(self.whitening.transpose(1, 2, 0))
+
+    def part(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
+        """Return observations that consist of given rows.
+
+        rows: For each new view, its row indices, shape (N_i,) int64.
+        Returns: One view for each entry of `rows`.
+        """
+        every = np.concatenate(rows)
+        kept = self.target[every], self.points_px[every], self.whitening[every]
+        return Observations(*kept, *_stacked([len(r) for r in rows]))
+
+
+def mapped(matrices: Array, rows: Array) -> Array:
+    """Multiply the vectors of the stars by a matrix of each, row by row: several times faster than small products.
+
+    matrices: (2, 2, N). rows: (..., 2, N) vectors.
+    """
+    x, y = rows[..., 0, :], rows[..., 1, :]
+    return np.stack([one[0] * x + one[1] * y for one in matrices], axis=-2)
+
+
+def _whitening(covariances: Array) -> Array:
+    """Return (N, 2, 2) the inverses of the Cholesky factors of (N, 2, 2) covariances, written out."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first = 1.0 / np.sqrt(covariances[:, 0, 0])
+        lower = covariances[:, 1, 0] * first
+        second = 1.0 / np.sqrt(covariances[:, 1, 1] - lower * lower)
+    found = np.zeros_like(covariances)
+    found[:, 0, 0], found[:, 1, 0], found[:, 1, 1] = first, -lower * first * second, second
+    if not np.isfinite(found).all():
+        raise InputMismatch(
+            "A star's covariance is not positive definite.",
+            remedy="Use unit covariances if they are unknown.",
+        )
+    return found
+
+
+def _stacked(counts: Sequence[int]) -> tuple[tuple[slice, ...], NDArray[np.int64]]:
+    """Return the rows of views with the given numbers of stars, and the view of each row."""
+    ends = np.cumsum(counts)
+    slices = tuple(slice(int(end - n), int(end)) for n, end in zip(counts, ends, strict=True))
+    return slices, np.repeat(np.arange(len(counts)), counts)
+
+
+_TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True)
+class ViewScores:
+    """Information and scores of n views for the G shared parameters, with their L local parameters eliminated."""
+
+    information: Array  # (n, G, G) float64 information
+    score: Array  # (n, G) float64 contribution to the negative gradient of the cost
+    # answer, own: (n, L, G) and (n, L) float64. If the shared parameters step by s, a view steps by own - answer s.
+    answer: Array
+    own: Array
+
+
+@dataclass(frozen=True)
+class ViewEquations:
+    """The normal equations of n views: G shared parameters, then the L local ones of each view."""
+
+    normal: Array  # (n, G + L, G + L) float64
+    right: Array  # (n, G + L) float64 negative gradients of the cost
+    count: int  # G
+
+    @property
+    def local(self) -> Array:
+        """(n, L, L) float64 block of the local parameters."""
+        return self.normal[:, self.count :, self.count :]
+
+    @property
+    def coupling(self) -> Array:
+        """(n, L, G) float64 block between the local and the shared parameters."""
+        return self.normal[:, self.count :, : self.count]
+
+    def eliminated(self, damping: float = 0.0) -> ViewScores:
+        """Eliminate the local parameters of each view by the Schur complement (Triggs et al., 2000, section 6.1).
+
+        damping: Share by which the diagonal of the local block grows (Marquardt, 1963).
+        Raises numpy.linalg.LinAlgError: If a view does not determine its local parameters.
+        """
+        count = self.count
+        local = self.local * (1.0 + damping * np.eye(len(self.right[0]) - count))
+        known = np.concatenate([self.coupling, self.right[:, count:, None]], axis=2)
+        solved = np.linalg.solve(local, known)
+        eliminated = np.swapaxes(self.coupling, 1, 2) @ solved
+        return ViewScores(
+            self.normal[:, :count, :count] - eliminated[:, :, :count],
+            self.right[:, :count] - eliminated[:, :, count],
+            solved[:, :, :count],
+            solved[:, :, count],
+        )
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Return the damped step (Marquardt, 1963) of the shared (G,) and of the local (n, L) parameters.
+
+        The reduced equations are scaled to a unit diagonal (van der Sluis, 1969).
+
+        Raises numpy.linalg.LinAlgError: If the equations are singular.
+        """
+        views = self.eliminated(damping)
+        diagonal = np.diagonal(self.normal, axis1=1, axis2=2)[:, : self.count].sum(axis=0)
+        information = views.information.sum(axis=0) + damping * np.diag(diagonal)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), _TINY))
+        scaled = information * np.outer(scale, scale)
+        shared = scale * np.linalg.solve(scaled, scale * views.score.sum(axis=0))
+        return shared, views.own - views.answer @ shared

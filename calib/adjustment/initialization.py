@@ -16,15 +16,16 @@ from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
-from calib.model.passport import Passport
-from calib.model.planar import poses_from_homographies, zhang_matrix
-from calib.model.spherical import (
+from calib.model.closed_forms import (
     camera_matrix_from_centre,
     linear_solution,
+    poses_from_homographies,
     rotations_from_centre,
     two_view_solutions,
+    zhang_matrix,
 )
+from calib.model.collimator import Collimator
+from calib.model.passport import Passport
 
 Array = NDArray[np.float64]
 

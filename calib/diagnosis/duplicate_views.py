@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.star_noise import noise_px
+from calib.diagnosis.gross_stars import noise_px
 from calib.view import View
 
 #: Points closer than this are the same numbers, px.

@@ -1,4 +1,4 @@
-"""Views without the stars that have a gross error, and the sentences that name these stars."""
+"""What neighbouring stars say of each other: gross errors, the sentences that name them, and the noise of a view."""
 
 from __future__ import annotations
 
@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
 from calib.model.beam import inside_guard_band, visible_discs
-from calib.model.homography import gross_errors, view_homography
-from calib.model.local_consistency import LIMIT_PX, local_spacing
+from calib.model.homography import (
+    apply_homography,
+    gross_errors,
+    neighbours_of,
+    rough_homography,
+    view_homography,
+)
+from calib.model.local_consistency import LIMIT_PX, local_sigma_px, local_spacing
 from calib.stars.grid_map import predict_locally
 from calib.view import View
 
@@ -120,3 +126,31 @@ def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossSt
         inside = [inside_guard_band(view, disc, guard_band) for view, disc in zip(views, discs, strict=True)]
         used = [own & one for own, one in zip(used, inside, strict=True)]
     return used
+
+
+def noise_px(view: View) -> float:
+    """Return the noise of a view as its neighbouring stars show it.
+
+    Own estimate, that of `calib.model.local_consistency.local_sigma_px`.
+
+    view: A view without gross errors.
+    Returns: 1-sigma per axis, px; NaN for fewer than 8 stars.
+    Raises TooFewStars, DegenerateViews: If the stars do not determine a homography.
+    """
+    return view.remembered("noise", _noise_px)
+
+
+def _noise_px(view: View) -> float:
+    """Return the noise of a view, as `noise_px`."""
+    mapped = apply_homography(rough_homography(view), view.target_mm)
+    return local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view))
+
+
+def typical_noise_px(views: Sequence[View]) -> float:
+    """Return the median noise of views as their neighbouring stars show it.
+
+    views: Views without gross errors.
+    Returns: 1-sigma per axis, px; NaN if all views have fewer than 8 stars.
+    """
+    known = [sigma for sigma in map(noise_px, views) if np.isfinite(sigma)]
+    return float(np.median(known)) if known else float("nan")

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.diagnosis.gross_stars import typical_noise_px
 from calib.diagnosis.linearised import ShiftEquations, image_shifts, plain_bundle
-from calib.diagnosis.star_noise import typical_noise_px
 from calib.model.median import median
 from calib.view import View
 

@@ -18,8 +18,8 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.diagnosis.gross_stars import typical_noise_px
 from calib.diagnosis.linearised import plain_bundle, target_shifts
-from calib.diagnosis.star_noise import typical_noise_px
 from calib.model.local_consistency import local_spacing
 from calib.view import View
 

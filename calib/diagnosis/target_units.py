@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.model.closed_forms import linear_solution
 from calib.model.homography import neighbours_of, view_homography
-from calib.model.spherical import linear_solution
 from calib.view import View
 
 #: Millimetres in units that are taken for millimetres by mistake.

@@ -18,8 +18,8 @@ from calib.joint.knowledge import Statement
 from calib.joint.marginal import Marginal
 from calib.joint.posterior import Posterior
 from calib.joint.samples import Node
-from calib.model import budget_row as names
-from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER, BudgetRow
+from calib.model import result_parts as names
+from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.uncertainty.projection_uncertainty import worst_point
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
 from calib.joint.layout import CENTRE, DRIFT, RADIAL, RADIAL_RATIO, Layout
-from calib.model import budget_row as rows
+from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport

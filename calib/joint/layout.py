@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.joint import amplitudes as amp
 from calib.joint.fields import COEFFICIENTS, DEGREE, DEGREES, FieldBasis, both
-from calib.model import budget_row as rows
+from calib.model import result_parts as rows
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]

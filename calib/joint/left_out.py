@@ -9,7 +9,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.equations import State
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
-from calib.model.rotation_errors import RotationErrors
+from calib.model.boresight import RotationErrors
 
 Array = NDArray[np.float64]
 

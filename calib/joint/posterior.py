@@ -24,7 +24,7 @@ from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.pupil_spread import spread_of_pupils
 from calib.joint.samples import HOLDS, Mode, Node, nodes_about
 from calib.joint.solve import Optimum, relative_step
-from calib.model.budget_row import GIMBAL_SCALE
+from calib.model.result_parts import GIMBAL_SCALE
 
 Array = NDArray[np.float64]
 

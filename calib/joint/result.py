@@ -22,12 +22,10 @@ from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.words import MOST_SCATTER, contradiction, notes, require_determined
-from calib.model.budget_row import WORST_CORNER
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
-from calib.model.gimbal_estimate import GimbalEstimate
 from calib.model.passport import Passport
-from calib.model.witness import Amplitude, Witness
+from calib.model.result_parts import WORST_CORNER, Amplitude, GimbalEstimate, Witness
 from calib.view import View
 
 Array = NDArray[np.float64]

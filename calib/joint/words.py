@@ -12,11 +12,10 @@ from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
 from calib.joint.knowledge import READINGS
 from calib.joint.posterior import Posterior
-from calib.model import budget_row as rows
+from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING
-from calib.model.gimbal_estimate import GimbalEstimate
+from calib.model.result_parts import GimbalEstimate, Witness
 from calib.model.rotation import exp_map
-from calib.model.witness import Witness
 from calib.view import View
 
 #: A statement is named if it is at fault with this probability: beyond it, its fault decides how large U is, since U

@@ -1,4 +1,4 @@
-"""Boresight: how the camera is turned against the flange of the stage that carries it, and where it looks."""
+"""Boresight: how the camera is turned against the flange that carries it; and how errors of rotations follow."""
 
 from __future__ import annotations
 
@@ -75,3 +75,16 @@ class Boresight:
         """Read what `to_dict` wrote."""
         names = ("camera_from_flange", "covariance_rad2", "expanded_deg", "sight", "sight_covariance_rad2")
         return cls(*(np.array(content[name], np.float64) for name in (*names, "sight_expanded_deg")))
+
+
+@dataclass(frozen=True)
+class RotationErrors:
+    """A linear form at the posterior's mean: the error of each rotation vector, on the camera's side."""
+
+    names: tuple[str, ...]  # The S shared unknowns
+    means: Array  # (S,)
+    covariance: Array  # (S, S)
+    prior: Array  # (S, S) information of what was known before the views
+    prior_pull: Array  # (S,) that information times (what was known - means)
+    by_shared: Array  # (3 m, S) rad for a unit of each
+    own: Array  # (3 m, 3 m) covariance of what each view adds, rad^2

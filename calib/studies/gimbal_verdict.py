@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from calib.studies.gimbal_faults import FaultKind, GimbalFault
-from calib.studies.gimbal_pairs import PairRatios
+from calib.studies.gimbal_model import PairRatios
 
 VerdictKind = Literal[
     "agrees",

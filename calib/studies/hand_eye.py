@@ -2,7 +2,7 @@
 
 The check is a witness: the readings do not enter the calibration here. It estimates how the camera is mounted, how the
 gimbal stands, and a scale of each axis that moved (`calib.studies.hand_eye_fit`). Pairs of poses give the same scales
-without these estimates (`calib.studies.gimbal_pairs`); a scale that they contradict is not stated. Faults of the gimbal
+without these estimates (`calib.studies.gimbal_model`); a scale that they contradict is not stated. Faults of the gimbal
 are searched for (`calib.studies.gimbal_faults`), and the verdict names whose error it is
 (`calib.studies.gimbal_verdict`).
 """
@@ -19,8 +19,7 @@ from scipy import special
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES
 from calib.studies.gimbal_faults import GimbalFault, search_faults
-from calib.studies.gimbal_model import GimbalModel
-from calib.studies.gimbal_pairs import PairRatios, pair_ratios
+from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
 from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations, first_explanation
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
 from calib.studies.hand_eye_fit import GimbalFit, global_fit, scales_near

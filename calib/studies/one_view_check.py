@@ -18,8 +18,8 @@ from scipy import stats
 
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
+from calib.model.closed_forms import poses_from_homographies
 from calib.model.homography import fit_homography
-from calib.model.planar import poses_from_homographies
 from calib.model.rotation import exp_map, skew
 from calib.threads import on_one_thread
 from calib.view import View

@@ -13,18 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.parameters import AdjustmentParameters
-from calib.adjustment.poses import SAME_POSE_DEG, members, poses_of
+from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, members, poses_of
 from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.words import require_determined
-from calib.model import budget_row as rows
-from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER, BudgetRow
-from calib.studies.expected_posterior import Angles, expected_posterior, with_distortion
-from calib.studies.pose_distance import distance_deg, share_of_news
-from calib.studies.pose_gains import PoseGains
+from calib.model import result_parts as rows
+from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
+from calib.studies.expected_posterior import (
+    Angles,
+    PoseGains,
+    distance_deg,
+    expected_posterior,
+    share_of_news,
+    with_distortion,
+)
 from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
 from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty

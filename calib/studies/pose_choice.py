@@ -1,8 +1,7 @@
 """Choice of the next pose during a measurement: what each possible pose would add to the poses already recorded.
 
-The information of the views adds up (`calib.studies.pose_gains`). The gimbal's angles of a possible pose become the
-rotation that the camera will see, by a gimbal model fitted to the poses recorded so far. Two neighbouring poses share
-most errors of the collimator and of the pixel grid, so the information of a pose next to a recorded one counts less.
+The information of the views adds up (`calib.studies.expected_posterior`). The gimbal's angles of a possible pose become
+the rotation that the camera will see, by a gimbal model fitted to the poses recorded so far.
 """
 
 from __future__ import annotations
@@ -14,15 +13,13 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.poses import SAME_POSE_DEG
+from calib.adjustment.parameters import SAME_POSE_DEG
 from calib.errors import TooFewStars
 from calib.model.gimbal_readings import AXES
 from calib.model.rotation import euler_zxy, log_map, nearest_rotation
-from calib.studies.expected_posterior import with_distortion
+from calib.studies.expected_posterior import PoseGains, Sigmas, distance_deg, share_of_news, with_distortion
 from calib.studies.gimbal_model import GimbalModel as ReadGimbal
 from calib.studies.hand_eye_fit import starts
-from calib.studies.pose_distance import distance_deg, share_of_news
-from calib.studies.pose_gains import PoseGains, Sigmas
 from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
 from calib.view import View
 

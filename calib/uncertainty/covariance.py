@@ -4,6 +4,10 @@ The covariance rests on the residuals, not on the stars' stated covariances: J^T
 influence function over the square of its mean slope (Huber, 1981, chapter 7). It is right if the model is right. The
 views test that: if their estimates differ by more than star noise allows, the covariance is multiplied by the square of
 the Birge ratio.
+
+Views of one pose are one cluster in every statistic: they share the errors of the collimator, of the pixel grid and of
+the sensor's fixed pattern, so that they bring less than as many independent views. How much less is estimated from the
+residuals of the stars that they share. If a passport holds the collimator, its covariance is propagated to the camera.
 """
 
 from __future__ import annotations
@@ -14,12 +18,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.bundle import Bundle
+from calib.adjustment.bundle import Bundle, ViewScores
 from calib.adjustment.loss import Loss
-from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.parameters import AdjustmentParameters, members
 from calib.errors import DegenerateViews
-from calib.model.budget_row import POSE_FIELDS, STARS
-from calib.uncertainty.repeats import noise_growth, pose_scores
+from calib.model.passport import Passport
+from calib.model.result_parts import PASSPORT, POSE_FIELDS, STARS
 
 Array = NDArray[np.float64]
 
@@ -203,3 +207,120 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
             f"These views cannot separate {free}.", remedy="Add views turned about other axes."
         )
     return np.asarray((vectors / eigenvalues) @ vectors.T * np.outer(scale, scale))
+
+
+def views_of_poses(bundle: Bundle) -> list[list[int]]:
+    """Return the views of each pose.
+
+    bundle: Bundle with `Bundle.poses`; without, each view is a pose of its own.
+    """
+    return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
+
+
+def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
+    """Return the information and the score of each pose: the sums over its views.
+
+    scores: Information and scores of its views.
+    Returns: (P, G, G) information and (P, G) scores of P poses.
+    """
+    poses = views_of_poses(bundle)
+    if len(poses) == len(scores.score):
+        return scores.information, scores.score
+    return (
+        np.array([scores.information[views].sum(axis=0) for views in poses]),
+        np.array([scores.score[views].sum(axis=0) for views in poses]),
+    )
+
+
+def noise_growth(bundle: Bundle, residuals: Array) -> Array:
+    """Return how many times larger the noise of a pose's score is than that of independent views.
+
+    With m views whose stars' errors have the intraclass correlation q (Fisher, 1925), the variance of a sum over the
+    views is 1 + (m - 1) q times that of independent ones. q is estimated over all poses from the stars that two views
+    of a pose share: the mean product of their residuals over the mean square.
+
+    residuals: (N, 2) weighted residuals at the optimum.
+    Returns: (P,) growth of each pose, at least 1.
+    """
+    poses = views_of_poses(bundle)
+    products, squares = 0.0, 0.0
+    for views in poses:
+        for k, i in enumerate(views):
+            for j in views[k + 1 :]:
+                a, b = _shared(bundle, residuals, i, j)
+                products += float((a * b).sum())
+                squares += 0.5 * float((a**2).sum() + (b**2).sum())
+    correlation = min(max(products / squares, 0.0), 1.0) if squares > 0 else 0.0
+    return np.array([1.0 + (len(views) - 1) * correlation for views in poses])
+
+
+def _shared(bundle: Bundle, residuals: Array, i: int, j: int) -> tuple[Array, Array]:
+    """Return the residuals of the stars that two views share, (M, 2) of each."""
+    obs = bundle.observations
+    rows = [obs.slices[k] for k in (i, j)]
+    keys = [[tuple(star) for star in obs.target[r, :2].round(6).tolist()] for r in rows]
+    places = {star: at for at, star in enumerate(keys[1])}
+    pairs = [(at, places[star]) for at, star in enumerate(keys[0]) if star in places]
+    at, other = np.array(pairs, np.int64).reshape(-1, 2).T
+    return residuals[rows[0]][at], residuals[rows[1]][other]
+
+
+def propagate_passport(
+    bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty, passport: Passport
+) -> Uncertainty:
+    """Return the uncertainty of all parameters if a passport held some of them.
+
+    Star noise is multiplied by the Birge ratio of these views or of those from which the passport was made, whichever
+    is larger. Otherwise the small errors of a model would appear as knowledge. Consider covariance: Tapley, Schutz and
+    Born (2004), chapter 6. The factor on star noise is this project's own.
+
+    bundle: Bundle that was adjusted with the passport's values held.
+    nominal: Uncertainty of the free parameters (`covariance_at_optimum`).
+    Returns: Uncertainty of the camera's and the collimator's parameters.
+    Raises DegenerateViews: If the views do not constrain a free parameter.
+    """
+    names, information = _whole_information(bundle, parameters, passport)
+    growth = max(nominal.birge_ratio if nominal.inconsistent else 1.0, passport.birge_ratio)
+    noise = nominal.variance_factor
+    stars, total = (consider_covariance(information / v, names, passport) for v in (noise, growth**2 * noise))
+    alone = consider_covariance(
+        information / noise, names, replace(passport, covariance=0.0 * passport.covariance)
+    )
+    return replace(
+        nominal,
+        names=names,
+        covariance=total,
+        parts={STARS: alone, POSE_FIELDS: total - stars, PASSPORT: stars - alone},
+    )
+
+
+def _whole_information(
+    bundle: Bundle, parameters: AdjustmentParameters, passport: Passport
+) -> tuple[tuple[str, ...], Array]:
+    """Return the names of the free and of the held parameters, and their (G, G) information."""
+    names = (*bundle.names, *(name for name in passport.names if name not in bundle.names))
+    whole = replace(bundle, names=names)
+    return names, whole.equations(parameters, Loss("l2")).eliminated().information.sum(axis=0)
+
+
+def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:
+    """Return the covariance of all parameters if some are held at the values of a passport.
+
+    This is a consider covariance (Tapley, Schutz and Born, 2004, chapter 6). With the information S, free parameters f
+    and held parameters p, a change of p moves f by -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1
+    S_fp)^T.
+
+    information: (G, G) information of the views on all parameters.
+    Returns: (G, G) covariance, in the order of the names.
+    Raises DegenerateViews: If the views do not constrain a free parameter.
+    """
+    held = [list(names).index(name) for name in passport.names]
+    free = [i for i in range(len(names)) if i not in held]
+    own = inverse_information(information[np.ix_(free, free)], [names[i] for i in free])
+    answer = -own @ information[np.ix_(free, held)]
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = own + answer @ passport.covariance @ answer.T
+    covariance[np.ix_(free, held)] = answer @ passport.covariance
+    covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
+    covariance[np.ix_(held, held)] = passport.covariance
+    return covariance

@@ -17,7 +17,7 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
-from calib.uncertainty.repeats import pose_scores, views_of_poses
+from calib.uncertainty.covariance import pose_scores, views_of_poses
 
 Array = NDArray[np.float64]
 

@@ -36,9 +36,8 @@ from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
-from calib.studies.collimator_errors import CollimatorErrors
 from calib.studies.planning import Forecast, forecast
-from calib.studies.predicted_views import ExpectedBench
+from calib.studies.predicted_views import CollimatorErrors, ExpectedBench
 from calib.target import StarTarget
 from tests.support.drawn_benches import POSES, STAR_SIGMA_PX, DrawnBench, draw_bench
 

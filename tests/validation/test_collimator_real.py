@@ -113,7 +113,7 @@ def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
     from calib.adjustment.initialization import spherical_starts
     from calib.adjustment.levenberg_marquardt import refine
     from calib.adjustment.loss import Loss
-    from calib.fit.starts import initialize
+    from calib.fit import initialize
     from calib.model.homography import view_homography
 
     rng = np.random.default_rng(size)

@@ -20,11 +20,11 @@ from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
-from calib.fit.starts import initialize
+from calib.fit import initialize
+from calib.model.closed_forms import rotations_from_centre
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.rotation import exp_map
-from calib.model.spherical import rotations_from_centre
 from tests.validation.test_collimator_real import read
 
 L2 = CalibrationOptions(loss="l2")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.adjustment.poses import poses_of
+from calib.adjustment.parameters import poses_of
 from calib.engine import CalibrationOptions, calibrate
 from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy

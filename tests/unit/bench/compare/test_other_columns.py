@@ -16,7 +16,7 @@ from bench.compare.table import data_rows, summarise, table_rows, table_text
 from calib.errors import CalibrationError, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
-from calib.studies.angle_invariance import calibrate_by_angles
+from calib.studies.reference_methods import calibrate_by_angles
 from calib.target import StarTarget
 from calib.view import View
 

@@ -11,8 +11,8 @@ from bench.results.forecasts import expected_uncertainty, forecast_bench, sugges
 from bench.results.next_pose import expected_courses
 from bench.stations.station import ExpectedConfig
 from calib.model.camera import distortion_names
-from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
-from calib.studies.pose_distance import distance_deg
+from calib.studies.expected_posterior import distance_deg
+from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
 
 NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()
 

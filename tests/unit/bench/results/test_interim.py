@@ -15,7 +15,7 @@ from bench.results.interim import Interim, decide, fixed_parts
 from bench.results.next_pose import Choice, Wish, choose_pose
 from bench.results.solve_options import gimbal_readings
 from bench.stations.station import load_station
-from calib.model.budget_row import BudgetRow
+from calib.model.result_parts import BudgetRow
 from calib.model.rotation import euler_zxy
 from calib.studies.pose_choice import GimbalModel, PoseWeigher, fit_gimbal_model
 from sequences.script import ChooseStep

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.adjustment.bundle import Bundle
+from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.loss import Loss
-from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel

@@ -8,11 +8,15 @@ from hypothesis import strategies as st
 from calib.adjustment.initialization import passport_starts, planar_starts, spherical_starts
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import CalibrationError
+from calib.model.closed_forms import (
+    camera_matrix_from_centre,
+    linear_solution,
+    two_view_solutions,
+    zhang_matrix,
+)
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.passport import Passport
-from calib.model.planar import zhang_matrix
-from calib.model.spherical import camera_matrix_from_centre, linear_solution, two_view_solutions
 from tests.unit.calib.conftest import Bench, rotation
 
 SIZE = (1280, 720)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.adjustment.bundle import Bundle
+from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
-from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch

@@ -11,7 +11,7 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.image_origin import find_other_origins
-from calib.fit.starts import initialize
+from calib.fit import initialize
 from tests.unit.calib.conftest import Bench
 
 POSES = (

@@ -11,7 +11,7 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.shifted_ids import IdShift, find_shifted_ids
-from calib.fit.starts import initialize
+from calib.fit import initialize
 from tests.unit.calib.conftest import TARGET, Bench
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (0, 0, 45), (-5, -2, 90), (5, -2, 0))

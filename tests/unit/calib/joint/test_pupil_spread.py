@@ -11,7 +11,7 @@ from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
 from calib.joint.posterior import posterior
 from calib.joint.pupil_spread import spread_of_pupils
-from calib.model.budget_row import PUPILS
+from calib.model.result_parts import PUPILS
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import views_of
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calib.model.closed_forms import poses_from_homographies, zhang_matrix
 from calib.model.homography import view_homography
-from calib.model.planar import poses_from_homographies, zhang_matrix
 
 SIZE = (1280, 720)
 

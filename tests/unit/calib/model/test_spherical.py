@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.model.collimator import Collimator
-from calib.model.homography import view_homography
-from calib.model.spherical import (
+from calib.model.closed_forms import (
     camera_matrix_from_centre,
     linear_solution,
     rotations_from_centre,
     two_view_solutions,
 )
+from calib.model.collimator import Collimator
+from calib.model.homography import view_homography
 
 SIZE = (1280, 720)
 

@@ -7,14 +7,13 @@ import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
-from calib.model.budget_row import PARALLAX, PASSPORT, POSE_FIELDS, STARS, TURN_FIELDS, UNBOUNDED_PARALLAX
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
-from calib.studies.collimator_errors import CollimatorErrors
+from calib.model.result_parts import PARALLAX, PASSPORT, POSE_FIELDS, STARS, TURN_FIELDS, UNBOUNDED_PARALLAX
 from calib.studies.planning import forecast, next_poses
-from calib.studies.predicted_views import ExpectedBench
+from calib.studies.predicted_views import CollimatorErrors, ExpectedBench
 
 CAMERA = CameraModel(3345.0, 3345.0, 640.0, 360.0, (1280, 720), {"k1": 0.06, "k2": -0.9})
 BENCH = ExpectedBench(CAMERA, Collimator(97.0, 140.1, 255.0), 12.0, 0.05, needs_tag=False)

@@ -1,0 +1,311 @@
+"""Fit of a reference method to given views, and its result: starting values, adjustment, covariance, notes.
+
+The methods are the spherical model of arXiv:2512.16092, in which all views share one centre, and the planar model of
+Zhang (2000), in which each view has its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle, Observations
+from calib.adjustment.degeneracy import explain_weak_geometry, require_constrained, require_distinct_poses
+from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
+from calib.adjustment.levenberg_marquardt import Refinement, refine
+from calib.adjustment.loss import Loss, lengths
+from calib.adjustment.parameters import AdjustmentParameters, poses_of
+from calib.calibration import Calibration, CalibrationOptions, ViewSummary
+from calib.diagnosis.checks import check_adjustment
+from calib.diagnosis.gross_stars import GrossStars, part_of, used_stars
+from calib.errors import DegenerateViews, NotConverged
+from calib.model import result_parts as names
+from calib.model.camera import PINHOLE, CameraModel
+from calib.model.collimator import CENTRE
+from calib.model.homography import view_homography
+from calib.model.median import median
+from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
+from calib.uncertainty.covariance import (
+    Uncertainty,
+    covariance_at_optimum,
+    enlarged,
+    propagate_passport,
+    rotation_covariance,
+    views_of_poses,
+)
+from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
+from calib.uncertainty.projection_uncertainty import worst_point
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A reference method at its optimum."""
+
+    model: str
+    views: Sequence[View]
+    kept: Sequence[View]
+    bundle: Bundle
+    refined: Refinement
+    loss: Loss
+    whole: Bundle  # Bundle of all stars, also of those that were not used
+    used: NDArray[np.bool_]  # (N,) bool, which stars of `whole` were used
+    uncertainty: Uncertainty
+    # Results for views left out; None if the views are consistent, or if there are too few.
+    cross_validation: CrossValidation | None
+
+    @property
+    def parameters(self) -> AdjustmentParameters:
+        """The parameters at the optimum."""
+        return self.refined.parameters
+
+
+def fit_model(
+    views: Sequence[View],
+    options: CalibrationOptions,
+    model: str,
+    *,
+    leave_out: bool = False,
+    wrong: Sequence[GrossStars] = (),
+) -> Fit:
+    """Fit one model to views; values of a passport are held.
+
+    model: ``spherical`` or ``planar``.
+    leave_out: Whether to leave out each view in turn even if the views are consistent.
+    wrong: Stars with a gross error, for each view; they are left out. None if there are none.
+    Raises TooFewStars, DegenerateViews, NotConverged, InputMismatch: As `calib.engine.calibrate`.
+    """
+    used = used_stars(views, options.guard_band, wrong)
+    kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
+    bundle, start = initialize(kept, options, model)
+    refined, loss = refine_robustly(bundle, start, options)
+    bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
+    estimate = _constrained(kept, options, bundle, refined, loss)
+    left_out = None
+    if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
+        left_out = leave_one_out(bundle, refined.parameters, loss)
+    passport = options.passport
+    final = (
+        enlarged(estimate)
+        if passport is None
+        else propagate_passport(bundle, refined.parameters, estimate, passport)
+    )
+    require_constrained(refined.parameters, final.names, final.covariance)
+    everything = np.concatenate(used)
+    whole = bundle if everything.all() else replace(bundle, observations=Observations.from_views(views))
+    return Fit(model, views, kept, bundle, refined, loss, whole, everything, final, left_out)
+
+
+def _constrained(
+    views: Sequence[View], options: CalibrationOptions, bundle: Bundle, refined: Refinement, loss: Loss
+) -> Uncertainty:
+    """Refuse views that do not constrain the camera; else return the uncertainty if the model is right."""
+    parameters = refined.parameters
+    if options.passport is None:
+        require_distinct_poses(parameters)
+    try:
+        estimate = covariance_at_optimum(bundle, parameters, loss)
+        require_constrained(parameters, bundle.names, estimate.covariance)
+    except DegenerateViews as error:
+        why = explain_weak_geometry(views, parameters)
+        raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
+    if not refined.converged:
+        why = explain_weak_geometry(views, parameters)
+        raise NotConverged(
+            f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
+            remedy="Add views from other angles, or estimate fewer distortion coefficients.",
+        )
+    return estimate
+
+
+#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
+_LIMIT_SIGMAS = 2.5
+_LIMIT_ROUNDS = 3
+#: Median length of a residual vector over its standard deviation per axis (Rayleigh distribution): sqrt(2 ln 2).
+_RAYLEIGH_MEDIAN = 1.1774100225154747
+
+
+def refine_robustly(
+    bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
+) -> tuple[Refinement, Loss]:
+    """Adjust with the chosen loss; its limit comes from the residuals.
+
+    The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
+    each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
+    median length of the residuals over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional vector of standard
+    normal components.
+
+    options: Loss, its limit if given, and the largest number of steps.
+    Returns: The optimum, and the loss with its final limit.
+    """
+    given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
+    loss = Loss("l2") if given is None else Loss(options.loss, given)
+    refined = refine(bundle, start, loss, options.max_iterations)
+    iterations = refined.iterations
+    robust = options.loss != "l2" and given is None
+    for _ in range(_LIMIT_ROUNDS if robust else 0):
+        residuals = bundle.weighted_residuals(refined.parameters)
+        spread = median(lengths(residuals)) / _RAYLEIGH_MEDIAN
+        if not spread > 0:
+            break
+        loss = Loss(options.loss, _LIMIT_SIGMAS * spread)
+        refined = refine(bundle, refined.parameters, loss, options.max_iterations)
+        iterations += refined.iterations
+    return replace(refined, iterations=iterations), loss
+
+
+def initialize(
+    views: Sequence[View],
+    options: CalibrationOptions,
+    model: str,
+) -> tuple[Bundle, AdjustmentParameters]:
+    """Return the bundle of the ideal model, without aberrations, and its starting values.
+
+    model: ``planar`` frees the centre of each view; in ``spherical`` they share one.
+    Raises DegenerateViews: If no start leads to a real camera.
+    """
+    size, distortion = views[0].image_size, tuple(options.distortion)
+    held = options.passport.names if options.passport else ()
+    centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
+    observations = Observations.from_views(views)
+    bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
+    h = np.array([view_homography(view) for view in views])
+    if options.passport:
+        starts = list(passport_starts(h, size, distortion, options.passport))
+    elif model == "planar":
+        starts = list(planar_starts(h, size, distortion))
+    else:
+        starts = list(spherical_starts(h, size, distortion))
+    return bundle, best_start(bundle, starts)
+
+
+#: Views are reported as weak if the 1-sigma of a focal length, as a share of it, reaches this.
+_WEAK_FOCAL_SIGMA = 0.01
+_SOURCES = {
+    names.STARS: "residuals of the stars",
+    names.POSE_FIELDS: "differences between the views",
+    names.PASSPORT: "passport of the collimator",
+}
+
+
+def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
+    """Convert a fit to a calibration result.
+
+    options: Where the passport comes from.
+    """
+    parameters, whole, used, uncertainty = fitted.parameters, fitted.whole, fitted.used, fitted.uncertainty
+    residuals = whole.residuals_px(parameters)
+    weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
+    lengths = np.linalg.norm(residuals, axis=1)
+    rows = whole.observations.slices
+    counted = [lengths[r][used[r]] for r in rows]
+    return Calibration(
+        model=fitted.model,
+        camera=parameters.camera,
+        collimator=None if fitted.model == "planar" else parameters.collimator,
+        rotations=parameters.rotations,
+        centres=parameters.centres,
+        parameter_names=uncertainty.names,
+        values=parameters.values(uncertainty.names),
+        covariance=uncertainty.covariance,
+        residuals_px=[residuals[r] for r in rows],
+        weights=[weights[r] for r in rows],
+        rms_px=_rms(lengths[used]),
+        mean_px=float(lengths[used].mean()),
+        variance_factor=uncertainty.variance_factor,
+        degrees_of_freedom=uncertainty.degrees_of_freedom,
+        birge_ratio=uncertainty.birge_ratio,
+        coverage_factor=uncertainty.coverage_factor,
+        left_out_rms_px=fitted.cross_validation.total_rms_px if fitted.cross_validation else None,
+        views=tuple(
+            ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
+            for view, own in zip(fitted.views, counted, strict=True)
+        ),
+        converged=fitted.refined.converged,
+        iterations=fitted.refined.iterations,
+        rotation_covariance=rotation_covariance(fitted.bundle, parameters, uncertainty),
+        budget={
+            source: dict(zip(uncertainty.names, _sigmas(part).tolist(), strict=True))
+            for source, part in uncertainty.parts.items()
+        },
+        notes=(*_notes(fitted), *_doubts(fitted)),
+        poses=whole.poses or (),
+        budget_rows=_budget_rows(parameters.camera, uncertainty, options.passport_source),
+    )
+
+
+def _budget_rows(camera: CameraModel, uncertainty: Uncertainty, passport: str) -> tuple[BudgetRow, ...]:
+    """Return the rows of the budget; the squares of their contributions add up to those of the result.
+
+    passport: Where the passport comes from, if it is known.
+    """
+    size = len(camera.parameter_names)
+    gradients = np.zeros((len(ROW_QUANTITIES), len(uncertainty.names)))
+    gradients[range(4), range(4)] = 1.0
+    gradients[4, :size] = worst_point(camera, uncertainty.covariance[:size, :size])
+    variances = {
+        source: np.maximum(np.einsum("qg,gh,qh->q", gradients, part, gradients), 0.0)
+        for source, part in uncertainty.parts.items()
+    }
+    total = sum(variances.values(), start=np.zeros(len(gradients)))
+    sources = {**_SOURCES, **({names.PASSPORT: passport} if passport else {})}
+    return tuple(
+        BudgetRow(
+            source,
+            "B" if source == names.PASSPORT else "A",
+            sources[source],
+            contribution=dict(zip(ROW_QUANTITIES, np.sqrt(part).tolist(), strict=True)),
+            share=dict(zip(ROW_QUANTITIES, (part / np.where(total > 0, total, 1.0)).tolist(), strict=True)),
+        )
+        for source, part in variances.items()
+    )
+
+
+def _doubts(fitted: Fit) -> tuple[str, ...]:
+    """Return sentences about views that do not fit the others; only one centre for all shows them."""
+    if fitted.model == "planar":
+        return ()
+    sigmas = _sigmas(fitted.uncertainty.covariance).tolist()
+    sigma = dict(zip(fitted.uncertainty.names, sigmas, strict=True))
+    return check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, sigma)
+
+
+def _notes(fitted: Fit) -> tuple[str, ...]:
+    """Return the notes for the reader of the result."""
+    notes = _weakness(fitted)
+    if fitted.uncertainty.inconsistent:
+        notes.append(
+            f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
+            f"are enlarged by this ratio. The {fitted.model} model is for comparison; the joint adjustment describes "
+            "such errors."
+        )
+    return tuple(notes)
+
+
+def _weakness(fitted: Fit) -> list[str]:
+    """Return a note if a focal length is poorly determined, with the reason."""
+    shown = fitted.uncertainty.names
+    relative = dict(
+        zip(shown, _sigmas(fitted.uncertainty.covariance) / fitted.parameters.values(shown), strict=True)
+    )
+    name = max(("fx", "fy"), key=lambda focal: relative[focal])
+    if relative[name] < _WEAK_FOCAL_SIGMA:
+        return []
+    why = explain_weak_geometry(fitted.views, fitted.parameters)
+    text = f"Weak geometry: {name} is known only to ±{200 * relative[name]:.1f} % (k = 2). {why}".strip()
+    return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
+
+
+def _sigmas(covariance: Array) -> Array:
+    """Return the standard deviations."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def _rms(lengths: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(lengths**2)))
