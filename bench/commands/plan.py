@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from bench.results.forecasts import PlanForecast
     from bench.results.next_pose import ExpectedCourse
     from calib.model.result_parts import BudgetRow
-    from calib.studies.planning import Forecast, SuggestedPose
+    from calib.studies.planning import Forecast
+    from calib.studies.pose_choice import WeighedPose
     from sequences.queue import Queue
 
 _MOST_TERMS = 5
@@ -116,12 +117,12 @@ def _plan_dict(
     planned: Plan,
     found: PlanForecast | None,
     courses: Sequence[ExpectedCourse],
-    suggested: Sequence[SuggestedPose],
+    suggested: Sequence[WeighedPose],
 ) -> dict[str, Any]:
     poses = [
         {
             **pose.angles_deg,
-            "worst_px": pose.worst_px,
+            "worst_px": pose.after.worst_px,
             "rim_share": round(pose.rim_share, 3),
             "why": _why(pose),
         }
@@ -139,7 +140,7 @@ def _plan_lines(
     planned: Plan,
     found: PlanForecast | None,
     courses: Sequence[ExpectedCourse],
-    suggested: Sequence[SuggestedPose],
+    suggested: Sequence[WeighedPose],
 ) -> Iterator[str]:
     from bench.plan.plan_text import render_plan
 
@@ -206,7 +207,7 @@ def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
     return [row for row in shown if share[row.name] >= _SMALLEST_SHARE]
 
 
-def _suggestion_text(pose: SuggestedPose, before: Forecast | None, found: Forecast | None) -> str:
+def _suggestion_text(pose: WeighedPose, before: Forecast | None, found: Forecast | None) -> str:
     """Return a suggested pose with the uncertainty that it is expected to give."""
     angles = ", ".join(f"{name}: {round(a, 3):g}" for name, a in pose.angles_deg.items())
     parts = ["the poses do not determine the camera yet"] if found is None else []
@@ -218,9 +219,9 @@ def _suggestion_text(pose: SuggestedPose, before: Forecast | None, found: Foreca
     return f"Suggested: {{{angles}}}: {', '.join(parts)}"
 
 
-def _why(pose: SuggestedPose) -> str:
+def _why(pose: WeighedPose) -> str:
     """Return why a pose is suggested, for programs."""
-    return f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"
+    return f"largest uncertainty on the sensor {pose.after.worst_px:.2g} px, 1 sigma"
 
 
 def _show_night(queue: Path, begin: datetime | None) -> int:

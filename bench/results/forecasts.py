@@ -21,7 +21,8 @@ from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.result_parts import WORST_CORNER
-from calib.studies.planning import REDUCED_BY_POSES, Forecast, SuggestedPose, forecast, next_poses
+from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
+from calib.studies.pose_choice import WeighedPose, next_poses
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import ChooseStep, SolveStep
@@ -124,7 +125,7 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
     return PlanForecast(found, len(poses), further, (*_missed(planned, found), *found.remarks))
 
 
-def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
+def suggest_poses(planned: Plan, count: int) -> list[WeighedPose]:
     """Suggest further poses, within the station's limits, that improve the calibration most.
 
     Returns: Poses with the angle of each axis, degrees (``pan_deg``), the best first.
@@ -133,7 +134,7 @@ def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
     return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
 
 
-def forecasts_with(planned: Plan, further: Sequence[SuggestedPose]) -> list[Forecast | None]:
+def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Forecast | None]:
     """Predict the uncertainties that the poses of a plan give with the first further pose, the first two, and so on.
 
     Returns: For each further pose the forecast with it and those before it; None if these poses show too few

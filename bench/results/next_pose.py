@@ -23,6 +23,7 @@ from bench.stations.station import Station
 from calib.engine import Calibration
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.collimator import Collimator
+from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.model.result_parts import (
@@ -36,7 +37,7 @@ from calib.model.result_parts import (
 )
 from calib.studies.expected_posterior import Sigmas
 from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
-from calib.studies.pose_choice import Angles, GimbalModel, PoseWeigher, WeighedPose, fit_gimbal_model
+from calib.studies.pose_choice import Angles, PoseWeigher, WeighedPose, fit_gimbal
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import RecordStep, Until
@@ -165,10 +166,10 @@ def _seen_half_angle_deg(calibration: Calibration, poses: int) -> float:
     return float(np.degrees(np.arccos(np.clip(np.nanmin(along), 0.2, 1.0))))
 
 
-def _gimbal(calibration: Calibration | None, taken_deg: Sequence[Angles]) -> GimbalModel:
+def _gimbal(calibration: Calibration | None, taken_deg: Sequence[Angles]) -> Gimbal:
     if calibration is None or len(calibration.rotations) != len(taken_deg):
-        return fit_gimbal_model(np.zeros((0, 3, 3)), [])
-    return fit_gimbal_model(calibration.rotations, taken_deg)
+        return Gimbal()
+    return fit_gimbal(calibration.rotations, taken_deg)
 
 
 def _ranges(

@@ -121,14 +121,27 @@ class Gimbal:
 def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     """Return mounting and standing of a gimbal with unit scales, for the start of an adjustment.
 
-    From several rolls of the mounting, and as many of a camera that looks backwards, which a wrong sign of an axis
-    imitates: alternating least squares, where with A known B is the mean of G^T A^T R (mean
-    of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
-
     rotations: (n, 3, 3) rotations of the views, camera <- target.
     angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
     """
     heads = Gimbal().heads(angles_deg)
+    a, b = mountings(rotations, heads)
+    sums = (_seen_minus_read(rotations, a[:, None] @ heads, b) ** 2).sum(axis=(1, 2)) + _TINY
+    sums[a[:, 2, 2] < 0] *= _DOUBTED
+    best = int(np.argmin(sums))
+    return Gimbal(a[best], b[best])
+
+
+def mountings(rotations: Array, heads: Array) -> tuple[Array, Array]:
+    """Return mountings and standings that fit rotations of the head, some of which may be equal.
+
+    From several rolls of the mounting, and as many of a camera that looks backwards, which a wrong sign of an axis
+    imitates: alternating least squares, where with A known B is the mean of G^T A^T R (mean
+    of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
+
+    rotations: (n, 3, 3) rotations of the views, camera <- target. heads: (n, 3, 3) rotations of the head.
+    Returns: (P, 3, 3) mountings A and (P, 3, 3) standings B.
+    """
     back = np.swapaxes(heads, 1, 2)
     upright = np.array([euler_zxy(0.0, 0.0, float(roll)) for roll in _START_ROLLS_DEG])
     a = np.concatenate([upright, upright @ _BACKWARDS])
@@ -142,11 +155,7 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
         inverse = np.linalg.pinv(jacobian.reshape(len(a), -1, 6), rcond=_OPEN)
         step = (inverse @ off.reshape(len(a), -1, 1))[:, :, 0]
         a, b = exp_map(step[:, :3]) @ a, exp_map(step[:, 3:]) @ b
-    off = _seen_minus_read(rotations, a[:, None] @ heads, b)
-    sums = (off**2).sum(axis=(1, 2)) + _TINY
-    sums[a[:, 2, 2] < 0] *= _DOUBTED
-    best = int(np.argmin(sums))
-    return Gimbal(a[best], b[best])
+    return a, b
 
 
 def _seen_minus_read(rotations: Array, turned: Array, b: Array) -> Array:

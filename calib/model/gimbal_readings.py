@@ -8,7 +8,7 @@ the beam when the camera turns, and the pattern moves with it. This module holds
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,11 +97,20 @@ class GimbalReadings:
         for name in ("scale_sigma", "eccentricity_deg"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputMismatch(f"{name} is {getattr(self, name)}; it must not be negative.")
-        unknown = sorted({axis for reading in self.angles_deg for axis in reading} - set(AXES))
-        if unknown:
-            raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
+        angles_of(self.angles_deg)
 
     @property
     def angles(self) -> Array:
         """(n, 3) float64 pan, tilt, roll of each view, degrees; axes without a reading are zero."""
-        return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in self.angles_deg])
+        return angles_of(self.angles_deg)
+
+
+def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:
+    """Return (n, 3) pan, tilt, roll, degrees; axes without a reading are zero.
+
+    Raises InputMismatch: If an axis is unknown.
+    """
+    unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
+    if unknown:
+        raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
+    return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg]).reshape(-1, 3)

@@ -77,7 +77,7 @@ def search_faults(
             fault, current = hidden
             faults.append(fault)
             continue
-        probability, kind, at, other = min(tried, key=lambda each: each[3].criterion)
+        probability, kind, at, other = min(tried, key=lambda each: _preference(each[3]))
         rivals = [
             each[1] for each in tried if each[1] != kind and each[3].criterion < other.criterion + _UNDECIDED
         ]
@@ -90,6 +90,15 @@ def search_faults(
         )
         current = other
     return current, tuple(faults)
+
+
+def _preference(one: Explanation) -> tuple[float, float]:
+    """Return what decides between explanations: the criterion, and how far the scales are off if it is equal.
+
+    On a grid of poses, a slip between two rows is a slip between two others with another scale.
+    """
+    scales = one.fit.values[: len(one.fit.model.free)]
+    return round(one.criterion, 3), float(np.abs(scales - 1.0).max(initial=0.0))
 
 
 def _alternatives(

@@ -15,11 +15,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.model.gimbal import Gimbal
 from calib.model.rotation import log_map
 
 Array = NDArray[np.float64]
 
-_Z = np.array([0.0, 0.0, 1.0])
+#: Pairs with a smaller reading have no useful ratio, degrees.
+_MOVED_DEG = 0.5
+#: Above this angle the direction of a turn is uncertain, degrees.
+_LARGEST_TURN_DEG = 170.0
+#: An axis has its own ratio if the pairs separate it from the other axes this well (1 is best, 0 is not at all).
+_SEPARATED = 0.1
+_STEPS = 40
+#: Standard deviation over median absolute deviation, of a Gaussian.
+_MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,55 +86,21 @@ class GimbalModel:
         Returns: (n, 3, 3) rotations, gimbal's head <- base; and (n, 3, d) derivatives by the values before
           the bends, as rotation vectors about the head's axes.
         """
-        read = np.deg2rad(self.angles)
+        read, count = np.deg2rad(self.angles), len(self.free)
         turned = read.copy()
-        turned[:, list(self.free)] *= values[: len(self.free)]
-        at = len(self.free)
-        for axis, first in self.slips:
-            turned[first:, axis] += values[at]
-            at += 1
-        roll = about(2, turned[:, 2])
-        tilted = roll @ about(0, turned[:, 1])
-        square = tilted @ about(2, values[at : at + 1]) if self.squareness else tilted
-        # The axis of each motor, about which its angle turns the head.
-        motors = np.stack([square[:, :, 1], roll[:, :, 0], np.broadcast_to(_Z, (len(read), 3))], axis=2)
+        turned[:, list(self.free)] *= values[:count]
+        after = [np.arange(len(read)) >= first for _, first in self.slips]
+        for (axis, _), later, slip in zip(self.slips, after, values[count:], strict=False):
+            turned[later, axis] += slip
+        square = values[count + len(self.slips)] if self.squareness else 0.0
+        heads, motors, leaning = Gimbal(non_orthogonality=float(square)).turned(np.rad2deg(turned))
         columns = [motors[:, :, axis] * read[:, axis, None] for axis in self.free]
-        for axis, first in self.slips:
-            after = np.arange(len(read)) >= first
-            columns.append(motors[:, :, axis] * after[:, None])
+        columns += [
+            motors[:, :, axis] * later[:, None] for (axis, _), later in zip(self.slips, after, strict=True)
+        ]
         if self.squareness:
-            columns.append(tilted[:, :, 2])
-        derivatives = np.stack(columns, axis=2) if columns else np.zeros((len(read), 3, 0))
-        return square @ about(1, turned[:, 0]), derivatives
-
-
-def about(axis: int, angles_rad: Array) -> Array:
-    """Return rotations about a coordinate axis.
-
-    Source: Diebel (2006).
-
-    axis: 0, 1 or 2 for x, y or z.
-    angles_rad: (n,) angles, rad.
-    Returns: (n, 3, 3) rotation matrices.
-    """
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrices = np.zeros((len(angles_rad), 3, 3))
-    matrices[:, axis, axis] = 1.0
-    matrices[:, i, i] = matrices[:, j, j] = np.cos(angles_rad)
-    matrices[:, j, i] = np.sin(angles_rad)
-    matrices[:, i, j] = -matrices[:, j, i]
-    return matrices
-
-
-#: Pairs with a smaller reading have no useful ratio, degrees.
-_MOVED_DEG = 0.5
-#: Above this angle the direction of a turn is uncertain, degrees.
-_LARGEST_TURN_DEG = 170.0
-#: An axis has its own ratio if the pairs separate it from the other axes this well (1 is best, 0 is not at all).
-_SEPARATED = 0.1
-_STEPS = 40
-#: Standard deviation over median absolute deviation, of a Gaussian.
-_MAD = 1.4826
+            columns.append(leaning)
+        return heads, np.stack(columns, axis=2) if columns else np.zeros((len(read), 3, 0))
 
 
 @dataclass(frozen=True)

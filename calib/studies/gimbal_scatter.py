@@ -132,7 +132,7 @@ class SeenRotations:
         return float(np.log(known).sum() + fit.chi_square + parameters * np.log(count))
 
 
-def first_explanation(seen: SeenRotations, model: GimbalModel, values: Array, seed: int) -> Explanation:
+def first_explanation(seen: SeenRotations, model: GimbalModel, values: Array) -> Explanation:
     """Fit the gimbal without faults from several starts.
 
     values: (p,) start of the scales.
@@ -140,5 +140,5 @@ def first_explanation(seen: SeenRotations, model: GimbalModel, values: Array, se
     """
     kept = np.arange(len(seen.rotations))
     equal = replace(seen.metric(kept), excess=1.0)
-    wide = global_fit(seen.rotations, model, equal, values, seed)[0]
+    wide = global_fit(seen.rotations, model, equal, values)[0]
     return seen.explain(model, kept, wide, wide.values)

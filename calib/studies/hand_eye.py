@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.gimbal_readings import AXES
+from calib.model.gimbal_readings import AXES, angles_of
 from calib.studies.gimbal_faults import GimbalFault, search_faults
 from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
 from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations, first_explanation
@@ -89,7 +89,6 @@ def check_hand_eye(
     focal_uncertainty: float | None = None,
     birge_ratio: float = 1.0,
     names: Sequence[str] = (),
-    seed: int = 0,
 ) -> HandEyeCheck:
     """Compare the readings of a gimbal with the rotations of a calibration.
 
@@ -109,7 +108,7 @@ def check_hand_eye(
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """
-    angles = _angles(readings_deg)
+    angles = angles_of(readings_deg)
     if not len(angles) == len(rotations) == len(covariance) // 3:
         raise InputMismatch(f"{len(rotations)} rotations, but {len(angles)} readings.")
     moved = np.ptp(angles, axis=0) > _MOVED_DEG
@@ -125,16 +124,16 @@ def check_hand_eye(
     raw = pair_ratios(rotations, model, covariance)
     ratio = raw.ratio if raw else 1.0
     values = np.array([raw.by_axis.get(axis, ratio) if raw else 1.0 for axis in free])
-    first = first_explanation(seen, model, values, seed)
+    first = first_explanation(seen, model, values)
     mirrored = False
     if 2 in free and len(free) > 1:
-        other = first_explanation(seen, replace(model, angles=angles * (1.0, 1.0, -1.0)), values, seed)
+        other = first_explanation(seen, replace(model, angles=angles * (1.0, 1.0, -1.0)), values)
         better = other.criterion < first.criterion - _MIRRORED or not scales_near(first.fit, values)
         mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
     pairs = _pairs_of(seen, last) or raw
-    found = _findings(seen, last, pairs, faults, mirrored, seed)
+    found = _findings(seen, last, pairs, faults, mirrored)
     found = replace(found, names=tuple(names), focal_uncertainty=focal_uncertainty, birge_ratio=birge_ratio)
     stated = seen.chi_square(first, 0.0)
     return HandEyeCheck(
@@ -167,7 +166,6 @@ def _findings(
     pairs: PairRatios | None,
     faults: tuple[GimbalFault, ...],
     mirrored: bool,
-    seed: int,
 ) -> Findings:
     """Collect what the verdict is made of."""
     fit, metric = last.fit, last.metric
@@ -204,11 +202,7 @@ def _findings(
         pairs,
         contradicted,
         bool(free)
-        and (
-            fit.undetermined_scales()
-            or bool(sigma.max() > _UNDETERMINED)
-            or _ambiguous(seen, last, sigma, seed)
-        ),
+        and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
         faults,
         float(np.rad2deg(last.excess_rad)),
@@ -231,10 +225,10 @@ def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> str:
     return "roll" if backwards and 2 in free and len(free) == 2 else ""
 
 
-def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array, seed: int) -> bool:
+def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array) -> bool:
     """Return whether another minimum with other scales, or another mounting, fits nearly as well."""
     fit, metric, count = last.fit, last.metric, len(last.fit.model.free)
-    minima = global_fit(seen.rotations[last.kept], fit.model, metric, fit.values, seed)
+    minima = global_fit(seen.rotations[last.kept], fit.model, metric, fit.values)
     mounted = fit.estimator(metric)[:3]
     mounting = float(np.sqrt(np.trace(np.asarray(mounted @ metric.covariance @ mounted.T))))
     whole = fit.degrees_of_freedom() == len(fit.off) - fit.jacobian.shape[1]
@@ -249,11 +243,3 @@ def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array, seed: int) 
         return whole and turned > _DIFFERENT * mounting + 1e-4
 
     return any(differs(other) for other in minima)
-
-
-def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
-    """Return (n, 3) pan, tilt, roll, degrees; axes without a reading are zero."""
-    unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
-    if unknown:
-        raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
-    return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg])

@@ -8,14 +8,14 @@ more than one minimum. So several starts are refined and the lowest minimum is u
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.rotation import exp_map, log_map, nearest_rotation
+from calib.model.gimbal import mountings
+from calib.model.rotation import exp_map, log_map
 from calib.studies.gimbal_model import GimbalModel
 
 Array = NDArray[np.float64]
@@ -25,8 +25,6 @@ _SINGULAR = 1e-12
 #: A direction of the parameters is determined if its singular value exceeds this share of the largest.
 _DETERMINED = 1e-7
 _STEPS = 60
-_ALTERNATIONS = 12
-_RANDOM_STARTS = 6
 #: Diagonals of half turns about x, y and z, and the signs that they give to pan, tilt and roll.
 _MIRRORS = [
     (np.array([1.0, -1.0, -1.0]), (-1, 1, -1)),
@@ -35,8 +33,6 @@ _MIRRORS = [
 ]
 #: Starts whose elements differ by less than this lead to the same minimum.
 _SAME = 1e-3
-#: Relative rotations above this angle have no reliable axis direction, degrees.
-_LARGEST_TURN_DEG = 160.0
 
 
 @dataclass(frozen=True)
@@ -183,41 +179,20 @@ def refine(
     return best
 
 
-def starts(rotations: Array, model: GimbalModel, values: Array, seed: int) -> Iterator[tuple[Array, Array]]:
-    """Yield starts for A and B.
-
-    Relative rotations between poses depend on A alone or on B alone: R_i R_j^T = A (G_i G_j^T) A^T and R_i^T R_j =
-    B^T (G_i^T G_j) B. The rotation that aligns their axes is a closed form (Park and Martin, 1994; Horn, 1987). Random
-    rotations follow. From each start A and B are estimated in turn.
-
-    rotations: (n, 3, 3) rotations seen, camera <- target.
-    values: (p,) start of the errors.
-    Yields: (3, 3) start of A, (3, 3) start of B.
-    """
-    heads, _ = model.heads(values)
-    back = np.swapaxes(heads, 1, 2)
-    yield _alternate(rotations, heads, _aligned(rotations, heads))
-    from_base = _aligned(np.swapaxes(rotations, 1, 2), back).T
-    yield _alternate(rotations, heads, nearest_rotation((rotations @ from_base.T @ back).sum(axis=0)))
-    yield _alternate(rotations, heads, np.eye(3))
-    rng = np.random.default_rng(seed)
-    for quaternion in rng.standard_normal((_RANDOM_STARTS, 4)):
-        yield _alternate(rotations, heads, _from_quaternion(quaternion))
-
-
-def global_fit(
-    rotations: Array, model: GimbalModel, metric: Metric, values: Array, seed: int
-) -> list[GimbalFit]:
-    """Refine all starts, and return the minima that were found.
+def global_fit(rotations: Array, model: GimbalModel, metric: Metric, values: Array) -> list[GimbalFit]:
+    """Refine from all mountings that fit the rotations, and return the minima that were found.
 
     rotations: (n, 3, 3) rotations seen, camera <- target.
     values: (p,) start of the errors.
     Returns: Minima by increasing chi-square. Minima with a scale below half or above twice its start are
       last, because a pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
     """
-    found = [
-        refine(rotations, model, metric, a, b, values) for a, b in starts(rotations, model, values, seed)
-    ]
+    tried: list[Array] = []
+    found = []
+    for a, b in zip(*mountings(rotations, model.heads(values)[0]), strict=True):
+        if all(np.abs(a - other).max() > _SAME for other in tried):
+            tried.append(a)
+            found.append(refine(rotations, model, metric, a, b, values))
     return sorted(found, key=lambda fit: (not scales_near(fit, values), fit.chi_square))
 
 
@@ -253,38 +228,12 @@ def scales_near(fit: GimbalFit, values: Array) -> bool:
     """Return whether all scales lie between half and twice their start.
 
     values: (p,) start of the errors; the scales come first.
-    Returns: False for a scale that is negative or absurd.
+    Returns: False for a scale that is negative or absurd, and for axes half a turn away from a right angle.
     """
-    count = len(fit.model.free)
+    model, count = fit.model, len(fit.model.free)
     ratio = fit.values[:count] / values[:count]
-    return bool(((ratio > 0.5) & (ratio < 2.0)).all())
-
-
-def _alternate(rotations: Array, heads: Array, camera_from_head: Array) -> tuple[Array, Array]:
-    """Return A and B, each estimated in turn with the other one fixed (orthogonal Procrustes, Schoenemann, 1966)."""
-    a = camera_from_head
-    for _ in range(_ALTERNATIONS):
-        b = nearest_rotation((np.swapaxes(a @ heads, 1, 2) @ rotations).sum(axis=0))
-        a = nearest_rotation((rotations @ np.swapaxes(heads @ b, 1, 2)).sum(axis=0))
-    return a, nearest_rotation((np.swapaxes(a @ heads, 1, 2) @ rotations).sum(axis=0))
-
-
-def _aligned(rotations: Array, heads: Array) -> Array:
-    """Return the rotation that aligns the axes of relative rotations (Park and Martin, 1994)."""
-    i, j = np.triu_indices(len(rotations), 1)
-    seen = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))
-    read = log_map(heads[i] @ np.swapaxes(heads[j], 1, 2))
-    clear = np.maximum(np.linalg.norm(seen, axis=1), np.linalg.norm(read, axis=1)) < np.deg2rad(
-        _LARGEST_TURN_DEG
-    )
-    return nearest_rotation(seen[clear].T @ read[clear]) if clear.any() else np.eye(3)
-
-
-def _from_quaternion(quaternion: Sequence[float] | Array) -> Array:
-    """Return a rotation matrix; Gaussian quaternions give uniform rotations (Marsaglia, 1972)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(np.asarray(quaternion)).as_matrix())
+    square = fit.values[count + len(model.slips)] if model.squareness else 0.0
+    return bool(((ratio > 0.5) & (ratio < 2.0)).all() and abs(square) < 1.0)
 
 
 def _unit_columns(matrix: Array) -> tuple[Array, Array]:

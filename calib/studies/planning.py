@@ -1,21 +1,19 @@
-"""Planning: the uncertainty that a set of poses will give, and the best poses to add.
+"""Planning: the uncertainty that a set of poses will give.
 
 A forecast is the posterior of the joint adjustment on predicted views (`calib.studies.expected_posterior`). Repeats of
-a pose count as one. A pose to add is judged by the projection uncertainty that remains at the worst point of the sensor
-(the G-optimality of experimental design; Kiefer and Wolfowitz, 1960).
+a pose count as one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, members, poses_of
+from calib.adjustment.parameters import AdjustmentParameters, members, poses_of
 from calib.calibration import CalibrationOptions
-from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.words import require_determined
@@ -23,16 +21,12 @@ from calib.model import result_parts as rows
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.studies.expected_posterior import (
     Angles,
-    PoseGains,
-    distance_deg,
     expected_posterior,
-    share_of_news,
     with_distortion,
 )
-from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
+from calib.studies.predicted_views import ExpectedBench, predicted_view
 from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
-from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -150,114 +144,3 @@ def _remarks(bench: ExpectedBench) -> tuple[str, ...]:
             "uncertainty."
         )
     return tuple(remarks)
-
-
-@dataclass(frozen=True)
-class SuggestedPose:
-    """A pose to add."""
-
-    angles_deg: Angles  # Angles of the gimbal, degrees
-    # Largest projection uncertainty over the sensor with this pose and those before it, 1 sigma, px.
-    worst_px: float
-    rim_share: float  # Share of the rim of the beam that the pose shows, 0 to 1
-
-
-@on_one_thread
-def next_poses(
-    bench: ExpectedBench,
-    taken_deg: Sequence[Angles],
-    candidates_deg: Sequence[Angles],
-    count: int = 1,
-) -> tuple[SuggestedPose, ...]:
-    """Return the poses that lower the worst projection uncertainty most, chosen one after the other (greedy).
-
-    Criterion: G-optimality (Kiefer and Wolfowitz, 1960). The greedy choice is this project's own. No pose
-    repeats another one.
-
-    taken_deg: Poses already planned, degrees; may be empty.
-    candidates_deg: Poses to choose from, degrees, within the station's limits; those that show too little are
-      skipped.
-    count: Number of poses to choose; each candidate is chosen at most once.
-    Returns: The chosen poses, the best first.
-    Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
-    Raises DegenerateViews: If too few candidates show the target.
-    """
-    bench = with_distortion(bench)
-    taken = [_Shown(pose, *predicted_view(bench, pose, "taken")) for pose in taken_deg]
-    possible = list(_possible(bench, candidates_deg))
-    choice = _Choice(bench, [*taken, *possible], len(taken)) if possible else None
-    chosen: list[SuggestedPose] = []
-    for _ in range(count):
-        best = choice.best() if choice else None
-        if best is None:
-            raise DegenerateViews(
-                f"Only {len(chosen)} of the candidate poses show the target and repeat no other pose; {count} are "
-                "needed."
-            )
-        chosen.append(best)
-    return tuple(chosen)
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """A pose that shows enough stars."""
-
-    angles_deg: Angles
-    view: View
-    rotation: Array
-
-
-def _possible(bench: ExpectedBench, candidates_deg: Sequence[Angles]) -> Iterator[_Shown]:
-    """Yield the candidates that show enough stars."""
-    for pose in candidates_deg:
-        try:
-            yield _Shown(pose, *predicted_view(bench, pose, "candidate"))
-        except TooFewStars:
-            continue
-
-
-class _Choice:
-    """Poses chosen one after the other, and what they leave; the first `taken` poses are chosen already.
-
-    A pose next to a chosen one counts less: neighbouring poses share errors.
-    """
-
-    def __init__(self, bench: ExpectedBench, poses: Sequence[_Shown], taken: int) -> None:
-        self._bench, self._poses = bench, poses
-        self._gains = PoseGains(
-            bench,
-            [pose.view for pose in poses],
-            np.array([pose.rotation for pose in poses]),
-            [pose.angles_deg for pose in poses],
-        )
-        self._weights = np.zeros(len(poses))
-        self._taken: list[int] = []
-        for place in range(taken):
-            self._take(place)
-
-    def _take(self, place: int) -> None:
-        """Add a pose; a repeat adds nothing."""
-        self._weights[place] = self._weight(place)
-        self._taken.append(place)
-
-    def best(self) -> SuggestedPose | None:
-        """Take the best of the poses that are left; None if each of them repeats a pose."""
-        free = [place for place in range(len(self._poses)) if not self._repeats(place)]
-        if not free:
-            return None
-        before = self._gains.covariance(self._weights)
-        left = {place: self._gains.with_pose(before, place, self._weight(place)).worst_px for place in free}
-        place = min(free, key=lambda p: left[p])
-        self._take(place)
-        pose = self._poses[place]
-        return SuggestedPose(pose.angles_deg, left[place], rim_share(self._bench, pose.rotation))
-
-    def _weight(self, place: int) -> float:
-        """Return how much of its information a pose brings."""
-        if self._repeats(place):
-            return 0.0
-        return share_of_news(self._poses[place].angles_deg, (self._poses[p].angles_deg for p in self._taken))
-
-    def _repeats(self, place: int) -> bool:
-        own = self._poses[place].angles_deg
-        return any(distance_deg(own, self._poses[p].angles_deg) < SAME_POSE_DEG for p in self._taken)

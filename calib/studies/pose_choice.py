@@ -1,81 +1,80 @@
-"""Choice of the next pose during a measurement: what each possible pose would add to the poses already recorded.
+"""Choice of poses: what each possible pose would add to the poses that are recorded or planned.
 
 The information of the views adds up (`calib.studies.expected_posterior`). The gimbal's angles of a possible pose become
-the rotation that the camera will see, by a gimbal model fitted to the poses recorded so far.
+the rotation that the camera will see, by a gimbal fitted to the poses recorded so far. A pose is judged by what remains
+at the worst point of the sensor (the G-optimality of experimental design; Kiefer and Wolfowitz, 1960).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.parameters import SAME_POSE_DEG
-from calib.errors import TooFewStars
-from calib.model.gimbal_readings import AXES
-from calib.model.rotation import euler_zxy, log_map, nearest_rotation
-from calib.studies.expected_posterior import PoseGains, Sigmas, distance_deg, share_of_news, with_distortion
-from calib.studies.gimbal_model import GimbalModel as ReadGimbal
-from calib.studies.hand_eye_fit import starts
-from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
+from calib.errors import DegenerateViews, TooFewStars
+from calib.model.gimbal import Gimbal, aligned_gimbal
+from calib.model.gimbal_readings import angles_of
+from calib.model.rotation import nearest_rotation
+from calib.studies.expected_posterior import (
+    Angles,
+    PoseGains,
+    Sigmas,
+    distance_deg,
+    share_of_news,
+    with_distortion,
+)
+from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share, view_at
+from calib.threads import on_one_thread
 from calib.view import View
 
 Array = NDArray[np.float64]
-Angles = Mapping[str, float]
 
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5
-#: Number of closed forms among the starts of the hand-eye fit.
-_CLOSED_FORMS = 3
 
 
-@dataclass(frozen=True)
-class GimbalModel:
-    """The rotation that the camera sees for given angles of the gimbal: R = A Rz(roll) Rx(tilt) Ry(pan) B."""
+@on_one_thread
+def next_poses(
+    bench: ExpectedBench,
+    taken_deg: Sequence[Angles],
+    candidates_deg: Sequence[Angles],
+    count: int = 1,
+) -> tuple[WeighedPose, ...]:
+    """Return the poses that lower the worst projection uncertainty most, before a gimbal that stands straight.
 
-    camera_from_head: Array  # (3, 3) float64 rotation A, camera <- gimbal's head
-    base_from_target: Array  # (3, 3) float64 rotation B, gimbal's base <- target
+    taken_deg: Poses already planned, degrees; may be empty.
+    candidates_deg: Poses to choose from, degrees, within the station's limits; those that show too little are
+      skipped.
+    count: Number of poses to choose; each candidate is chosen at most once.
+    Returns: The chosen poses, the best first.
+    Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
+    Raises DegenerateViews: If too few candidates show the target.
+    """
+    for pose in taken_deg:
+        predicted_view(bench, pose, "taken")
+    return PoseWeigher(bench, Gimbal(), taken_deg).best(candidates_deg, count)
 
-    def rotation(self, angles_deg: Angles) -> Array:
-        """Return the rotation, camera <- target, at a pose.
 
-        angles_deg: ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-        Returns: (3, 3) rotation.
-        """
-        return np.asarray(self.camera_from_head @ _head(angles_deg) @ self.base_from_target)
+def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
+    """Fit the gimbal to the poses recorded so far, well enough to predict what a pose shows.
 
-
-def fit_gimbal_model(rotations: Array, readings_deg: Sequence[Angles]) -> GimbalModel:
-    """Fit the model of the gimbal to the poses recorded so far, well enough to predict what a pose shows.
-
-    If three or more views turned about two axes, both rotations come from closed forms (`calib.studies.hand_eye_fit`;
-    Park and Martin, 1994), without a fit of the gimbal's errors. Otherwise, or if they do not follow the views, the
-    camera is assumed to be mounted straight, and only the base is fitted: the mean of the rotations that the views
-    give, projected on the rotations (Moakher, 2002).
+    Without three or more views turned about two axes, the camera is assumed to be mounted straight, and only the base
+    is fitted: the mean of the rotations that the views give, projected on the rotations (Moakher, 2002).
 
     rotations: (n, 3, 3) rotations of the views, camera <- target.
     readings_deg: For each view, ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-    Returns: The model; without views, a gimbal that stands straight before the target.
+    Returns: The gimbal; without views, one that stands straight before the target.
     """
     if not len(rotations):
-        return GimbalModel(np.eye(3), np.eye(3))
-    heads = np.array([_head(angles) for angles in readings_deg])
-    straight = np.eye(3), nearest_rotation(np.mean(np.swapaxes(heads, 1, 2) @ rotations, axis=0))
-    angles = np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg])
+        return Gimbal()
+    angles = angles_of(readings_deg)
     if len(rotations) < _MIN_VIEWS or (np.ptp(angles, axis=0) > _MOVED_DEG).sum() < 2:
-        return GimbalModel(*straight)
-    read = ReadGimbal(angles, ())
-    pairs = [*islice(starts(rotations, read, read.start, 0), _CLOSED_FORMS), straight]
-    return GimbalModel(*min(pairs, key=lambda pair: _mean_off(rotations, heads, *pair)))
-
-
-def _mean_off(rotations: Array, heads: Array, camera_from_head: Array, base_from_target: Array) -> float:
-    """Return the mean square angle between rotations seen and rotations read, rad^2."""
-    read = camera_from_head @ heads @ base_from_target
-    return float((log_map(rotations @ np.swapaxes(read, 1, 2)) ** 2).sum(axis=1).mean())
+        back = np.swapaxes(Gimbal().heads(angles), 1, 2)
+        return Gimbal(base_from_target=nearest_rotation(np.mean(back @ rotations, axis=0)))
+    return aligned_gimbal(rotations, angles)
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ class PoseWeigher:
     def __init__(
         self,
         bench: ExpectedBench,
-        gimbal: GimbalModel,
+        gimbal: Gimbal,
         taken_deg: Sequence[Angles],
         *,
         refused_deg: Sequence[Angles] = (),
@@ -113,7 +112,7 @@ class PoseWeigher:
         self._taken = tuple(taken_deg)
         self._refused = tuple(refused_deg)
         self._min_stars = min_stars
-        views = [self._view(pose) for pose in self._taken]
+        views = self._views(self._taken)
         self._shown = [
             (pose, view) for pose, view in zip(self._taken, views, strict=True) if view is not None
         ]
@@ -129,73 +128,82 @@ class PoseWeigher:
             gains = self._gains(self._shown)
             self.before = gains.sigmas(gains.covariance(self._news))
 
-    def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
-        """Return the poses that show enough of the target and repeat no recorded or failed pose.
+    def best(self, candidates_deg: Iterable[Angles], count: int) -> tuple[WeighedPose, ...]:
+        """Return the poses that leave the least at the worst point, chosen one after the other (greedy).
 
-        candidates_deg: Poses, degrees.
-        Returns: The possible ones, in their order.
+        No pose repeats another one. The greedy choice is this project's own.
+
+        Raises DegenerateViews: If too few of the poses show the target.
         """
-        return [pose for pose in candidates_deg if self._possible_view(pose) is not None]
+        shown = self._possible(candidates_deg)
+        gains = self._gains([*self._shown, *shown]) if shown else None
+        first, taken, chosen = len(self._shown), list(self._taken), list[WeighedPose]()
+        weights = np.concatenate([self._news, np.zeros(len(shown))])
+        for _ in range(count):
+            free = [k for k, (pose, _) in enumerate(shown) if not _repeats(pose, taken)]
+            if gains is None or not free:
+                raise DegenerateViews(
+                    f"Only {len(chosen)} of the candidate poses show the target and repeat no other pose; {count} are "
+                    "needed."
+                )
+            before, news = gains.covariance(weights), {k: share_of_news(shown[k][0], taken) for k in free}
+            after = {k: gains.with_pose(before, first + k, news[k]) for k in free}
+            best = min((after[k].worst_px, k) for k in free)[1]
+            weights[first + best] = news[best]
+            taken.append(shown[best][0])
+            chosen.append(self._weighed(shown[best][0], after[best]))
+        return tuple(chosen)
+
+    def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
+        """Return the poses that show enough of the target and repeat no recorded or failed pose, in their order."""
+        return [pose for pose, _ in self._possible(candidates_deg)]
 
     def weigh(self, candidates_deg: Iterable[Angles]) -> list[WeighedPose]:
-        """Return what each possible pose would add.
-
-        candidates_deg: Poses, degrees; those that are not possible are left out.
-        Returns: The possible poses, in their order.
-        """
-        shown = [(pose, view) for pose in candidates_deg if (view := self._possible_view(pose)) is not None]
+        """Return what each possible pose would add, in their order; others are left out."""
+        shown = self._possible(candidates_deg)
         if not shown:
             return []
         gains = self._gains([*self._shown, *shown])
         known = gains.covariance(self._news)
         return [
-            WeighedPose(
-                pose,
-                gains.with_pose(known, len(self._shown) + k, share_of_news(pose, self._taken)),
-                rim_share(self._bench, self._gimbal.rotation(pose)),
+            self._weighed(
+                pose, gains.with_pose(known, len(self._shown) + k, share_of_news(pose, self._taken))
             )
             for k, (pose, _) in enumerate(shown)
         ]
 
-    def _possible_view(self, pose: Angles) -> View | None:
-        if any(distance_deg(pose, other) < SAME_POSE_DEG for other in (*self._taken, *self._refused)):
-            return None
-        view = self._view(pose)
-        return view if view is not None and len(view) >= self._min_stars else None
+    def _weighed(self, pose: Angles, after: Sigmas) -> WeighedPose:
+        return WeighedPose(pose, after, rim_share(self._bench, self._rotations([pose])[0]))
 
-    def _view(self, pose: Angles) -> View | None:
-        """Return the stars that a pose shows; None if it shows too few."""
+    def _possible(self, candidates_deg: Iterable[Angles]) -> list[tuple[Angles, View]]:
+        """Return the possible poses, each with what it shows."""
+        others = (*self._taken, *self._refused)
+        new = [pose for pose in candidates_deg if not _repeats(pose, others)]
+        return [
+            (pose, view)
+            for pose, view in zip(new, self._views(new), strict=True)
+            if view is not None and len(view) >= self._min_stars
+        ]
+
+    def _views(self, poses: Sequence[Angles]) -> list[View | None]:
+        """Return the stars that each pose shows; None if it shows too few."""
+        return [self._view(rotation) for rotation in self._rotations(poses)]
+
+    def _view(self, rotation: Array) -> View | None:
         try:
-            angles = _equivalent_angles(self._gimbal.rotation(pose))
-            return predicted_view(self._bench, angles, "possible")[0]
+            return view_at(self._bench, rotation, "possible")
         except TooFewStars:
             return None
+
+    def _rotations(self, poses: Sequence[Angles]) -> Array:
+        """Return the (n, 3, 3) rotations of the camera at some poses."""
+        return self._gimbal.rotations(angles_of(poses))
 
     def _gains(self, shown: Sequence[tuple[Angles, View]]) -> PoseGains:
         """Return what the views of some poses say."""
         poses = [pose for pose, _ in shown]
-        rotations = np.array([self._gimbal.rotation(pose) for pose in poses])
-        return PoseGains(self._bench, [view for _, view in shown], rotations, poses)
+        return PoseGains(self._bench, [view for _, view in shown], self._rotations(poses), poses)
 
 
-def _head(angles_deg: Angles) -> Array:
-    """Return the (3, 3) rotation of the gimbal's head at a pose."""
-    return euler_zxy(
-        angles_deg.get("pan_deg", 0.0), angles_deg.get("tilt_deg", 0.0), angles_deg.get("roll_deg", 0.0)
-    )
-
-
-def _equivalent_angles(rotation: Array) -> dict[str, float]:
-    """Return pan, tilt and roll of a gimbal that stands straight and gives this rotation, degrees.
-
-    With R = Rz(roll) Rx(tilt) Ry(pan), the last row of R is (-sin(pan) cos(tilt), sin(tilt), cos(pan) cos(tilt)), and
-    its second column is (-sin(roll) cos(tilt), cos(roll) cos(tilt), sin(tilt)).
-    """
-    tilt = np.arcsin(np.clip(rotation[2, 1], -1.0, 1.0))
-    pan = np.arctan2(-rotation[2, 0], rotation[2, 2])
-    roll = np.arctan2(-rotation[0, 1], rotation[1, 1])
-    return {
-        "pan_deg": float(np.degrees(pan)),
-        "tilt_deg": float(np.degrees(tilt)),
-        "roll_deg": float(np.degrees(roll)),
-    }
+def _repeats(pose: Angles, others: Iterable[Angles]) -> bool:
+    return any(distance_deg(pose, other) < SAME_POSE_DEG for other in others)

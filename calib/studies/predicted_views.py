@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.errors import InputMismatch, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
-from calib.model.gimbal_readings import GimbalReadings
+from calib.model.gimbal_readings import AXES, GimbalReadings
 from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy
 from calib.model.type_b_terms import TypeBTerm
@@ -160,7 +160,15 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
     TooFewStars
         If the pose shows fewer than 20 stars, or not the whole tag if it is needed.
     """
-    rotation = euler_zxy(pose.get("pan_deg", 0.0), pose.get("tilt_deg", 0.0), pose.get("roll_deg", 0.0))
+    rotation = euler_zxy(*(pose.get(axis, 0.0) for axis in AXES))
+    return view_at(bench, rotation, name), rotation
+
+
+def view_at(bench: ExpectedBench, rotation: Array, name: str) -> View:
+    """Return the stars that a camera will show that is turned so, as `predicted_view`.
+
+    rotation: (3, 3), camera <- target.
+    """
     ids = bench.target.ids
     stars = bench.target.positions_mm(ids)
     pixels, shown = _visible(bench, stars, rotation)
@@ -175,8 +183,7 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
             remedy="Use smaller angles.",
         )
     covariances = np.tile(np.eye(2) * bench.star_sigma_px**2, (int(shown.sum()), 1, 1))
-    view = View(name, bench.camera.image_size, ids[shown], pixels[shown], stars[shown], covariances)
-    return view, rotation
+    return View(name, bench.camera.image_size, ids[shown], pixels[shown], stars[shown], covariances)
 
 
 def rim_share(bench: ExpectedBench, rotation: Array) -> float:

@@ -15,9 +15,11 @@ from bench.results.interim import Interim, decide, fixed_parts
 from bench.results.next_pose import Choice, Wish, choose_pose
 from bench.results.solve_options import gimbal_readings
 from bench.stations.station import load_station
+from calib.model.gimbal import Gimbal
+from calib.model.gimbal_readings import angles_of
 from calib.model.result_parts import BudgetRow
 from calib.model.rotation import euler_zxy
-from calib.studies.pose_choice import GimbalModel, PoseWeigher, fit_gimbal_model
+from calib.studies.pose_choice import PoseWeigher, fit_gimbal
 from sequences.script import ChooseStep
 
 TAKEN = [
@@ -249,29 +251,31 @@ def test_a_mounting_turned_by_a_quarter_is_found_from_the_views():
     mounting = euler_zxy(1.0, -2.0, 90.0)
     base = euler_zxy(-1.5, 0.5, -90.0)
     rotations = np.array([mounting @ euler_zxy(r["pan_deg"], r["tilt_deg"]) @ base for r in readings])
-    model = fit_gimbal_model(rotations, readings)
+    model = fit_gimbal(rotations, readings)
     here = {"pan_deg": 4.0, "tilt_deg": -4.0}
-    assert model.rotation(here) == pytest.approx(mounting @ euler_zxy(4.0, -4.0) @ base, abs=1e-4)
-    straight = fit_gimbal_model(rotations[:1], readings[:1])
-    assert straight.rotation(readings[0]) == pytest.approx(rotations[0], abs=1e-9)
-    assert fit_gimbal_model(np.zeros((0, 3, 3)), []).rotation({}) == pytest.approx(np.eye(3))
+    assert model.rotations(angles_of([here]))[0] == pytest.approx(
+        mounting @ euler_zxy(4.0, -4.0) @ base, abs=1e-4
+    )
+    straight = fit_gimbal(rotations[:1], readings[:1])
+    assert straight.rotations(angles_of(readings[:1]))[0] == pytest.approx(rotations[0], abs=1e-9)
+    assert fit_gimbal(np.zeros((0, 3, 3)), []).rotations(angles_of([{}]))[0] == pytest.approx(np.eye(3))
 
 
 def test_more_poses_leave_less_and_a_neighbour_brings_less_than_a_far_pose():
     bench = expected_bench(load_station("simulated"))
-    weigher = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN)
+    weigher = PoseWeigher(bench, Gimbal(), TAKEN)
     near, far, repeat = {"pan_deg": 6.3, "tilt_deg": 2.0}, {"pan_deg": 4.0, "tilt_deg": -3.0}, TAKEN[0]
     by_near, by_far = weigher.weigh([near, far, repeat])
     assert by_far.after.worst_px < by_near.after.worst_px < weigher.before.worst_px
     assert weigher.possible([near, repeat]) == [near]
-    few = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN[:1])
+    few = PoseWeigher(bench, Gimbal(), TAKEN[:1])
     assert few.weigh([far])[0].after.fx_px < few.before.fx_px
 
 
 def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_recorded_ones():
     station = load_station("simulated")
     bench = replace(expected_bench(station), readings=gimbal_readings(station.value, []))
-    weigher = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN)
+    weigher = PoseWeigher(bench, Gimbal(), TAKEN)
     wide = [{"pan_deg": pan, "tilt_deg": 3.0} for pan in (-4.0, 1.0, 4.0)]
     close = [{"pan_deg": 1.0 + off, "tilt_deg": 3.0} for off in (0.0, 0.1)]
     alone, beside = weigher.weigh(close)[0], weigher.weigh(wide)[1]
