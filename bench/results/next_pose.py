@@ -35,9 +35,9 @@ from calib.model.result_parts import (
     WORST_CORNER,
     BudgetRow,
 )
-from calib.studies.expected_posterior import Sigmas
+from calib.studies.expected_posterior import Angles, Sigmas
 from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
-from calib.studies.pose_choice import Angles, PoseWeigher, WeighedPose, fit_gimbal
+from calib.studies.pose_choice import PoseWeigher, WeighedPose, fit_gimbal
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import RecordStep, Until
