@@ -11,6 +11,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+from drivers.lateness import Lateness
+
 # A shell starts background jobs (`make test &`) with SIGINT ignored, and so would every process that a test starts.
 # Tests of Ctrl-C rely on Python's own handler.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -19,6 +21,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
 settings.register_profile("starbench", deadline=None)
 settings.load_profile("starbench")
+
+
+@pytest.fixture
+def never_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deadlines grow by how late a busy computer wakes this process, which a virtual clock must not know of."""
+    still = Lateness(now_s=lambda: 0.0)
+    monkeypatch.setattr("drivers.lateness.own_lateness", lambda: still)
 
 
 EVK4_RECORDING = Path(__file__).parent / "data" / "evk4_real" / "imx636_1280x720_two_triggers.raw"

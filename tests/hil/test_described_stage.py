@@ -25,6 +25,8 @@ from simulators.faults.line_faults import LineFault
 from tests.hil.direct_lights import MICROCONTROLLER, direct_light
 from tests.hil.direct_stages import FAMILIES, FLIR_PTU, LIMITS, DirectStage, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 
 class Interrupted(Exception):
     """What a run's clock raises when the operator aborts."""

@@ -10,6 +10,8 @@ from simulators.faults.catalogue import AXIS_FAULTS, LINE_FAULTS
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 LONGEST_S = 20.0
 """Of the bench's own time, from the order to its end: the move itself takes 1.2 s."""
 

@@ -17,6 +17,8 @@ from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import VirtualClock
 from tests.hil.test_fault_line_fuzz import like
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 LONGEST_S = 30.0
 MESSAGES = {*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"}
 BRIGHT = LightSettings(frequency_hz=50.0, high_v=5.0)

@@ -16,6 +16,8 @@ from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import DirectLine, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 FLICKER = LightSettings("square", 50.0, 40.0, 0.0, 3.0, sync_output=True)
 
 

@@ -32,6 +32,8 @@ from tests.hil.direct_stages import (
     stop_in_mid_move,
 )
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 TORQUE_ON = bytes([3, 64, 0, 1])
 GOAL = bytes([3, 116, 0])
 

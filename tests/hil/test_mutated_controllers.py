@@ -9,6 +9,8 @@ from drivers.errors import MoveFailed, MoveTimeout, ReplyError
 from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
 from tests.hil.mutated import XIMC, ZABER, Mutated
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 REPORTED_WRONGLY = {"always idle", "never idle"}
 """Those lie about motion in replies of perfect form: only a motion can show it."""
 LONGEST_S = 60.0

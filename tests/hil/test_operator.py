@@ -1,4 +1,4 @@
-"""An operator at another terminal: hold and go on, skip, abort, take over; and a pose that crashes the process."""
+"""An operator at another terminal: hold and go on, abort, take over; and a pose that crashes the process."""
 
 import json
 import re
@@ -72,22 +72,6 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     assert said.returncode == 0, said.stderr
     assert numbers(folder) == numbers(undisturbed)
     assert starbench("verify", folder, home=home).returncode == 0
-
-
-def test_a_skipped_pose_is_left_out_and_the_report_says_who_asked(home, tmp_path, process):
-    folder = tmp_path / "run"
-    wait_for(process, folder, entering("preflight"))
-    assert send(folder, Command(word="hold", by="ada"))[
-        "taken"
-    ]  # so that it is there, however slow a command starts
-    assert send(folder, Command(word="skip", by="ada", pose=2))["taken"]
-    again = starbench("tell", folder, "skip", 2, "--operator", "ada", home=home)
-    assert "already skipped" in again.stderr
-    assert send(folder, Command(word="release", by="ada"))["taken"]
-    assert process.wait(PATIENCE_S) == 0
-    told = results(folder)
-    assert [pose["index"] for pose in told["poses"]] == [1, 3]
-    assert "Pose 2 (right) was skipped: ada asked for it." in told["deviations"]
 
 
 def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tmp_path, process):

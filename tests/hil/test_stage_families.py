@@ -20,6 +20,8 @@ from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock, stop_in_mid_move
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 
 @pytest.fixture(params=FAMILIES)
 def rig(request) -> DirectStage:

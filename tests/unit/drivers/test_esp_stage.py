@@ -23,6 +23,8 @@ from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.esp301 import EspAxisModel, EspController
 from tests.hil.direct_stages import Listening, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 AXES = [
     EspAxis(name="pan", number=1, serial="SN1263", limits=LIMITS),

@@ -13,6 +13,8 @@ from simulators.lights.gardasoft import CONTINUOUS, GardasoftRt
 from simulators.world.world import LightState
 from tests.hil.direct_stages import Listening, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 2.5, sync_output=True)
 
 

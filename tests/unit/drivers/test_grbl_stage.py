@@ -31,6 +31,8 @@ from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel, Planner
 from tests.hil.direct_stages import Listening, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 RESET, CANCEL = b"\x18", b"\x85"
 JOG = b"$J=G21G53X-20.0Y-20.0F600.0\n"

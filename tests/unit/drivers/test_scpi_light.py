@@ -12,6 +12,8 @@ from drivers.light.scpi import ScpiLight
 from drivers.text_line import ScpiLine
 from tests.unit.drivers.generator_bench import Bench
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 
 @pytest.fixture
 def bench() -> Bench:

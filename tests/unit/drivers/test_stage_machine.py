@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 
 import hypothesis.strategies as st
+import pytest
 from hypothesis import settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -13,6 +14,8 @@ from simulators.stages.axis_motion import MotionFault
 from simulators.stages.zaber import CommandRejected, ZaberController
 from tests.unit.drivers import zaber_bench
 from tests.unit.drivers.zaber_bench import SCALE
+
+pytestmark = pytest.mark.usefixtures("never_late")
 
 AXES = st.sampled_from(["pan", "tilt"])
 ANGLES = st.integers(-16 * SCALE, 16 * SCALE).map(lambda count: count / SCALE)

@@ -30,6 +30,8 @@ from simulators.stages.ximc import XimcController, XimcModel
 from tests.hil import mutated
 from tests.hil.direct_stages import Listening, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 SCALE = 80.0
 MICROSTEPS = 256
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)

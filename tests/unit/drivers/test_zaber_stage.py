@@ -15,6 +15,8 @@ from drivers.stage import AxisLimits
 from tests.hil.mutated import zaber_line
 from tests.unit.drivers.zaber_bench import SCALE, Bench
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 
 @pytest.fixture
 def bench() -> Bench:

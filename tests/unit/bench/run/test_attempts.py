@@ -1,12 +1,13 @@
-"""What a run does when a pose keeps failing its gates: attempts kept, then skipped, held or failed, as written."""
+"""What a run does when a pose keeps failing its gates: attempts kept, then skipped, held or failed, as written; and one that an operator skips."""
 
-from quick_runs import END, write_sequence
-from rehearsed import TWO, Scene
+from quick_runs import END, THREE, write_sequence
+from rehearsed import TWO, Scene, with_runner
 
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.results.results_content import journal_content
+from bench.run.control import Command
 
 
 def doomed(folder, on_failure, attempts=2):
@@ -18,10 +19,15 @@ def doomed(folder, on_failure, attempts=2):
     return Scene(folder, sequence=folder / "s.yaml")
 
 
+def content(scene):
+    """What the results would tell of the journal."""
+    return journal_content(scene.task, replay(read_journal(scene.folder / "journal.jsonl")[0]), [])
+
+
 def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(tmp_path):
     scene = doomed(tmp_path, "skip")
     assert scene.run().how == "finished"
-    found = journal_content(scene.task, replay(read_journal(scene.folder / "journal.jsonl")[0]), [])
+    found = content(scene)
     attempts = [[attempt["accepted"] for attempt in pose["attempts"]] for pose in found["poses"]]
     assert attempts == [[False, False], [True], [True]]
     (deviation,) = found["deviations"]
@@ -48,3 +54,22 @@ def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable
     assert scene.run().how == "aborted"
     assert [told["attempt"] for told in scene.told(Event.CAPTURE_STORED)] == [1, 2, 3, 4]
     assert scene.events()[: len(first)] == first  # nothing written is written over
+
+
+def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monkeypatch):
+    scene = with_runner(Scene(tmp_path, poses=THREE, end=END), monkeypatch)
+
+    def skip(name):
+        if name == "stage.home":
+            for request in ("one", "again"):
+                scene.runner.inbox.decide(Command(word="skip", by="ada", pose=2), request)
+
+    scene.hook = skip
+    assert scene.run().how == "finished"
+    answers = scene.told(Event.COMMANDED)
+    assert [answer["taken"] for answer in answers] == [True, False]
+    assert "already skipped" in answers[1]["why"]
+    found = content(scene)
+    assert [pose["index"] for pose in found["poses"]] == [1, 3]
+    (deviation,) = found["deviations"]
+    assert deviation.endswith("was skipped: ada asked for it.")
