@@ -30,16 +30,7 @@ class Seen:
     beam: Beam  # The beam's disc
     stars: QuickStars | None  # Tag and stars; None if they were not searched
     other_tag: str  # What is wrong with the tags seen; empty if nothing is
-    focus: FocusFigures
-    best_edge_width_px: float | None  # Smallest edge width seen so far, px
-    best_sharpness: float | None
-    best_coarse_detail: float | None
-    # Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
-    better_before_px: float | None
-    trend: (
-        str  # What the last turn of the ring has done: ``better``, ``worse``, or empty before the first one
-    )
-    turn_on: float | None  # How far to turn next, in units of the last turn; below 0 to turn back
+    focus: FocusFigures  # With those of the course
     contrast: float | None  # Contrast inside the beam; None without light
     turn: TurnFigures  # Where to turn
 
@@ -243,12 +234,12 @@ def _turn_on(seen: Seen, setting: LiveSetting) -> str:
 
 def _way(seen: Seen) -> str:
     """Return whether the last turn of the ring went the right way, and how far to turn next; empty before the first."""
-    if not seen.trend or seen.turn_on is None:
+    if not seen.focus.trend or seen.focus.turn_on is None:
         return ""
-    by = f"by about {abs(seen.turn_on):.1f} times the last turn"
-    if seen.turn_on > 0.0:
+    by = f"by about {abs(seen.focus.turn_on):.1f} times the last turn"
+    if seen.focus.turn_on > 0.0:
         return f" This is the right way: turn on {by}."
-    if seen.trend == "better" or seen.turn_on > -1.0:
+    if seen.focus.trend == "better" or seen.focus.turn_on > -1.0:
         return f" You have passed the best place: turn back {by}."
     return f" This is the wrong way: turn back {by}."
 
@@ -268,7 +259,7 @@ def _square_text(seen: Seen) -> str:
 
 def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
     """Yield what to do with the focus ring."""
-    width, best = seen.focus.edge_width_px, seen.best_edge_width_px
+    width, best = seen.focus.edge_width_px, seen.focus.best_edge_width_px
     if width is None:
         if not seen.count:
             yield f"No stars can be recognised. {_turn_on(seen, setting)}"
@@ -278,10 +269,10 @@ def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
         return
     limit = min(setting.gates.limits.get("max_edge_width_px", SHARP_PX), SHARP_PX)
     if width <= limit:
-        if seen.better_before_px is not None and (seen.turn_on or 0.0) < 0.0:
+        if seen.focus.better_before_px is not None and (seen.focus.turn_on or 0.0) < 0.0:
             yield (
                 f"Turn the focus ring back to the best: edges are {width:.2f} px wide, and they were "
-                f"{seen.better_before_px:.2f} px wide before. A run accepts {limit:g} px.{_way(seen)}"
+                f"{seen.focus.better_before_px:.2f} px wide before. A run accepts {limit:g} px.{_way(seen)}"
             )
         return
     known = f", the best seen is {best:.1f} px" if best is not None and width > _WORSE * best else ""
@@ -291,7 +282,7 @@ def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
 
 def _sharpness_text(seen: Seen) -> str:
     """Return which figure must grow while nothing can be recognised: the coarse detail has a slope farthest out."""
-    now, best = seen.focus.coarse_detail, seen.best_coarse_detail
+    now, best = seen.focus.coarse_detail, seen.focus.best_coarse_detail
     if now is None:
         return ""
     better = f" (the best seen is {best:.3f})" if best is not None and best > 1.05 * now else ""

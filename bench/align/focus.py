@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -62,6 +62,16 @@ class FocusFigures:
     # Edge width of each region of `REGIONS`, px.
     regions: Mapping[str, float | None] = field(default_factory=dict)
     tilt: str = ""  # Which side of the field is less sharp, a sentence; empty if none is
+    # The course so far: smallest edge width, most sharpness and coarse detail; best edge width since the camera was
+    # turned, px, if the present one is clearly worse, else None.
+    best_edge_width_px: float | None = None
+    best_sharpness: float | None = None
+    best_coarse_detail: float | None = None
+    better_before_px: float | None = None
+    # What the last turn of the ring has done: ``better``, ``worse``, or empty before the first one; and how far to turn
+    # next, in units of the last turn, below 0 to turn back.
+    trend: str = ""
+    turn_on: float | None = None
 
 
 def measure_focus(
@@ -230,6 +240,18 @@ class FocusCourse:
             self._follow("width", 1)
         elif figures.coarse_detail is not None:
             self._follow("detail", 3)
+
+    def judged(self, figures: FocusFigures) -> FocusFigures:
+        """Return the figures of a picture with those of the course."""
+        return replace(
+            figures,
+            best_edge_width_px=self.best_edge_width_px,
+            best_sharpness=self.best_sharpness,
+            best_coarse_detail=self.best_coarse_detail,
+            better_before_px=self.better_before_px(),
+            trend=self.trend(),
+            turn_on=self.turn_on(),
+        )
 
     def turned(self) -> None:
         """Note that camera or light have changed: edges elsewhere in the field have another width."""

@@ -1,9 +1,8 @@
 """The figures of one live picture, as the align page shows them, and how a slice is measured.
 
 A slice is a short recording: an event camera's RAW file of whole flicker periods, or one picture of a frame camera.
-`measure_live` measures a single slice. `LiveMeter` measures one slice after the other: it keeps the course of the
-focus, and searches the stars only as often as asked. The module opens no device, and nothing here moves an axis or
-switches a light.
+`LiveMeter` measures one slice after the other: it keeps the course of the focus, and searches the stars only as often
+as asked. The module opens no device, and nothing here moves an axis or switches a light.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -20,7 +19,8 @@ from numpy.typing import NDArray
 from bench.align.advice import Seen, advice_for, dropped_share
 from bench.align.focus import REGIONS, FocusCourse, FocusFigures, measure_focus
 from bench.align.live_image import LiveImage, LiveSetting, LiveSlice, SignalFigures, read_image, show
-from bench.align.where_to_turn import Bench, SeenMotion, TurnFigures, where_to_turn
+from bench.align.where_to_turn import SeenMotion, TurnFigures, where_to_turn
+from bench.base.bounded_json import mapped
 from calib.errors import CalibrationError, TargetNotFound
 from calib.stars.beam import Beam, find_beam
 from calib.stars.dark_square import DarkSquare, find_dark_square
@@ -203,19 +203,17 @@ class StarWatch:
         return self._found
 
 
-__all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice", "measure_live"]
+__all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice"]
 
 TURNING: Final = "The stage turns. Advice comes when it stands."
 """The only advice while the stage turns: what a blurred picture lacks is no fault of the bench."""
 _COMPARED_EVERY_S: Final = 1.0
 """Time from one measurement of the frequency by the events to the next, s."""
 
-_GROUPED: Final = frozenset(
-    {
-        "tag_id", "tag_corners_px", "disc_centre_px", "disc_radius_px", "square_centre_px", "square_side_px", "stars"
-    }
+_OF_SIGNAL: Final = (
+    "events_per_s", "link_share", "on_share", "trigger_hz", "event_hz", "jitter_us", "event_jitter_us"
 )  # fmt: skip
-"""Attributes that JSON holds in another form."""
+"""Figures of the signal that the page shows."""
 Corners = tuple[tuple[float, float], ...]
 
 
@@ -230,15 +228,9 @@ class LiveFigures:
     # width_px, height_px: Size of the image, px.
     width_px: int = 0
     height_px: int = 0
-    events_per_s: float | None = None  # Event rate, 1/s
-    link_share: float | None = None  # Data rate as a share of what the camera's link carries
-    on_share: float | None = None
-    # trigger_hz, event_hz: Flicker frequency by the sync triggers, and by the events alone, Hz.
-    trigger_hz: float | None = None
-    event_hz: float | None = None
-    jitter_us: float | None = None  # Rms distance of the sync edges from an even train, us
-    # The same of the bursts of ON events, us; it takes three whole periods.
-    event_jitter_us: float | None = None
+    # The signal. While the light is known to be off, `trigger_hz` is None, because a sync output may go on. `event_hz`
+    # may be that of an earlier slice.
+    signal: SignalFigures = field(default_factory=SignalFigures)
     hot_pixels: int | None = None  # Number of pixels that fire far more often than their surroundings
     temperature_c: float | None = None  # Temperature of the sensor, deg C
     # Id, column and row, px, of each star found; id -1 if it is not known which star it is.
@@ -249,23 +241,16 @@ class LiveFigures:
     stars_followed: bool = False
     tag_id: int | None = None  # Number of the target's tag if it was found
     tag_corners_px: Corners | None = None  # Corners of the tag, px, in the order of the print
-    # square_centre_px, square_side_px: Centre (column, row) and side of a dark square that looks like the
-    # tag, px, if the tag was not read.
-    square_centre_px: tuple[float, float] | None = None
-    square_side_px: float | None = None
+    square: DarkSquare | None = None  # A dark square that looks like the tag, if the tag was not read
     # disc_centre_px, disc_radius_px: Centre (column, row) and radius of the beam's disc in the image, px.
     disc_centre_px: tuple[float, float] | None = None
     disc_radius_px: float | None = None
     rim_in_view: bool | None = None  # Whether some of the beam's rim is inside the frame
     beam_share: float | None = None
-    # Focus figures (`bench.align.focus`) as plain values: ``edge_width_px``, ``best_edge_width_px``,
-    # ``better_before_px``, ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``coarse_detail``,
-    # ``best_coarse_detail``, ``trend``, ``turn_on``, ``regions``, ``tilt``.
-    focus: Mapping[str, Any] = field(default_factory=dict)
+    focus: FocusFigures = field(default_factory=FocusFigures)  # With those of the course
     contrast: float | None = None  # Contrast of the pattern, 0 to 1
     saturation: float | None = None
-    # Where to turn, the plain values of `bench.align.where_to_turn.TurnFigures.to_json`.
-    turn: Mapping[str, Any] = field(default_factory=dict)
+    turn: TurnFigures = field(default_factory=TurnFigures)  # Where to turn
     advice: Sequence[str] = ()  # What to do, plain sentences, the most important first
     # Duration of each stage of the measurement, ms.
     took_ms: Mapping[str, float] = field(default_factory=dict)
@@ -273,34 +258,22 @@ class LiveFigures:
     def to_json(self) -> dict[str, Any]:
         """Return all figures as numbers, texts, lists and None, ready for JSON.
 
-        Returns: The attributes by name, except that ``tag`` is ``{id, corners_px}`` or None, ``disc`` is
-          ``{centre_px, radius_px}`` or None, and ``square`` is ``{centre_px, side_px}`` or None.
+        Returns: The attributes by name, those of ``signal`` beside them, and ``tag``, ``square`` and ``disc`` as
+          mappings or None.
         """
-        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _GROUPED}
-        plain["stars"] = [[int(i), round(float(x), 2), round(float(y), 2)] for i, x, y in self.stars]
-        corners, centre = self.tag_corners_px, self.disc_centre_px
-        plain["tag"] = (
-            None if corners is None else {"id": self.tag_id, "corners_px": [list(c) for c in corners]}
-        )
-        square = self.square_centre_px
-        plain["square"] = (
-            None if square is None else {"centre_px": list(square), "side_px": self.square_side_px}
-        )
-        plain["disc"] = (
-            None if centre is None else {"centre_px": list(centre), "radius_px": self.disc_radius_px}
-        )
-        return {name: _plain(value) for name, value in plain.items()}
-
-
-def measure_live(part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
-    """Measure a single slice: image, signal, stars, focus, where to turn, advice.
-
-    A slice that cannot be read, or shows nothing, gives a dark image and figures whose advice says why. No error of
-    the recording or of the engine is passed on.
-
-    Returns: (H, W) uint8, tone-mapped so that faint patterns show; white print is bright.
-    """
-    return LiveMeter(stars_every_s=0.0).measure(part, setting)
+        corners, square, centre = self.tag_corners_px, self.square, self.disc_centre_px
+        plain = vars(self) | {name: getattr(self.signal, name) for name in _OF_SIGNAL}
+        for name in ("signal", "tag_id", "tag_corners_px", "disc_centre_px", "disc_radius_px"):
+            del plain[name]
+        plain |= {
+            "stars": [(number, round(x, 2), round(y, 2)) for number, x, y in self.stars],
+            "tag": corners and {"id": self.tag_id, "corners_px": corners},
+            "square": square and {"centre_px": square.centre_px, "side_px": square.side_px},
+            "disc": centre and {"centre_px": centre, "radius_px": self.disc_radius_px},
+            "focus": vars(self.focus),
+            "turn": self.turn.to_json(),
+        }
+        return cast("dict[str, Any]", mapped(plain, _plain))
 
 
 class LiveMeter:
@@ -323,10 +296,13 @@ class LiveMeter:
         self._size = (1280, 720)
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
-        """Measure the next slice. See `measure_live`.
+        """Measure the next slice: image, signal, stars, focus, where to turn, advice.
+
+        A slice that cannot be read, or shows nothing, gives a dark image and figures whose advice says why. No error of
+        the recording or of the engine is passed on.
 
         setting: What is known of the bench; it may change from slice to slice.
-        Returns: (H, W) uint8.
+        Returns: (H, W) uint8, tone-mapped so that faint patterns show; white print is bright.
         """
         watch = StopWatch()
         try:
@@ -360,20 +336,14 @@ class LiveMeter:
             beam=beam,
             stars=found.stars,
             other_tag=found.other_tag,
-            focus=found.focus,
-            best_edge_width_px=self._course.best_edge_width_px,
-            best_sharpness=self._course.best_sharpness,
-            best_coarse_detail=self._course.best_coarse_detail,
-            better_before_px=self._course.better_before_px(),
-            trend=self._course.trend(),
-            turn_on=self._course.turn_on(),
+            focus=self._course.judged(found.focus),
             contrast=in_beam,
             turn=self._turn(part, setting, beam, found),
         )
         figures = _figures(part, setting, seen, found)
         return shown, replace(
             figures,
-            event_hz=event_hz,
+            signal=replace(figures.signal, event_hz=event_hz),
             advice=(TURNING,) if part.moving else tuple(advice_for(seen, setting)),
             took_ms=watch.lap("advice"),
         )
@@ -388,7 +358,7 @@ class LiveMeter:
     def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: Found) -> TurnFigures:
         """Find out where to turn, and learn how the tag has moved since the last search for it."""
         turn = where_to_turn(
-            self._size, beam, found.stars, setting.target, _bench(part, setting), self._motion, found.square
+            self._size, beam, found.stars, setting, part.reading_deg, self._motion, found.square
         )
         if found.time_s == part.time_s and turn.tag_px is not None and turn.focal_px and part.reading_deg:
             self._motion.add(part.reading_deg, turn.tag_px, turn.focal_px)
@@ -414,7 +384,7 @@ class LiveMeter:
 
 def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) -> LiveFigures:
     """Collect the figures of a slice, without advice."""
-    image, beam, stars, focus = seen.image, seen.beam, seen.stars, seen.focus
+    image, beam, stars = seen.image, seen.beam, seen.stars
     signal = image.signal or SignalFigures()
     tag = stars.tag if stars is not None else None
     return LiveFigures(
@@ -422,14 +392,7 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
         image_kind=image.kind,
         width_px=image.values.shape[1],
         height_px=image.values.shape[0],
-        events_per_s=signal.events_per_s,
-        link_share=signal.link_share,
-        on_share=signal.on_share,
-        # A sync output may go on while the light is off.
-        trigger_hz=signal.trigger_hz if setting.light_on is not False else None,
-        event_hz=signal.event_hz,
-        jitter_us=signal.jitter_us,
-        event_jitter_us=signal.event_jitter_us,
+        signal=replace(signal, trigger_hz=None) if setting.light_on is False else signal,
         hot_pixels=image.hot_pixels,
         temperature_c=_temperature_c(part),
         stars=() if stars is None else tuple(_star_list(stars)),
@@ -437,29 +400,15 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
         stars_followed=found.followed,
         tag_id=setting.target.tag_id if tag is not None else None,
         tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
-        square_centre_px=None if found.square is None else found.square.centre_px,
-        square_side_px=None if found.square is None else found.square.side_px,
+        square=found.square,
         disc_centre_px=beam.centre_px,
         disc_radius_px=beam.radius_px,
         rim_in_view=beam.rim_in_view,
         beam_share=beam.share,
-        focus={
-            "edge_width_px": focus.edge_width_px,
-            "best_edge_width_px": seen.best_edge_width_px,
-            "blur_circle_px": focus.blur_circle_px,
-            "better_before_px": seen.better_before_px,
-            "sharpness": focus.sharpness,
-            "best_sharpness": seen.best_sharpness,
-            "coarse_detail": focus.coarse_detail,
-            "best_coarse_detail": seen.best_coarse_detail,
-            "trend": seen.trend,
-            "turn_on": seen.turn_on,
-            "regions": {name: {"edge_width_px": width} for name, width in focus.regions.items()},
-            "tilt": focus.tilt or None,
-        },
+        focus=seen.focus,
         contrast=seen.contrast,
         saturation=image.saturation if image.signal is None else dropped_share(part.facts),
-        turn=seen.turn.to_json(),
+        turn=seen.turn,
     )
 
 
@@ -469,22 +418,13 @@ def _star_list(stars: QuickStars) -> Iterator[tuple[int, float, float]]:
         yield int(number), float(x), float(y)
 
 
-def _bench(part: LiveSlice, setting: LiveSetting) -> Bench:
-    """Return what the bench knows for a turn."""
-    return Bench(setting.focal_px, setting.r_mm, setting.half_angle_deg, part.reading_deg, setting.limits_deg)
-
-
 def _temperature_c(part: LiveSlice) -> float | None:
     """Return the sensor's temperature as the driver states it."""
     return part.facts.temperature_c if isinstance(part.facts, RecordingFacts) else None
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with numpy's numbers and tuples replaced, and None for what is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(one) for one in value]
+    """Return a value without numpy's numbers, and None for what is not finite."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -72,6 +72,7 @@ SHORT_S = 1 / 60
 """Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
+_OF_LONGER = ("trigger_hz", "event_hz", "jitter_us", "event_jitter_us")
 _OF_THE_FLICKER = ("sync", "flicker is")
 """Words of advice that only a slice of several periods can give."""
 _LEARNT = 0.3
@@ -93,12 +94,10 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
         for one in signal.advice
         if any(word in one for word in _OF_THE_FLICKER) and figures.advice != (TURNING,)
     ]
+    longer = {name: getattr(signal.signal, name) for name in _OF_LONGER}
     return replace(
         figures,
-        trigger_hz=signal.trigger_hz,
-        event_hz=signal.event_hz,
-        jitter_us=signal.jitter_us,
-        event_jitter_us=signal.event_jitter_us,
+        signal=replace(figures.signal, **longer),
         advice=(*kept, *(one for one in figures.advice if one not in kept)),
     )
 
@@ -399,9 +398,8 @@ class LiveLoop:
             (now_s - started_s) * 1e3,
         )
         self._times_s.append(now_s)
-        width_px = figures.focus.get("edge_width_px")
-        if isinstance(width_px, int | float):
-            self._course.append((figures.time_s, float(width_px)))
+        if figures.focus.edge_width_px is not None:
+            self._course.append((figures.time_s, figures.focus.edge_width_px))
         searched_s = figures.stars_time_s
         if searched_s is not None and (not self._star_times_s or self._star_times_s[-1][1] != searched_s):
             self._star_times_s.append((now_s, searched_s))

@@ -53,13 +53,6 @@ def failures_of(bench: Bench) -> list[Failure]:
     return [one for one in _failures(bench) if one.kind != StillOpening.__name__]
 
 
-def is_opening(bench: Bench) -> bool:
-    """Return whether stage or light is being opened or not read yet; False if one could not be opened."""
-    if any(device.state == "opening" for device in bench.devices.late.values()):
-        return True
-    return any(one.kind == StillOpening.__name__ for one in _failures(bench))
-
-
 def _failures(bench: Bench) -> list[Failure]:
     return [one for one in (bench.stage.failure, bench.light.reading.failure) if one is not None]
 

@@ -14,11 +14,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bench.align.controls import Owners
-from bench.align.live_figures import LiveFigures, LiveSetting
+from bench.align.live_figures import LiveSetting
 from bench.align.live_loop import LivePicture
 from bench.align.meter import Meter, MeterProcess
 from bench.align.open_bench import (
@@ -28,7 +25,6 @@ from bench.align.open_bench import (
     close_bench,
     failures_of,
     follow,
-    is_opening,
     open_bench,
     open_devices,
     try_again,
@@ -174,15 +170,6 @@ class Session:
         self._close_bench()
         return self.open()
 
-    def wait_for_devices(self, timeout_s: float = 60.0) -> bool:
-        """Wait until stage and light are open, or could not be opened; True if all devices are open and answer."""
-        end_s = time.monotonic() + timeout_s
-        while time.monotonic() < end_s and not self._ended.wait(_WATCH_S):
-            bench = self._bench
-            if bench is not None and not is_opening(bench):
-                return not self.failures()
-        return False
-
     def failures(self) -> list[Failure]:
         """Return why stage or light cannot be used now; empty if both answer, or are still being opened."""
         bench = self._bench
@@ -208,11 +195,6 @@ class Session:
         return close_bench(bench) if bench is not None else []
 
     # ------------------------------------------------------------------ what it shows
-
-    def latest(self) -> tuple[int, NDArray[np.uint8], LiveFigures]:
-        """Return number (0 before the first one), picture (H, W) uint8, and figures of the newest picture."""
-        picture = self.picture()
-        return picture.number, picture.image, picture.figures
 
     def picture(self) -> LivePicture:
         """Return the newest picture with its JPEG and times; number 0 if there is none."""

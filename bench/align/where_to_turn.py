@@ -17,13 +17,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.align.live_image import LiveSetting
 from calib.model.homography import apply_homography, fit_homography
 from calib.model.rotation import euler_zxy
 from calib.stars.beam import Beam
 from calib.stars.dark_square import Border, DarkSquare
 from calib.stars.growth import linear_at
 from calib.stars.quick import QuickStars
-from calib.target import StarTarget
 
 Array = NDArray[np.float64]
 
@@ -176,27 +176,12 @@ class TurnFigures:
         }
 
 
-@dataclass(frozen=True)
-class Bench:
-    """What the bench knows for a turn."""
-
-    focal_px: float | None = None  # Approximate focal length, px; None if unknown
-    # Focal length of the collimator, mm; None if unknown. With the pitch of the stars it gives the focal
-    # length.
-    r_mm: float | None = None
-    half_angle_deg: float | None = None  # Half angle of the beam, degrees; None if unknown
-    # Present angles of the stage by axis, degrees.
-    reading_deg: Mapping[str, float] = field(default_factory=dict)
-    # Lowest and highest angle of each axis, degrees.
-    limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
 def where_to_turn(
     size: tuple[int, int],
     beam: Beam,
     stars: QuickStars | None,
-    target: StarTarget,
-    bench: Bench,
+    setting: LiveSetting,
+    reading_deg: Mapping[str, float],
     motion: SeenMotion | None = None,
     square: DarkSquare | None = None,
 ) -> TurnFigures:
@@ -204,12 +189,13 @@ def where_to_turn(
 
     size: Width and height of the image, px.
     stars: Tag and stars in it; None if they were not searched.
+    reading_deg: Present angles of the stage by axis, degrees; empty if unknown.
     motion: How the pattern was seen to move; None to rely on the signs of the bench.
     square: A dark square that looks like the tag, if no tag was recognised.
     """
-    grid = grid_of(stars)
+    grid, target = grid_of(stars), setting.target
     named = stars is not None and (bool(stars.named_by) or stars.tag is not None)
-    focal = _focal_px(grid if named else None, size, target, bench)
+    focal = _focal_px(grid if named else None, size, setting)
     tag_at = beam_at = None
     if grid is not None and named:
         middle = np.array(target.tag_centre_mm) / target.pitch_mm
@@ -219,9 +205,7 @@ def where_to_turn(
     offs = []
     for at in (tag_at, square.centre_px if square else None, beam_at):
         by_motion = motion.turn((at[0], at[1]), size, focal) if motion and at and focal else None
-        offs.append(
-            by_motion or (turn_to_centre((at[0], at[1]), size, focal, bench.reading_deg) if at else None)
-        )
+        offs.append(by_motion or (turn_to_centre((at[0], at[1]), size, focal, reading_deg) if at else None))
     of, chosen = next(
         ((name, off) for name, off in zip(("tag", "square", "beam"), offs, strict=True) if off), ("", None)
     )
@@ -240,8 +224,8 @@ def where_to_turn(
         tag_px=(tag_at[0], tag_at[1]) if tag_at else None,
         roll_deg=roll,
         roll_by_deg=None if roll is None else roll_by_deg(roll),
-        rim_poses=rim_poses(size, focal, offs[2] or offs[0] or offs[1], beam, bench),
-        beyond=_beyond(chosen, bench) if chosen and focal and bench.reading_deg else {},
+        rim_poses=rim_poses(size, focal, offs[2] or offs[0] or offs[1], beam, setting, reading_deg),
+        beyond=_beyond(chosen, setting, reading_deg) if chosen and focal and reading_deg else {},
     )
 
 
@@ -250,12 +234,12 @@ def _in_steps(turn: Offset, step: float) -> Offset:
     return round(turn[0] / step) * step + 0.0, round(turn[1] / step) * step + 0.0
 
 
-def _beyond(turn: Offset, bench: Bench) -> dict[str, float]:
+def _beyond(turn: Offset, setting: LiveSetting, reading_deg: Mapping[str, float]) -> dict[str, float]:
     """Return the angles that lie beyond the limits of their axes after a turn, degrees, by axis."""
     found = {}
     for axis, by in zip(("pan", "tilt"), turn, strict=True):
-        there = bench.reading_deg.get(axis, 0.0) + by
-        low, high = bench.limits_deg.get(axis, (-math.inf, math.inf))
+        there = reading_deg.get(axis, 0.0) + by
+        low, high = setting.limits_deg.get(axis, (-math.inf, math.inf))
         if not low <= there <= high:
             found[axis] = there
     return found
@@ -321,7 +305,12 @@ def roll_by_deg(roll: float) -> float:
 
 
 def rim_poses(
-    size: tuple[int, int], focal_px: float | None, off: Offset | None, beam: Beam, bench: Bench
+    size: tuple[int, int],
+    focal_px: float | None,
+    off: Offset | None,
+    beam: Beam,
+    setting: LiveSetting,
+    reading_deg: Mapping[str, float],
 ) -> str:
     """Return which poses show the rim of the beam.
 
@@ -335,9 +324,9 @@ def rim_poses(
     beam: The beam's disc.
     Returns: A sentence; empty if it is not known.
     """
-    if focal_px is None or off is None or not bench.reading_deg:
+    if focal_px is None or off is None or not reading_deg:
         return ""  # without a reading, no angle of a pose is known
-    half_angle = bench.half_angle_deg
+    half_angle = setting.half_angle_deg
     if beam.radius_px is not None:
         half_angle = max(half_angle or 0.0, math.degrees(math.atan(beam.radius_px / focal_px)))
     if half_angle is None:
@@ -345,8 +334,8 @@ def rim_poses(
     parts = []
     for axis, turn, side in (("pan", off[0], size[0]), ("tilt", off[1], size[1])):
         reach = half_angle - math.degrees(math.atan((0.5 - _RIM_INSIDE_SHARE) * side / focal_px))
-        middle = float(bench.reading_deg.get(axis, 0.0)) + turn
-        low, high = bench.limits_deg.get(axis, (-90.0, 90.0))
+        middle = float(reading_deg.get(axis, 0.0)) + turn
+        low, high = setting.limits_deg.get(axis, (-90.0, 90.0))
         if reach <= 0.0:
             return "Every pose shows the rim of the beam."
         ends = []
@@ -378,17 +367,15 @@ def grid_of(stars: QuickStars | None) -> NDArray[np.float64] | None:
     return stars.tag.homography if stars.tag is not None else None
 
 
-def _focal_px(
-    grid: NDArray[np.float64] | None, size: tuple[int, int], target: StarTarget, bench: Bench
-) -> float | None:
+def _focal_px(grid: NDArray[np.float64] | None, size: tuple[int, int], setting: LiveSetting) -> float | None:
     """Return the focal length by the pitch of the stars in the middle of the image, or the expected one."""
-    if grid is None or bench.r_mm is None:
-        return bench.focal_px
+    if grid is None or setting.r_mm is None:
+        return setting.focal_px
     middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
     linear = linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0]
     pitch_px = math.sqrt(abs(float(np.linalg.det(linear))))
-    found = pitch_px * bench.r_mm / target.pitch_mm
-    return found if math.isfinite(found) and found > 0.1 * size[0] else bench.focal_px
+    found = pitch_px * setting.r_mm / setting.target.pitch_mm
+    return found if math.isfinite(found) and found > 0.1 * size[0] else setting.focal_px
 
 
 def _wrapped(angle_deg: float) -> float:

@@ -54,7 +54,7 @@ def focus_rows(folder: Path) -> None:
                 )
             columns = []
             for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f"), ("sharpness", ".3f")):
-                values = [f.focus[key] for f in found if f.focus[key] is not None]
+                values = [value for f in found if (value := getattr(f.focus, key)) is not None]
                 columns.append(f"{min(values):{form}}-{max(values):{form}}" if values else "-")
             stars = "/".join(str(len(f.stars)) for f in found)
             print(f"{waveform} {level:4.0f} % {circle:7.0f} | {'  '.join(columns)}  {stars}", flush=True)
@@ -67,7 +67,7 @@ def turn_rows(folder: Path) -> None:
         for pan, tilt in ((3.0, -2.0), (-6.0, 4.0), (8.0, 5.0), (12.0, -6.0), (17.0, 0.0)):
             truth, angles = bench(circle_px=circle), {"pan": pan, "tilt": tilt}
             f = measured(folder, truth, angles, drive(level), LiveMeter(stars_every_s=0.0), 0.0)
-            there = {"pan": pan + (f.turn["pan_deg"] or 0.0), "tilt": tilt + (f.turn["tilt_deg"] or 0.0)}
+            there = {"pan": pan + (f.turn.pan or 0.0), "tilt": tilt + (f.turn.tilt or 0.0)}
             tag = project(np.array([TARGET.tag_centre_mm]), true_rotation(there, truth), truth)[0]
             rotation = true_rotation(angles, truth)
             disc = disc_of(beam_of(truth), rotation)

@@ -7,6 +7,7 @@ The simulated truth is looked at only afterwards.
 import math
 
 import pytest
+from align_fakes import wait_until
 from obedient import Obedient
 from running import starbench
 
@@ -22,12 +23,20 @@ from sequences.reader import find_document
 STATION, COPY = "simulated_unaligned", "mine.yaml"
 
 
+def devices_answer(session):
+    bench = session.bench
+    late = bench.devices.late.values()
+    return all(one.state == "open" for one in late) and not (
+        bench.stage.failure or bench.light.reading.failure
+    )
+
+
 def aligned_by_advice(settings, seed, patience_s, folder):
     """Align and write a copy of the station; return what was done and found, and lens and mount."""
     of_station = {f"station.{path}": text for path, text in settings.items()}
     session = Session(load_station(STATION, settings), seed=seed)
     assert session.open() is None
-    assert session.wait_for_devices()
+    wait_until(lambda: devices_answer(session), 60.0)
     try:
         person = Obedient(session, patience_s=patience_s)
         left = person.align()

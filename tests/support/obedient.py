@@ -42,7 +42,7 @@ class Obedient:
             said.append(set(figures.advice))
             if len(said) >= ENOUGH:
                 return sorted(set.intersection(*said))
-        return [*self.session.latest()[2].advice, "no patience left"]
+        return [*self.session.picture().figures.advice, "no patience left"]
 
     # ------------------------------------------------------------------ eyes
 
@@ -50,17 +50,18 @@ class Obedient:
         """Return the figures of a picture begun after now, when enough of them have shown stars or none do."""
         begun_s = time.monotonic()
         seen, fresh = 0, set()
-        last = self.session.latest()[0]
+        last = self.session.picture().number
         while time.monotonic() < self._until_s:
-            number, _, figures = self.session.latest()
-            if number != last and figures.time_s > begun_s:
-                seen, last = seen + 1, number
+            picture = self.session.picture()
+            figures = picture.figures
+            if picture.number != last and figures.time_s > begun_s:
+                seen, last = seen + 1, picture.number
                 if figures.stars_time_s is not None and figures.stars_time_s > begun_s:
                     fresh.add(figures.stars_time_s)
                 if len(fresh) >= LOOKS or seen >= pictures:
                     return figures
             time.sleep(0.02)
-        return self.session.latest()[2]
+        return self.session.picture().figures
 
     def _rest(self) -> None:
         while self.session.bench.stage.moving and time.monotonic() < self._until_s:
@@ -80,9 +81,9 @@ class Obedient:
             self._turn_ring(sentence)
         elif sentence.startswith("Roll the camera in its mount"):
             self._note(f"roll {figures.turn['roll_by_deg']:+.1f}")
-            self.session.bench.hands.do("mount turn", {"roll_deg": figures.turn["roll_by_deg"]})
+            self.session.bench.hands.do("mount turn", {"roll_deg": figures.turn.roll_by_deg})
         elif figures.turn.get("pan_deg") is not None and ("to the middle" in sentence):
-            steps = {axis: figures.turn[f"{axis}_deg"] for axis in ("pan", "tilt")}
+            steps = {axis: getattr(figures.turn, axis) for axis in ("pan", "tilt")}
             self._note("jog " + ", ".join(f"{axis} {step:+.2f}" for axis, step in steps.items()))
             for axis, step in steps.items():
                 limited = max(-LARGEST_JOG_DEG, min(LARGEST_JOG_DEG, step))

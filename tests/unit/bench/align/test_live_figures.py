@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.align.live_figures import LiveMeter, LiveSetting, LiveSlice, measure_live
+from bench.align.focus import FocusFigures
+from bench.align.live_figures import LiveMeter, LiveSetting, LiveSlice
+from bench.align.live_image import SignalFigures
 from bench.stations.station import load_station
 from drivers.camera import RecordingFacts
 from simulators.pixels.evt3_writer import Evt3Writer
@@ -23,7 +25,7 @@ FACTS = RecordingFacts("00050423", "EVK4", 1280, 720, 1000, 0.03, 10, 2, {}, {},
 
 
 def figures_of(path, setting=SETTING, **part):
-    image, figures = measure_live(LiveSlice(path, **part), setting)
+    image, figures = LiveMeter(stars_every_s=0.0).measure(LiveSlice(path, **part), setting)
     assert image.dtype == np.uint8
     assert image.shape == (figures.height_px, figures.width_px)
     json.dumps(figures.to_json(), allow_nan=False)
@@ -44,20 +46,20 @@ def good(folder):
 def test_a_good_slice_shows_everything_and_needs_nothing(good):
     image, f = figures_of(good, facts=FACTS, reading_deg={"pan": 0.31, "tilt": -0.2}, time_s=5.0)
     assert f.advice == ()
-    assert f.trigger_hz == pytest.approx(60.0, rel=1e-4)
-    assert f.event_hz == pytest.approx(60.0, rel=5e-3)
-    assert f.jitter_us < 1.0
-    assert f.event_jitter_us < 100.0
-    assert 60e6 < f.events_per_s < 120e6
-    assert 0.1 < f.link_share < 0.3
-    assert 0.3 < f.on_share < 0.6
+    assert f.signal.trigger_hz == pytest.approx(60.0, rel=1e-4)
+    assert f.signal.event_hz == pytest.approx(60.0, rel=5e-3)
+    assert f.signal.jitter_us < 1.0
+    assert f.signal.event_jitter_us < 100.0
+    assert 60e6 < f.signal.events_per_s < 120e6
+    assert 0.1 < f.signal.link_share < 0.3
+    assert 0.3 < f.signal.on_share < 0.6
     assert f.temperature_c == 41.5
     assert len(f.stars) > 230
     assert f.tag_id == 3
     assert np.abs(np.mean(f.tag_corners_px, axis=0) - [639.5, 359.5]).max() < 8.0
     assert f.contrast > 0.9
-    assert f.focus["edge_width_px"] == pytest.approx(0.68, abs=0.1)
-    assert set(f.focus["regions"]) == {"centre", "top left", "top right", "bottom left", "bottom right"}
+    assert f.focus.edge_width_px == pytest.approx(0.68, abs=0.1)
+    assert set(f.focus.regions) == {"centre", "top left", "top right", "bottom left", "bottom right"}
     assert np.ptp(image) > 200
     plain = f.to_json()
     assert plain["tag"]["id"] == 3
@@ -94,7 +96,7 @@ def test_files_that_hold_nothing(tmp_path, content, advice):
     assert advice in figures.advice[0]
     assert len(figures.advice) == 1
     assert (image == 0).all()
-    assert figures.focus.get("edge_width_px") is None
+    assert figures.focus.edge_width_px is None
 
 
 @pytest.mark.parametrize(
@@ -111,7 +113,7 @@ def test_darkness(tmp_path, light_on, advice):
 
 def test_a_lens_cap(tmp_path):
     _, figures = figures_of(write_slice(tmp_path / "cap.raw", np.zeros((720, 1280), np.float32)))
-    assert figures.trigger_hz == pytest.approx(60.0, rel=1e-3)
+    assert figures.signal.trigger_hz == pytest.approx(60.0, rel=1e-3)
     assert (
         "The sync signal comes, but the picture shows no lit area: remove the lens cap" in figures.advice[0]
     )
@@ -122,9 +124,9 @@ def test_a_real_recording_without_a_flicker(light_on):
     setting = dataclasses.replace(SETTING, light_on=light_on, frequency_hz=None)
     image, figures = figures_of(REAL, setting)
     assert figures.image_kind == "count"
-    assert figures.events_per_s == pytest.approx(65_900, rel=0.01)
-    assert figures.trigger_hz is None
-    assert figures.event_hz is None
+    assert figures.signal.events_per_s == pytest.approx(65_900, rel=0.01)
+    assert figures.signal.trigger_hz is None
+    assert figures.signal.event_hz is None
     assert "flicker" in figures.advice[0].lower()
     assert figures.stars == ()
     assert image.any()
@@ -132,7 +134,7 @@ def test_a_real_recording_without_a_flicker(light_on):
 
 def test_a_single_sync_pulse_is_no_measured_frequency():
     _, figures = figures_of(REAL, SETTING)
-    assert figures.trigger_hz is None
+    assert figures.signal.trigger_hz is None
     assert "60" not in " ".join(figures.advice)
 
 
@@ -169,7 +171,7 @@ def test_events_at_random_are_no_flicker(tmp_path):
     random = np.random.default_rng(3)
     x, y = random.integers(0, 1280, 200_000), random.integers(0, 720, 200_000)
     _, figures = figures_of(random_words(tmp_path / "noise.raw", x, y), SETTING)
-    assert figures.event_hz is None
+    assert figures.signal.event_hz is None
     assert figures.advice[0].startswith("No flicker is seen")
 
 
@@ -190,7 +192,7 @@ def test_a_slice_of_one_period_shows_stars_but_no_frequency(tmp_path):
     _, figures = figures_of(path)
     assert figures.image_kind == "fired-per-edge"
     assert len(figures.stars) > 200
-    assert (figures.trigger_hz, figures.event_hz) == (None, None)
+    assert (figures.signal.trigger_hz, figures.signal.event_hz) == (None, None)
 
 
 def test_far_out_of_focus(tmp_path):
@@ -207,12 +209,12 @@ def test_far_out_of_focus(tmp_path):
     )
     assert "Turn the focus ring: the coarse detail, now 0.0" in bright.advice[0]
     assert bright.to_json()["square"]["side_px"] > 100.0
-    assert bright.turn["pan_deg"] == pytest.approx(-4.0, abs=0.4)
+    assert bright.turn.pan == pytest.approx(-4.0, abs=0.4)
     dim = write_slice(tmp_path / "dim.raw", seen(truth, pan=4.0), light=drive(10.0))
     _, figures = figures_of(dim, reading_deg={"pan": 4.0})
     assert figures.advice[0].startswith("Turn the focus ring: edges are ")
-    assert figures.focus["blur_circle_px"] == pytest.approx(20.0, abs=2.5)
-    assert figures.focus["edge_width_px"] == pytest.approx(5.0, abs=0.7)
+    assert figures.focus.blur_circle_px == pytest.approx(20.0, abs=2.5)
+    assert figures.focus.edge_width_px == pytest.approx(5.0, abs=0.7)
     known = dataclasses.replace(SETTING, level_percent=10.0)
     _, figures = figures_of(dim, known, reading_deg={"pan": 4.0})
     assert figures.advice[0].startswith("Edges are about 5 px wide. Set the light's level to 100 %")
@@ -236,14 +238,14 @@ def test_a_tag_that_cannot_be_read_is_no_tag_out_of_view(tmp_path):
     reading = {"pan": 5.5, "tilt": -4.5}
     path = write_slice(tmp_path / "cut.raw", seen(truth, **reading))
     _, figures = figures_of(path, reading_deg=reading)
-    assert (figures.tag_id, figures.turn["of"]) == (None, "square")
+    assert (figures.tag_id, figures.turn.of) == (None, "square")
     assert figures.advice[0].startswith(
         "A dark square that looks like the tag is in view at the lower border, but no stars were found"
     )
     assert figures.advice[1].startswith("Turn pan by -")  # what is seen is said once
     assert "This brings the square to the middle." in figures.advice[1]
-    assert figures.turn["pan_deg"] == pytest.approx(-5.5, abs=0.5)
-    assert figures.turn["tilt_deg"] == pytest.approx(4.5, abs=0.5)
+    assert figures.turn.pan == pytest.approx(-5.5, abs=0.5)
+    assert figures.turn.tilt == pytest.approx(4.5, abs=0.5)
     assert re.search(r"Turn pan by -\d\.\d degrees and tilt by \+\d\.\d degrees\.", figures.advice[1])
 
 
@@ -253,8 +255,8 @@ def test_a_short_arc_without_expected_values_gives_a_side_but_no_angle(tmp_path)
     unknown = dataclasses.replace(SETTING, focal_px=None, half_angle_deg=None)
     _, figures = figures_of(write_slice(tmp_path / "arc.raw", lit), unknown)
     assert figures.disc_centre_px is None
-    assert figures.turn["of"] == ""
-    assert figures.turn["pan_deg"] is None
+    assert figures.turn.of == ""
+    assert figures.turn.pan is None
     assert "The light is on the right side of the picture" in figures.advice[-1]
 
 
@@ -302,7 +304,7 @@ def test_pictures_of_a_frame_camera(tmp_path):
     _, sharp = figures_of(picture_file(tmp_path / "sharp.tif", grey.astype(np.uint8)), FRAMES)
     assert (sharp.advice, sharp.image_kind) == ((), "picture")
     assert len(sharp.stars) > 230
-    assert sharp.events_per_s is None
+    assert sharp.signal.events_per_s is None
     _, dark = figures_of(picture_file(tmp_path / "dark.tif", np.zeros((720, 1280), np.uint8)), FRAMES)
     assert dark.advice[0].startswith("The picture is dark: open the aperture")
     _, white = figures_of(picture_file(tmp_path / "white.tif", np.full((720, 1280), 255, np.uint8)), FRAMES)
@@ -324,10 +326,10 @@ def test_the_meter_searches_stars_now_and_then_and_keeps_the_best(good):
         _, last = meter.measure(LiveSlice(good, 100.0 * number), SETTING)
     assert last.stars_time_s == 200.0
     assert not last.stars_followed
-    assert last.focus["best_edge_width_px"] == pytest.approx(last.focus["edge_width_px"])
+    assert last.focus.best_edge_width_px == pytest.approx(last.focus.edge_width_px)
     meter.forget()
     _, again = meter.measure(LiveSlice(good, 400.0), SETTING)
-    assert again.focus["best_edge_width_px"] is None
+    assert again.focus.best_edge_width_px is None
 
 
 def test_stars_at_rest_are_followed_and_a_turned_camera_is_noticed_in_the_next_picture(good, tmp_path):
@@ -339,7 +341,7 @@ def test_stars_at_rest_are_followed_and_a_turned_camera_is_noticed_in_the_next_p
     assert [one[0] for one in second.stars] == [one[0] for one in first.stars]
     apart = np.array(second.stars)[:, 1:] - np.array(first.stars)[:, 1:]
     assert np.abs(apart).max() < 0.1
-    assert second.focus["edge_width_px"] == pytest.approx(first.focus["edge_width_px"], abs=0.05)
+    assert second.focus.edge_width_px == pytest.approx(first.focus.edge_width_px, abs=0.05)
     # The same pattern, further on by nearly one pitch: each star stands where its neighbour stood.
     by_id = {number: np.array([x, y]) for number, x, y in first.stars}
     step_px = np.median([by_id[n + 1] - by_id[n] for n in by_id if n + 1 in by_id], axis=0)
@@ -364,7 +366,7 @@ def test_stars_without_a_tag_stay_only_while_nothing_moves(tmp_path, to, reading
         assert (second.stars, second.stars_time_s) == (first.stars, 0.0)
     else:
         assert (second.stars, second.stars_time_s) == ((), None)
-        assert second.focus["edge_width_px"] is None
+        assert second.focus.edge_width_px is None
 
 
 def test_stars_are_forgotten_when_the_light_goes_off(good, tmp_path):
@@ -379,6 +381,7 @@ def test_stars_are_forgotten_when_the_light_goes_off(good, tmp_path):
 def test_what_is_not_finite_is_none():
     from bench.align.live_figures import LiveFigures
 
-    plain = LiveFigures(jitter_us=float("nan"), focus={"edge_width_px": np.float32(1.5)}).to_json()
+    focus = FocusFigures(edge_width_px=np.float32(1.5))
+    plain = LiveFigures(signal=SignalFigures(jitter_us=float("nan")), focus=focus).to_json()
     assert plain["jitter_us"] is None
-    assert plain["focus"] == {"edge_width_px": 1.5}
+    assert type(plain["focus"]["edge_width_px"]) is float

@@ -10,6 +10,7 @@ from align_fakes import FakeDevices, FakeStage, fake_session, wait_until
 from bench.align import live_loop
 from bench.align.controls import StageControl
 from bench.align.live_figures import LiveFigures
+from bench.align.live_image import SignalFigures
 from bench.align.live_loop import with_signal_of
 from bench.align.meter import MeterHere
 from bench.base.errors import ControlRefused
@@ -57,10 +58,10 @@ def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened, 
 def test_pictures_come_and_no_slice_is_left(opened):
     session, devices = opened
     wait_until(lambda: session.picture().number >= 5)
-    number, image, figures = session.latest()
-    assert number >= 5
-    assert image.dtype == "uint8"
-    assert figures.to_json()["time_s"] > 0
+    picture = session.picture()
+    assert picture.number >= 5
+    assert picture.image.dtype == "uint8"
+    assert picture.figures.to_json()["time_s"] > 0
     folder = devices.camera.paths[0].parent
     assert len(list(folder.iterdir())) <= 3
     assert folder.stat().st_mode & 0o077 == 0
@@ -383,10 +384,13 @@ def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
 
 def test_a_short_slice_keeps_the_flicker_and_the_advice_about_it_of_the_last_longer_one():
     wrong = "The flicker is 50.00 Hz, but the light is set to 60.00 Hz."
-    short = LiveFigures(time_s=2.0, trigger_hz=None, on_share=0.4, advice=("Turn the focus ring.",))
-    longer = LiveFigures(time_s=1.0, trigger_hz=50.0, jitter_us=0.5, advice=(wrong, "Turn pan."))
+    short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4), advice=("Turn the focus ring.",))
+    longer = LiveFigures(
+        time_s=1.0, signal=SignalFigures(trigger_hz=50.0, jitter_us=0.5), advice=(wrong, "Turn pan.")
+    )
     shown = with_signal_of(short, longer)
-    assert (shown.time_s, shown.trigger_hz, shown.jitter_us, shown.on_share) == (2.0, 50.0, 0.5, 0.4)
+    assert shown.time_s == 2.0
+    assert shown.signal == SignalFigures(trigger_hz=50.0, jitter_us=0.5, on_share=0.4)
     assert shown.advice == (wrong, "Turn the focus ring.")
 
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from bench.align.where_to_turn import Bench, grid_of, rim_poses, roll_by_deg, turn_to_centre, where_to_turn
+from bench.align.live_image import LiveSetting
+from bench.align.where_to_turn import grid_of, rim_poses, roll_by_deg, turn_to_centre, where_to_turn
 from calib.stars.beam import Beam, find_beam
 from calib.stars.quick import find_stars_quickly
 from simulators.optics.picture import TARGET, project, true_rotation
@@ -17,6 +18,11 @@ MIDDLE = np.array([639.5, 359.5])
 FULL = Beam(
     1.0, rim_in_view=False, centre_px=None, radius_px=None, lit=np.ones((9, 16), np.uint8), scale=80.0
 )
+
+
+def known_bench(reading_deg=None, **known):
+    """What the bench knows for a turn, and the angles of its stage."""
+    return LiveSetting(TARGET, **known), reading_deg or {}
 
 
 def tag_px(truth, angles_deg):
@@ -50,10 +56,10 @@ def test_figures_of_a_picture_off_centre():
     truth = bench(roll_deg=3.0)
     reading = {"pan": 5.0, "tilt": -1.5}
     image = fired(seen(truth, **reading))
-    known = Bench(
+    known = known_bench(
         r_mm=255.0, half_angle_deg=12.0, reading_deg=reading, limits_deg={"pan": (-15, 15), "tilt": (-10, 10)}
     )
-    turn = where_to_turn(SIZE, find_beam(image), find_stars_quickly(image, TARGET), TARGET, known)
+    turn = where_to_turn(SIZE, find_beam(image), find_stars_quickly(image, TARGET), *known)
     assert (turn.of, turn.unit) == ("tag", "°")
     assert turn.focal_px == pytest.approx(truth.camera.fx, rel=0.01)
     assert not turn.centred
@@ -62,7 +68,7 @@ def test_figures_of_a_picture_off_centre():
     assert turn.beam_off == pytest.approx(turn.tag_off, abs=0.9)
     assert turn.roll_deg == pytest.approx(3.0, abs=0.3)
     rolled = bench(roll_deg=3.0 + turn.roll_by_deg)
-    again = where_to_turn(SIZE, FULL, find_stars_quickly(fired(seen(rolled)), TARGET), TARGET, known)
+    again = where_to_turn(SIZE, FULL, find_stars_quickly(fired(seen(rolled)), TARGET), *known)
     assert abs(again.roll_deg) == pytest.approx(10.0, abs=0.5)
     assert again.roll_by_deg == 0.0
 
@@ -71,7 +77,7 @@ def test_the_beam_alone_shows_where_to_turn():
     truth = bench(circle_px=26.0)
     reading = {"pan": 9.0}
     image = fired(seen(truth, **reading))
-    turn = where_to_turn(SIZE, find_beam(image), None, TARGET, Bench(focal_px=3300.0, reading_deg=reading))
+    turn = where_to_turn(SIZE, find_beam(image), None, *known_bench(focal_px=3300.0, reading_deg=reading))
     assert turn.of == "beam"
     assert turn.pan == pytest.approx(-9.0, abs=1.0)
     assert turn.pan == round(turn.pan)
@@ -81,7 +87,7 @@ def test_the_beam_alone_shows_where_to_turn():
 
 def test_without_a_focal_length_the_turn_is_in_px():
     image = fired(seen(bench(), pan=3.0, tilt=2.0))
-    turn = where_to_turn(SIZE, FULL, find_stars_quickly(image, TARGET), TARGET, Bench())
+    turn = where_to_turn(SIZE, FULL, find_stars_quickly(image, TARGET), *known_bench())
     at = tag_px(bench(), {"pan": 3.0, "tilt": 2.0})
     assert turn.unit == "px"
     assert (turn.pan, turn.tilt) == pytest.approx((639.5 - at[0], at[1] - 359.5), abs=2.0)
@@ -91,17 +97,17 @@ def test_without_a_focal_length_the_turn_is_in_px():
 
 
 def test_nothing_seen_is_nothing_said():
-    turn = where_to_turn(SIZE, FULL, None, TARGET, Bench(focal_px=3300.0))
+    turn = where_to_turn(SIZE, FULL, None, *known_bench(focal_px=3300.0))
     assert (turn.of, turn.pan, turn.roll_deg, turn.rim_poses, turn.centred) == ("", None, None, "", False)
     assert grid_of(find_stars_quickly(np.zeros((720, 1280)), TARGET)) is None
 
 
 def test_a_turn_beyond_a_limit_is_named():
-    known = Bench(
+    known = known_bench(
         focal_px=3300.0, reading_deg={"pan": 14.0}, limits_deg={"pan": (-15.0, 15.0), "tilt": (-10.0, 10.0)}
     )
     beam = FULL._replace(rim_in_view=True, centre_px=(400.0, 359.5), radius_px=700.0)
-    turn = where_to_turn(SIZE, beam, None, TARGET, known)
+    turn = where_to_turn(SIZE, beam, None, *known)
     assert turn.pan > 0
     assert turn.beyond == {"pan": pytest.approx(14.0 + turn.pan)}
 
@@ -117,10 +123,10 @@ def test_the_wanted_roll_is_far_from_the_pixels(roll):
 def test_the_poses_said_show_the_rim():
     truth = bench()
     half_angle = math.degrees(math.atan(718.0 / truth.camera.fx))
-    known = Bench(
+    known = known_bench(
         half_angle_deg=half_angle, reading_deg=ZERO, limits_deg={"pan": (-15, 15), "tilt": (-15, 15)}
     )
-    text = rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, known)
+    text = rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, *known)
     assert text.startswith("The rim of the beam is in view if pan is below -")
     numbers = [
         float(word.strip("°,"))
@@ -129,8 +135,12 @@ def test_the_poses_said_show_the_rim():
     ]
     for axis, angle in zip(("pan", "pan", "tilt", "tilt"), numbers, strict=True):
         assert find_beam(fired(seen(truth, **{axis: angle}))).rim_in_view
-    none = Bench(half_angle_deg=half_angle, reading_deg=ZERO, limits_deg={"pan": (-1, 1), "tilt": (-1, 1)})
-    assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, none).startswith("No pose")
-    assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, Bench(half_angle_deg=half_angle)) == ""
-    wide = Bench(half_angle_deg=5.0, reading_deg=ZERO)
-    assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, wide) == "Every pose shows the rim of the beam."
+    none = known_bench(
+        half_angle_deg=half_angle, reading_deg=ZERO, limits_deg={"pan": (-1, 1), "tilt": (-1, 1)}
+    )
+    assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, *none).startswith("No pose")
+    assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, *known_bench(half_angle_deg=half_angle)) == ""
+    wide = known_bench(half_angle_deg=5.0, reading_deg=ZERO)
+    assert (
+        rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, *wide) == "Every pose shows the rim of the beam."
+    )
