@@ -83,7 +83,7 @@ def turn_rows(folder: Path) -> None:
             if f.disc_centre_px is not None and f.disc_radius_px is not None:
                 off = f"{np.hypot(*(np.array(f.disc_centre_px) - middle)):5.1f}, {100 * (f.disc_radius_px / radius - 1):+.1f}"
             print(
-                f"{pan:3.0f} {tilt:4.0f} {circle:6.0f} | {f.turn['of']:4s} | "
+                f"{pan:3.0f} {tilt:4.0f} {circle:6.0f} | {f.turn.of:4s} | "
                 f"{np.hypot(tag[0] - 639.5, tag[1] - 359.5):6.1f} | {off}",
                 flush=True,
             )

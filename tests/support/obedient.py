@@ -80,9 +80,9 @@ class Obedient:
         elif "Turn the focus ring" in sentence:
             self._turn_ring(sentence)
         elif sentence.startswith("Roll the camera in its mount"):
-            self._note(f"roll {figures.turn['roll_by_deg']:+.1f}")
+            self._note(f"roll {figures.turn.roll_by_deg:+.1f}")
             self.session.bench.hands.do("mount turn", {"roll_deg": figures.turn.roll_by_deg})
-        elif figures.turn.get("pan_deg") is not None and ("to the middle" in sentence):
+        elif figures.turn.pan is not None and figures.turn.unit == "°" and ("to the middle" in sentence):
             steps = {axis: getattr(figures.turn, axis) for axis in ("pan", "tilt")}
             self._note("jog " + ", ".join(f"{axis} {step:+.2f}" for axis, step in steps.items()))
             for axis, step in steps.items():
