@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from calling import out_of
 
-from bench.commands.cli import main
 from calib.model.rotation import log_map
 from simulators.config import bench_config
 from simulators.optics.picture import true_rotation
@@ -53,11 +53,7 @@ def folder(tmp_path_factory):
 
 
 def test_rotation_and_clocks_are_those_of_the_simulated_rig(capsys, folder):
-    with pytest.raises(SystemExit) as end:
-        main(["rig", str(folder / "left"), str(folder / "right"), "--sync", "--json"])
-    said = capsys.readouterr()
-    assert end.value.code == 0, said.err
-    told = json.loads(said.out)
+    told = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", "--sync", "--json"))
     one, other = (
         true_rotation(POSES[0], bench_config(SECTIONS[name]).truth_for(SEED)) for name in ("left", "right")
     )

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from calling import out_of, refusal
 
-from bench.commands.cli import main
 from bench.plan.plan import load_documents, make_plan
 from bench.results.forecasts import expected_bench, expected_uncertainty, suggest_poses
 from calib.studies.predicted_views import predicted_view
@@ -30,26 +30,20 @@ def points(tmp_path_factory):
     return folder, bench
 
 
-def say(capsys, *words, status=0):
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    said = capsys.readouterr()
-    assert end.value.code == status, said.err
-    return said.out
-
-
 def test_other_methods_are_compared_on_the_same_points(capsys, points):
-    told = json.loads(say(capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare", "--json"))
+    told = json.loads(
+        out_of(capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare", "--json")
+    )
     names = [row["name"] for row in told["compared"]]
     assert [name.split(",")[0] for name in names] == ["Starbench", "published recipe", "OpenCV"]
     assert all(abs(row["camera"]["fx"] - 3300) < 10 for row in told["compared"])
-    assert "OpenCV, planar (Zhang)" in say(
+    assert "OpenCV, planar (Zhang)" in out_of(
         capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare"
     )
 
 
 def test_the_planar_model_is_told_in_few_lines_and_not_as_the_result(capsys, points):
-    said = say(capsys, "calibrate", points[0], "--image-size", "1280x720")
+    said = out_of(capsys, "calibrate", points[0], "--image-size", "1280x720")
     result, _, planar = said.partition("Only for comparison, not the result")
     assert result.count("Note:") == said.count("Note:")
     assert planar.rstrip().splitlines()[-1].lstrip().startswith("fx 3")
@@ -59,14 +53,14 @@ def test_the_planar_model_is_told_in_few_lines_and_not_as_the_result(capsys, poi
 def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp_path):
     folder, bench = points
     made = tmp_path / "collimator.json"
-    say(capsys, "passport", "make", folder, "--image-size", "1280x720", "--output", made)
+    out_of(capsys, "passport", "make", folder, "--image-size", "1280x720", "--output", made)
     words = ("calibrate", folder / "view1.txt", "--image-size", "1280x720", "--passport", made, "--compare")
-    ours, published, opencv = json.loads(say(capsys, *words, "--json"))["compared"]
+    ours, published, opencv = json.loads(out_of(capsys, *words, "--json"))["compared"]
     assert abs(ours["camera"]["fx"] - bench.camera.fx) < 10
     assert "camera" in published
     assert opencv.keys() == {"name", "failed"}
     assert "same pose" in opencv["failed"]
-    assert f"no result: {opencv['failed']}" in say(capsys, *words)
+    assert f"no result: {opencv['failed']}" in out_of(capsys, *words)
 
 
 CAMERA_INFO = """
@@ -94,7 +88,7 @@ def camera_info(points, tmp_path):
 
 
 def test_a_camera_that_did_not_change_is_right_within_u(capsys, points, camera_info):
-    shown = say(capsys, "check", points[0], "--image-size", "1280x720", "--calibration", camera_info())
+    shown = out_of(capsys, "check", points[0], "--image-size", "1280x720", "--calibration", camera_info())
     assert shown.startswith("RIGHT within U everywhere on the sensor")
     assert "can stay unseen" in shown
     assert "ROS's camera_info states no uncertainty" in shown
@@ -109,27 +103,22 @@ def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, poin
         "--calibration",
         str(camera_info(longer=1.01)),
     ]
-    with pytest.raises(SystemExit) as end:
-        main([*words, "--json"])
-    assert end.value.code == 1
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(out_of(capsys, *words, "--json", status=1))
     assert (told["right"], told["cause"]) == (False, "scale")
     assert max(one["normalised"] for one in told["regions"]) > 1
-    with pytest.raises(SystemExit):
-        main(words)
-    assert "NOT RIGHT" in (shown := capsys.readouterr().out)
+    assert "NOT RIGHT" in (shown := out_of(capsys, *words, status=1))
     assert "A change of scale explains it" in shown
 
 
 def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info):
     words = ["check", points[0] / "view1.txt", "--image-size", "1280x720", "--calibration"]
-    shown = say(capsys, *words, camera_info())
+    shown = out_of(capsys, *words, camera_info())
     assert shown.startswith(
         "One view without a known collimator: judged is only what no other pose explains."
     )
     assert "RIGHT as far as this view can tell" in shown
     assert "A change of one value alone would be seen from: scale" in shown
-    told = json.loads(say(capsys, *words, camera_info(), "--json"))
+    told = json.loads(out_of(capsys, *words, camera_info(), "--json"))
     assert (told["one_view"], told["right"]) == (True, True)
     assert told["seen_from"]["scale"] > 0.001
 
@@ -141,38 +130,34 @@ def test_the_rotation_between_two_cameras_of_a_rig_has_no_translation(capsys, po
         rows = np.loadtxt(file)
         rows[:, 0], rows[:, 1] = 1280 - rows[:, 0], 720 - rows[:, 1]
         np.savetxt(tmp_path / file.name, rows)
-    told = json.loads(say(capsys, "rig", folder, tmp_path, "--image-size", "1280x720", "--json"))
+    told = json.loads(out_of(capsys, "rig", folder, tmp_path, "--image-size", "1280x720", "--json"))
     assert np.abs(told["vector_deg"][2]) == pytest.approx(180.0, abs=0.05)
     assert np.array(told["rotation"]) == pytest.approx(np.diag([-1.0, -1.0, 1.0]), abs=1e-3)
     assert told["views"] == [f"view{i}" for i in range(1, 6)]
     assert told["translation"] is None
     assert 0 < max(told["sigma_arcsec"]) < 400
-    shown = say(capsys, "rig", folder, tmp_path, "--image-size", "1280x720")
+    shown = out_of(capsys, "rig", folder, tmp_path, "--image-size", "1280x720")
     assert "cannot be measured through a collimator: no translation is given" in shown
 
 
 def test_cameras_that_saw_different_poses_are_refused_as_a_rig(capsys, points, tmp_path):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
-    with pytest.raises(SystemExit) as end:
-        main(["rig", str(points[0]), str(tmp_path), "--image-size", "1280x720"])
-    assert end.value.code == 1
-    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in capsys.readouterr().err
+    said = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
+    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in said
 
 
 def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
     monkeypatch.setattr("bench.results.offline.calibrate", lambda *_: pytest.fail("calibrated"))
-    with pytest.raises(SystemExit):
-        main(["rig", str(points[0]), str(tmp_path), "--image-size", "1280x720"])
-    assert "share no pose" in capsys.readouterr().err
+    assert "share no pose" in refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
 
 
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"
-    say(
+    out_of(
         capsys,
         "passport",
         "make",
@@ -188,28 +173,28 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain
         "--temperature",
         21.5,
     )
-    shown = say(capsys, "passport", "show", file)
+    shown = out_of(capsys, "passport", "show", file)
     assert "collimator: C7" in shown
     assert "temperature_c: 21.5" in shown
     assert "from 5 views: view1, view2, view3, view4, view5" in shown
-    held = json.loads(say(capsys, "passport", "show", file, "--json"))
+    held = json.loads(out_of(capsys, "passport", "show", file, "--json"))
     assert held["names"] == ["x", "y", "r"]
     assert np.array(held["covariance"]).shape == (3, 3)
     assert held["conditions"]["made_utc"].startswith("20")
     assert held["conditions"]["model"] == "spherical"
     sizes = ("--image-size", "1280x720", "--json")
-    alone = json.loads(say(capsys, "calibrate", folder / "view4.txt", "--passport", file, *sizes))
+    alone = json.loads(out_of(capsys, "calibrate", folder / "view4.txt", "--passport", file, *sizes))
     assert abs(alone["camera"]["fx"] - bench.camera.fx) < 3 * alone["sigma"]["fx"]
-    without = json.loads(say(capsys, "calibrate", folder, "--views", "1,2,3", *sizes))
-    with_it = json.loads(say(capsys, "calibrate", folder, "--views", "1,2,3", "--passport", file, *sizes))
+    without = json.loads(out_of(capsys, "calibrate", folder, "--views", "1,2,3", *sizes))
+    with_it = json.loads(out_of(capsys, "calibrate", folder, "--views", "1,2,3", "--passport", file, *sizes))
     assert with_it["sigma"]["fx"] < without["sigma"]["fx"]
 
 
 def test_a_passport_is_never_overwritten_and_only_a_passport_is_read(capsys, points, tmp_path):
     file = tmp_path / "c.json"
     certificate = ("passport", "certificate", "--radius", 255, "--sigma", 0.05, "--number", "K-1", "-o", file)
-    say(capsys, *certificate, "--date", "2026-03-01", "--temperature", 20.0, "--collimator", "C7")
-    held = json.loads(say(capsys, "passport", "show", file, "--json"))
+    out_of(capsys, *certificate, "--date", "2026-03-01", "--temperature", 20.0, "--collimator", "C7")
+    held = json.loads(out_of(capsys, "passport", "show", file, "--json"))
     assert (held["names"], held["values"], held["covariance"]) == (["r"], [255.0], [[0.05**2]])
     made = held["conditions"].pop("made_utc")
     assert datetime.fromisoformat(made).tzinfo is UTC
@@ -219,15 +204,15 @@ def test_a_passport_is_never_overwritten_and_only_a_passport_is_read(capsys, poi
         "collimator": "C7",
         "temperature_c": 20.0,
     }
-    say(capsys, *certificate, status=2)
+    out_of(capsys, *certificate, status=2)
     for name, text in (("a.json", "{}"), ("b.json", "no json"), ("d.json", "[1, 2]")):
         (tmp_path / name).write_text(text)
-        say(capsys, "passport", "show", tmp_path / name, status=2)
-    say(capsys, "passport", "show", tmp_path / "none", status=2)
+        out_of(capsys, "passport", "show", tmp_path / name, status=2)
+    out_of(capsys, "passport", "show", tmp_path / "none", status=2)
 
 
 def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
-    told = json.loads(say(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
+    told = json.loads(out_of(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
     assert 0.1 < told["expected"]["sigma"]["fx"] < 10
     assert len(told["suggested"]) == 2
     planned = make_plan(*load_documents("three_pose", "simulated"))
@@ -242,7 +227,7 @@ def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
 
 def test_a_study_finds_that_the_sigmas_hold_and_plots_them(capsys, tmp_path):
     plot = tmp_path / "z.svg"
-    told = json.loads(say(capsys, "study", "--runs", 40, "--plot", plot, "--json"))
+    told = json.loads(out_of(capsys, "study", "--runs", 40, "--plot", plot, "--json"))
     assert told["held"]
     assert told["failed"] == []
     assert 0.7 < told["z_rms"]["fx"] < 1.4
@@ -256,23 +241,23 @@ def test_a_recording_is_converted_completely_and_never_overwrites_a_file(
     from imported import import_events
 
     raw = evk4_recording
-    assert "82469 events, 2 triggers" in say(capsys, "convert", raw, tmp_path / "out", "--as", kind)
+    assert "82469 events, 2 triggers" in out_of(capsys, "convert", raw, tmp_path / "out", "--as", kind)
     assert len(import_events(tmp_path / "out").events.t) == 82_469
-    say(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=2)
+    out_of(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=2)
 
 
 def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, evk4_recording, tmp_path):
     from drivers.camera.raw_file import RawFile
 
     raw = evk4_recording
-    say(capsys, "convert", raw, tmp_path / "pose.hdf5")
-    assert "82469 events, 2 triggers" in say(
+    out_of(capsys, "convert", raw, tmp_path / "pose.hdf5")
+    assert "82469 events, 2 triggers" in out_of(
         capsys, "convert", tmp_path / "pose.hdf5", tmp_path / "again.raw"
     )
     ours, theirs = (RawFile.open(path).read()[0] for path in (tmp_path / "again.raw", raw))
     assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
-    say(capsys, "convert", raw, tmp_path / "pose.csv", status=2)
-    say(capsys, "convert", raw, tmp_path / "pose.hdf5", status=2)
+    out_of(capsys, "convert", raw, tmp_path / "pose.csv", status=2)
+    out_of(capsys, "convert", raw, tmp_path / "pose.hdf5", status=2)
 
 
 def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from calling import out_of, refusal
 from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
@@ -34,27 +35,13 @@ def drawn(tmp_path_factory):
     return rig, folder
 
 
-def said(capsys, *words):
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert end.value.code == 0, capsys.readouterr().err
-    return capsys.readouterr().out
-
-
-def refused(capsys, *words):
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert end.value.code != 0
-    return capsys.readouterr().err
-
-
 def test_rotation_and_translation_come_with_u(capsys, drawn):
     rig, folder = drawn
-    told = json.loads(said(capsys, "rig", folder / "left", folder / "right", *BOARD, "--json"))
+    told = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", *BOARD, "--json"))
     off = np.array(told["translation"]) - rig.translation
     assert (np.abs(off) < 4.0 * np.array(told["sigma_mm"])).all()
     assert np.array(told["rotation"]) == pytest.approx(rig.rotation, abs=2e-3)
-    shown = said(capsys, "rig", folder / "left", folder / "right", *BOARD)
+    shown = out_of(capsys, "rig", folder / "left", folder / "right", *BOARD)
     assert "by 10 boards that both cameras saw" in shown
     assert "translation x" in shown
 
@@ -85,9 +72,9 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     rig, folder = drawn
     star_files(rig, folder)
     stars = [folder / "stars-left", folder / "stars-right"]
-    turned = json.loads(said(capsys, "rig", *stars, "--image-size", "1280x720", "--json"))
+    turned = json.loads(out_of(capsys, "rig", *stars, "--image-size", "1280x720", "--json"))
     both = json.loads(
-        said(capsys, "rig", *stars, "--boards", folder / "left", folder / "right", *BOARD, "--json")
+        out_of(capsys, "rig", *stars, "--boards", folder / "left", folder / "right", *BOARD, "--json")
     )
     assert turned["translation"] is None
     assert len(both["views"]) == 4
@@ -95,12 +82,12 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     assert max(both["sigma_arcsec"]) < 0.8 * max(turned["sigma_arcsec"])
     files = [folder / "left.yaml", folder / "right.yaml"]
     words = ("rig", *stars, "--image-size", "1280x720", "--json", "--calibration")
-    held = json.loads(said(capsys, *words, *files))  # no uncertainty is stated: the true values are held
+    held = json.loads(out_of(capsys, *words, *files))  # no uncertainty is stated: the true values are held
     assert max(held["sigma_arcsec"]) < 0.5 * max(turned["sigma_arcsec"])
     assert held["cameras"][0]["fx"] == pytest.approx(rig.cameras[0].fx, abs=0.01)
     off = 206265 * log_map(np.array(held["rotation"]) @ rig.rotation.T)
     assert (np.abs(off) < 4.0 * np.array(held["sigma_arcsec"])).all()
-    assert "contradicts its views" in refused(capsys, *words, *files[::-1])
+    assert "contradicts its views" in refusal(capsys, *words, *files[::-1])
     off = 206265 * log_map(np.array(both["rotation"]) @ rig.rotation.T)
     assert (np.abs(off) < 4.0 * np.array(both["sigma_arcsec"])).all()
     assert (np.abs(np.array(both["translation"]) - rig.translation) < 4.0 * np.array(both["sigma_mm"])).all()
@@ -110,7 +97,7 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
     rig, folder = drawn
     files = (folder / "left.yaml", folder / "right.yaml")
     words = ("rig", folder / "left", folder / "right", *BOARD, "--calibration", *files)
-    said(capsys, *words, "-o", tmp_path / "rig")
+    out_of(capsys, *words, "-o", tmp_path / "rig")
     assert sorted(file.name for file in (tmp_path / "rig").iterdir()) == [
         "cam0_camera_info.yaml", "cam1_camera_info.yaml", "extrinsics.json", "kalibr_camchain.yaml",
         "opencv_stereo.yaml", "rig.json",
@@ -149,7 +136,7 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
 
     stored = cv2.FileStorage(str(tmp_path / "rig" / "opencv_stereo.yaml"), cv2.FILE_STORAGE_READ)
     assert stored.getNode("T").mat().ravel() == pytest.approx(1000.0 * t_m)
-    assert "The folder is not empty" in refused(capsys, *words, "-o", tmp_path / "rig")
+    assert "The folder is not empty" in refusal(capsys, *words, "-o", tmp_path / "rig", status=2)
 
 
 def sdk_file(path, rotation, translation_mm, times=1):
@@ -162,36 +149,29 @@ def sdk_file(path, rotation, translation_mm, times=1):
     return path
 
 
-def compared(capsys, status, *words):
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert end.value.code == status
-    return capsys.readouterr().out
-
-
 def test_a_stated_rig_is_right_until_a_camera_moves(capsys, drawn, tmp_path):
     rig, folder = drawn
     words = ("rig", folder / "left", folder / "right", *BOARD, "--stated")
     still = sdk_file(tmp_path / "extrinsics.json", rig.rotation, rig.translation)
-    shown = compared(capsys, 0, *words, still)
+    shown = out_of(capsys, *words, still)
     assert "RIGHT within U" in shown
     assert "The file states no uncertainty" in shown
-    told = json.loads(compared(capsys, 0, *words, still, "--json"))["stated"]
+    told = json.loads(out_of(capsys, *words, still, "--json"))["stated"]
     assert told["right"]
     assert told["arcsec"] < 600.0
 
     turned = exp_map(np.radians([[0.0, 1.0, 0.0]]))[0] @ rig.rotation
-    shown = compared(capsys, 1, *words, sdk_file(tmp_path / "turned.json", turned, rig.translation))
+    shown = out_of(capsys, *words, sdk_file(tmp_path / "turned.json", turned, rig.translation), status=1)
     assert "NOT RIGHT" in shown
     moved = sdk_file(tmp_path / "moved.json", rig.rotation, rig.translation + np.array([0.0, 5.0, 0.0]))
-    assert "NOT RIGHT" in compared(capsys, 1, *words, moved)
+    assert "NOT RIGHT" in out_of(capsys, *words, moved, status=1)
 
 
 def test_a_rig_of_an_earlier_day_is_right_with_both_uncertainties(capsys, drawn, tmp_path):
     _, folder = drawn
     words = ("rig", folder / "left", folder / "right", *BOARD)
-    said(capsys, *words, "-o", tmp_path / "rig")
-    told = json.loads(said(capsys, *words, "--stated", tmp_path / "rig" / "rig.json", "--json"))["stated"]
+    out_of(capsys, *words, "-o", tmp_path / "rig")
+    told = json.loads(out_of(capsys, *words, "--stated", tmp_path / "rig" / "rig.json", "--json"))["stated"]
     assert told["has_covariance"]
     assert told["normalised"] < 1e-3
 
@@ -216,43 +196,48 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told)
     _, folder = drawn
     (tmp_path / "bad.json").write_text(content)
     stated = ("--stated", tmp_path / "bad.json")
-    message = refused(capsys, "rig", folder / "left", folder / "right", *BOARD, *stated)
+    message = refusal(capsys, "rig", folder / "left", folder / "right", *BOARD, *stated)
     assert told in message
     assert "Known are rig.json" in message
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "told", "status"),
     [
-        (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board"),
+        (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board", 2),
         (
             ("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"),
             "made from the same views. They would count twice.",
+            2,
         ),
-        (("{}/left", "{}/other", *BOARD), "share no pose"),
-        (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views."),
-        (("{}/left/board-0.csv", "{}/right/board-0.csv", *BOARD), "Show the board at more angles."),
+        (("{}/left", "{}/other", *BOARD), "share no pose", 1),
+        (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views.", 2),
+        (("{}/left/board-0.csv", "{}/right/board-0.csv", *BOARD), "Show the board at more angles.", 1),
         (
             ("{}/left", "{}/right", "--boards", "{}/left", "{}/left", *BOARD),
             "Both cameras have the same views.",
+            2,
         ),
-        (("{}/left", "{}/blank", *BOARD), "The whole board must be in view"),
-        (("{}/left", "{}/moved", *BOARD), "do not fit one rig"),
+        (("{}/left", "{}/blank", *BOARD), "The whole board must be in view", 1),
+        (("{}/left", "{}/moved", *BOARD), "do not fit one rig", 1),
         (
             ("{}/left", "{}/right", *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"),
             "outside an image of 640 x 480 px",
+            1,
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"),
             "has 1280 x 720 px, its camera 640 x 480 px",
+            1,
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"),
             "The file holds 2 cameras",
+            1,
         ),
     ],
 )
-def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, told):
+def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, told, status):
     _, folder = drawn
     (folder / "blank").mkdir(exist_ok=True)
     cv2.imwrite(str(folder / "blank" / "board-0.png"), np.full((720, 1280), 90, np.uint8))
@@ -270,7 +255,8 @@ def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, wo
     }  # fmt: skip
     (folder / "left" / "a.yaml").write_text(whole)
     (folder / "two.yaml").write_text(yaml.safe_dump({"cam0": camera, "cam1": deepcopy(camera)}))
-    message = refused(capsys, "rig", *(word.format(folder) for word in words), "-o", tmp_path / "new")
+    words = (*(word.format(folder) for word in words), "-o", tmp_path / "new")
+    message = refusal(capsys, "rig", *words, status=status)
     assert told in message
     assert message.count("Error") <= 1
     assert not (tmp_path / "new").exists()
@@ -333,17 +319,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-def said_of_clocks(capsys, *words, status=0):
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    out = capsys.readouterr()
-    assert end.value.code == status, out.err
-    return out.err if status else out.out
-
-
 def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, tmp_path):
     words = ("rig", folder / "left", folder / "right", *WORDS, "--sync", "-o", tmp_path / "rig")
-    told = json.loads(said_of_clocks(capsys, *words, "--json"))
+    told = json.loads(out_of(capsys, *words, "--json"))
     held = json.loads((tmp_path / "rig" / "rig.json").read_text())
     assert held["clocks"] == told["clocks"]
     assert len(told["clocks"]["recordings"]) == 5
@@ -352,21 +330,19 @@ def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, t
         assert one["period_us"] == pytest.approx(PERIOD_US, abs=1.0)
         assert one["edges"] == PERIODS
     assert told["clocks"]["rate_ppm"] == pytest.approx(60.0, abs=3.0 * told["clocks"]["sigma_rate_ppm"])
-    shown = said_of_clocks(capsys, *words[:-2])
+    shown = out_of(capsys, *words[:-2])
     assert "second - first = 1700" in shown
     assert "us: the offsets may differ by whole periods. The values nearest zero are given." in shown
-    fewer = json.loads(said_of_clocks(capsys, *words[:-2], "--views", "1,2,4", "--json"))
+    fewer = json.loads(out_of(capsys, *words[:-2], "--views", "1,2,4", "--json"))
     assert [one["name"] for one in fewer["clocks"]["recordings"]] == ["board-0", "board-1", "board-3"]
-    assert "Clock of" not in said_of_clocks(capsys, *words[:-3])
+    assert "Clock of" not in out_of(capsys, *words[:-3])
 
 
 def test_recordings_that_are_not_synchronised_are_one_error(capsys, folder, tmp_path):
     words = ("rig", folder / "left", folder / "alone", *WORDS, "--sync", "-o", tmp_path / "new")
-    assert "the sync edges of the two cameras do not belong together" in said_of_clocks(
-        capsys, *words, status=1
-    )
+    assert "the sync edges of the two cameras do not belong together" in refusal(capsys, *words)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite(str(tmp_path / "pictures" / "board-0.png"), np.zeros((300, 400), np.uint8))
     words = ("rig", folder / "left", tmp_path / "pictures", *WORDS, "--sync", "-o", tmp_path / "new")
-    assert "Sync edges stand in RAW recordings only." in said_of_clocks(capsys, *words, status=2)
+    assert "Sync edges stand in RAW recordings only." in refusal(capsys, *words, status=2)
     assert not (tmp_path / "new").exists()

@@ -113,13 +113,6 @@ def test_simulated_and_measured_runs_of_one_camera_are_in_two_charts(tmp_path, c
 LIMITS = [{"result": "fx", "lower": 3300.0, "upper": 3390.0}, {"result": "cx", "lower": None, "upper": 700.0}]
 
 
-def capability(capsys, *words):
-    with pytest.raises(SystemExit) as ended:
-        main(["runs", "--capability", *map(str, words)])
-    told = capsys.readouterr()
-    return ended.value.code or 0, told.out, told.err
-
-
 def benches(folder, operators=("ada", "bob"), cameras=5, repeats=2, days=2, **facts):
     """Two benches; cameras differ by 10 px, operators by 1 px, repeats by 0.5 px."""
     rng = np.random.default_rng(5)
@@ -145,14 +138,14 @@ def benches(folder, operators=("ada", "bob"), cameras=5, repeats=2, days=2, **fa
 
 def test_the_study_tells_the_share_of_the_bench_and_the_capability(tmp_path, capsys, home):
     ledgers = benches(tmp_path)
-    status, out, err = capability(capsys, *ledgers)
+    status, out, err = call(capsys, "--capability", *ledgers)
     assert (status, err) == (0, "")
     lines = out.splitlines()
     assert lines[0] == "40 runs, 5 cameras, 2 operators; standard deviations:"
     assert lines[2].startswith("fx  px")
     assert lines[2].endswith("good")
     assert not any(line.startswith("r ") for line in lines)  # the collimator is no camera
-    _, out, _ = capability(capsys, "operator,bench,day", *ledgers, "--json")
+    _, out, _ = call(capsys, "--capability", "operator,bench,day", *ledgers, "--json")
     fx = next(one for one in json.loads(out)["parameters"] if one["name"] == "fx")
     assert set(json.loads(out)["factors"]) == {"operator", "bench", "day"}
     assert fx["repeatability"] == pytest.approx(0.5, rel=0.4)
@@ -179,7 +172,7 @@ def test_the_study_tells_the_share_of_the_bench_and_the_capability(tmp_path, cap
     ],
 )
 def test_what_a_study_cannot_use_is_one_clear_error(tmp_path, capsys, home, words, facts, message):
-    status, out, err = capability(capsys, *words, *benches(tmp_path, **facts))
+    status, out, err = call(capsys, "--capability", *words, *benches(tmp_path, **facts))
     assert (status, out) == (2, "")
     assert message in err
     assert len(err.strip().splitlines()) == 1
@@ -187,6 +180,6 @@ def test_what_a_study_cannot_use_is_one_clear_error(tmp_path, capsys, home, word
 
 def test_measured_and_simulated_runs_are_never_mixed(tmp_path, capsys, home):
     ledgers = [*benches(tmp_path / "one"), *benches(tmp_path / "two", simulated=True)]
-    status, _, err = capability(capsys, *ledgers)
+    status, _, err = call(capsys, "--capability", *ledgers)
     assert status == 2
     assert "The runs are of 2 kinds, which a study never mixes: measured / " in err

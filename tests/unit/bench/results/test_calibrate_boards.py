@@ -6,6 +6,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from calling import call
 
 from bench.commands.calibrate import run_text
 from bench.commands.cli import main
@@ -64,17 +65,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-def say(capsys, *words, status=0):
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    said = capsys.readouterr()
-    assert end.value.code == status, said.err
-    return said
-
-
 def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(folder, tmp_path, capsys):
     out = tmp_path / "out"
-    said = say(
+    said = call(
         capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "-o", out, "--no-seal", "--json"
     )
     told = json.loads(said.out)
@@ -97,7 +90,7 @@ def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(fo
 
 
 def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
-    said = say(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
+    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
     assert "OpenCV, planar (Zhang)" in said.out
     assert "no result" not in said.out
     assert "The published recipe is left out: it needs a target at infinity, not a board." in said.out
@@ -113,7 +106,7 @@ def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
     ],
 )
 def test_options_that_contradict_a_board_are_refused(folder, capsys, more, reason):
-    said = say(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", *more, status=2)
+    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", *more, status=2)
     assert reason in said.err
 
 
@@ -225,17 +218,10 @@ def moving_folder(tmp_path_factory):
     return moving_folder
 
 
-def say_moving(capsys, *words, status):
-    with pytest.raises(SystemExit) as end:
-        main(["calibrate", *(str(word) for word in words)])
-    said = capsys.readouterr()
-    assert end.value.code == status, said.err
-    return said
-
-
 def test_pictures_at_stated_times_become_views(moving_folder, capsys):
-    said = say_moving(
+    said = call(
         capsys,
+        "calibrate",
         moving_folder / "moving.raw",
         "--board",
         PATTERN,
@@ -273,17 +259,25 @@ def test_pictures_do_not_depend_on_the_order_in_which_they_are_asked_for(moving_
     ],
 )
 def test_what_does_not_fit_is_refused(moving_folder, capsys, words, said):
-    assert said in say_moving(capsys, moving_folder / "moving.raw", *words, status=2).err
+    assert said in call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=2).err
 
 
 def test_the_events_of_another_program_are_converted_first(moving_folder, capsys):
-    said = say_moving(capsys, moving_folder / "events.npz", "--board", PATTERN, "--reconstruct", status=2)
+    said = call(
+        capsys, "calibrate", moving_folder / "events.npz", "--board", PATTERN, "--reconstruct", status=2
+    )
     assert "starbench convert events.npz" in said.err
 
 
 def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_do(moving_folder, capsys):
-    said = say_moving(
-        capsys, moving_folder / "moving.raw", "--board", "checkerboard:9x6:10mm", "--reconstruct", status=1
+    said = call(
+        capsys,
+        "calibrate",
+        moving_folder / "moving.raw",
+        "--board",
+        "checkerboard:9x6:10mm",
+        "--reconstruct",
+        status=1,
     )
     assert "Move the camera obliquely" in said.err
 

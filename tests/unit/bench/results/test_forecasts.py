@@ -4,8 +4,8 @@ import json
 import re
 
 import pytest
+from calling import out_of
 
-from bench.commands.cli import main
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.results.forecasts import expected_uncertainty, forecast_bench, suggest_poses
 from bench.results.next_pose import expected_courses
@@ -90,9 +90,7 @@ def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
 
 
 def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys):
-    with pytest.raises(SystemExit):
-        main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1"])
-    printed = capsys.readouterr().out
+    printed = out_of(capsys, "plan", "nine_pose", "-s", "simulated", "--suggest", "1")
     assert "Expected with 9 poses, joint model; U with k = 2" in printed
     assert "U(fx)" in printed
     assert "\n  scale and eccentricity of the gimbal  " in printed
@@ -100,9 +98,7 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     assert re.search(r"U\(fx\) [\d.]+ px instead of [\d.]+ px, .* \(k = 2[.\d]*\)$", suggested)
     assert "1 sigma" not in printed
     assert "\N{MICRO SIGN}rad" in printed
-    with pytest.raises(SystemExit):
-        main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"])
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(out_of(capsys, "plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"))
     expected = found["expected"]
     assert expected["poses"] == 9
     assert 1 < expected["expanded_fx_px"] < 2.5

@@ -1,0 +1,25 @@
+"""Commands of the program, called in this process."""
+
+import pytest
+
+from bench.commands.cli import main
+
+
+def call(capsys, *words, status=0):
+    """Call a command, which must end with a status, without a traceback; return what it said, `out` and `err`."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    said = capsys.readouterr()
+    assert (end.value.code or 0) == status, said.err
+    assert "Traceback" not in said.err
+    return said
+
+
+def out_of(capsys, *words, status=0):
+    """Call a command; return what it printed."""
+    return call(capsys, *words, status=status).out
+
+
+def refusal(capsys, *words, status=1):
+    """Call a command that must fail; return what it said on standard error."""
+    return call(capsys, *words, status=status).err
