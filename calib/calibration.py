@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -132,18 +132,6 @@ class ViewSummary:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A model that was compared while the data chose one."""
-
-    model: str
-    parameters: int
-    rms_px: float  # Root mean square of the lengths of the residual vectors, px
-    # The same for left-out views, of which only the rotation was adjusted; None with two views.
-    left_out_rms_px: float | None
-    bic: float  # Bayesian information criterion (Schwarz, 1978); smaller is better
-
-
-@dataclass(frozen=True)
 class Calibration:
     """A calibrated camera and everything that was estimated with it.
 
@@ -191,8 +179,6 @@ class Calibration:
         1-sigma of each parameter by source; the squares of all sources add up to the square of `sigma`.
     notes
         Notes for the reader, in words.
-    candidates
-        The models compared, if the data chose the model.
     gimbal
         What was found out about the gimbal; None if its readings took no part.
     poses
@@ -241,7 +227,6 @@ class Calibration:
     rotation_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     budget: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
-    candidates: tuple[Candidate, ...] = field(default=())
     gimbal: GimbalEstimate | None = None
     poses: tuple[int, ...] = ()
     budget_rows: tuple[BudgetRow, ...] = ()
@@ -351,7 +336,7 @@ class Calibration:
                 }
                 for view, rotation, centre in poses
             ],
-            "candidates": [asdict(candidate) for candidate in self.candidates],
+            "candidates": [],  # of earlier versions: models that were compared
             "notes": list(self.notes),
             "remarks": list(self.remarks),
             **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),

@@ -12,7 +12,6 @@ from calib.calibration import (
     REFERENCE_MODELS,
     Calibration,
     CalibrationOptions,
-    Candidate,
     ViewSummary,
 )
 from calib.diagnosis.checks import check_adjustment, check_views
@@ -27,7 +26,7 @@ from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.threads import on_one_thread
 from calib.view import View
 
-__all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "calibrate"]
+__all__ = ["Calibration", "CalibrationOptions", "ViewSummary", "calibrate"]
 
 
 @on_one_thread

@@ -20,7 +20,7 @@ from calib.adjustment.loss import Loss, lengths
 from calib.adjustment.parameters import AdjustmentParameters, poses_of
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.checks import check_adjustment
-from calib.diagnosis.gross_stars import GrossStars, part_of, used_stars
+from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.errors import DegenerateViews, NotConverged
 from calib.model import result_parts as names
 from calib.model.camera import PINHOLE, CameraModel
@@ -81,7 +81,7 @@ def fit_model(
     Raises TooFewStars, DegenerateViews, NotConverged, InputMismatch: As `calib.engine.calibrate`.
     """
     used = used_stars(views, options.guard_band, wrong)
-    kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
+    kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     bundle, start = initialize(kept, options, model)
     refined, loss = refine_robustly(bundle, start, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))

@@ -90,6 +90,22 @@ class View:
         """Number of stars."""
         return len(self.ids)
 
+    def part(self, kept: NDArray[np.bool_]) -> View:
+        """Return the view with some of its stars.
+
+        Parameters
+        ----------
+        kept
+            (N,) bool, which of its N stars to keep.
+
+        Returns
+        -------
+        View
+            The rest is the same.
+        """
+        stars = self.ids[kept], self.points_px[kept], self.target_mm[kept], self.covariances_px2[kept]
+        return View(self.name, self.image_size, *stars, self.rim)
+
     def remembered(self, what: str, of: Callable[[View], T]) -> T:
         """Return what a function gives for this view; it is computed at the first call only.
 

@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.align.live_image import LiveSetting
-from calib.model.homography import apply_homography, fit_homography
+from calib.model.homography import apply_homography, fit_homography, linear_at
 from calib.model.rotation import euler_zxy
 from calib.stars.beam import Beam
 from calib.stars.dark_square import Border, DarkSquare
-from calib.stars.growth import linear_at
 from calib.stars.quick import QuickStars
 
 Array = NDArray[np.float64]

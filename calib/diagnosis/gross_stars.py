@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ def without_gross_stars(views: Sequence[View], found: Sequence[GrossStars]) -> l
     Returns: A view without gross errors is returned as it is, the same object.
     """
     return [
-        part_of(view, ~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
+        view.part(~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
     ]
 
 
@@ -88,7 +88,7 @@ def _gross_stars(view: View) -> GrossStars:
         )
     if not count:
         return GrossStars(view.name, wrong, np.zeros(0))
-    right = part_of(view, ~wrong)
+    right = view.part(~wrong)
     spacing = local_spacing(right.target_mm)
     h = view_homography(right) @ np.diag([spacing, spacing, 1.0])
     predicted = predict_locally(
@@ -98,20 +98,6 @@ def _gross_stars(view: View) -> GrossStars:
     found = wrong.copy()
     found[wrong] = far = distances > LIMIT_PX  # right stars amid many wrong ones seem wrong too
     return GrossStars(view.name, found, distances[far])
-
-
-def part_of(view: View, kept: Bools) -> View:
-    """Return a view with some of its stars.
-
-    kept: (N,) bool, which of its N stars to keep.
-    """
-    return replace(
-        view,
-        ids=view.ids[kept],
-        points_px=view.points_px[kept],
-        target_mm=view.target_mm[kept],
-        covariances_px2=view.covariances_px2[kept],
-    )
 
 
 def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossStars]) -> list[Bools]:

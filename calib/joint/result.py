@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
-from calib.diagnosis.gross_stars import GrossStars, part_of, used_stars
+from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.boresight import boresight
@@ -53,7 +53,7 @@ def calibrate_jointly(
     Raises DegenerateViews, NotConverged: As `calib.engine.calibrate`.
     """
     used = used_stars(views, options.guard_band, wrong)
-    kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
+    kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     found, contradicted = _posterior(kept, options)
     if contradicted is not None:
         options = replace(options, gimbal=None)

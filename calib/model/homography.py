@@ -6,7 +6,6 @@ neighbours are found here too, because they spoil a homography (`gross_errors`).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,9 +25,8 @@ MIN_STARS = 4
 _REWEIGHTING_ROUNDS = 15
 #: A residual above this multiple of the typical one is an outlier: distortion alone does not cause it.
 _OUTLIER_RATIO = 4.0
-#: Samples of four stars for the least median. The chance that each holds a wrong star is 1e-36 if 30 % are wrong.
-_SAMPLES = 300
-_SAMPLES_SEED = 0
+#: Largest number of samples of four stars for the least median, and the probability that one of them holds right stars.
+_SAMPLES, _CONFIDENCE = 2000, 1.0 - 1e-9
 
 
 def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -82,7 +80,7 @@ def view_homography(view: View) -> Array:
     h, wrong = view.remembered("homography", _fit_without_gross_errors)
     kept = ~wrong
     part = wrong.any() and np.count_nonzero(kept) >= MIN_STARS
-    return _oriented(h, _part(view, kept) if part else view)
+    return _oriented(h, view.part(kept) if part else view)
 
 
 def gross_errors(view: View) -> Bools:
@@ -160,17 +158,6 @@ def _wrong_about(h: Array, view: View) -> Bools:
     )
 
 
-def _part(view: View, kept: Bools) -> View:
-    """Return the view with some of its stars."""
-    return replace(
-        view,
-        ids=view.ids[kept],
-        points_px=view.points_px[kept],
-        target_mm=view.target_mm[kept],
-        covariances_px2=view.covariances_px2[kept],
-    )
-
-
 def _reweighted_homography(target_mm: Array, points_px: Array, where: str) -> Array:
     """Return the homography of least squares, with lower weights for outliers (Holland and Welsch, 1977)."""
     target, to_target = _normalised(target_mm, where)
@@ -187,36 +174,11 @@ def _reweighted_homography(target_mm: Array, points_px: Array, where: str) -> Ar
 
 
 def _least_median_homography(target_mm: Array, points_px: Array, where: str) -> Array:
-    """Return the homography through four stars with the least median residual (Rousseeuw, 1984).
+    """Return the homography with the least median residual (Rousseeuw, 1984), by OpenCV."""
+    import cv2
 
-    The samples are drawn with a fixed seed, so that the same stars give the same result.
-    """
-    target, to_target = _normalised(target_mm, where)
-    image, to_image = _normalised(points_px, where)
-    rng = np.random.default_rng(_SAMPLES_SEED)
-    four = np.array([rng.choice(len(target), MIN_STARS, replace=False) for _ in range(_SAMPLES)])
-    x, y = target[four, 0], target[four, 1]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    u, v = image[four, 0], image[four, 1]
-    rows = np.concatenate(
-        [
-            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y], axis=-1),
-            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y], axis=-1),
-        ],
-        axis=1,
-    )
-    # Four stars nearly on a line give a near-singular system: they are passed over.
-    sound = np.abs(np.linalg.det(rows)) > 1e-9
-    entries = np.linalg.solve(rows[sound], np.concatenate([u, v], axis=1)[sound][:, :, None])[:, :, 0]
-    maps = np.concatenate([entries, np.ones((len(entries), 1))], axis=1).reshape(-1, 3, 3)
-    homogeneous = np.column_stack([target, np.ones(len(target))])
-    mapped = np.einsum("sij,nj->sni", maps, homogeneous)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lengths = np.linalg.norm(mapped[..., :2] / mapped[..., 2:] - image, axis=2)
-    medians = np.median(np.where(np.isfinite(lengths), lengths, np.inf), axis=1)
-    if not len(medians):
-        return _reweighted_homography(target_mm, points_px, where)
-    return np.asarray(np.linalg.inv(to_image) @ maps[int(medians.argmin())] @ to_target)
+    h = cv2.findHomography(target_mm, points_px, cv2.LMEDS, maxIters=_SAMPLES, confidence=_CONFIDENCE)[0]
+    return _reweighted_homography(target_mm, points_px, where) if h is None else np.asarray(h, np.float64)
 
 
 def apply_homography(h: Array, points: Array) -> Array:
@@ -230,6 +192,20 @@ def apply_homography(h: Array, points: Array) -> Array:
     """
     mapped = points @ h[:, :2].T + h[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def linear_at(h: Array, grid: Array) -> Array:
+    """Return the Jacobian of a homography.
+
+    Own derivation, by the quotient rule: with [p q w] = H [x y 1], du/dx = (h11 - u h31) / w, and so on.
+
+    h: (3, 3) float64, homography from grid to px.
+    grid: (N, 2) float64, pitches, grid positions.
+    Returns: (N, 2, 2) float64, px per pitch.
+    """
+    q = grid @ h[:, :2].T + h[:, 2]
+    at = apply_homography(h, grid)
+    return np.asarray((h[None, :2, :2] - at[:, :, None] * h[None, 2:, :2]) / q[:, 2, None, None])
 
 
 def _normalised(points: Array, where: str) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.stars.local_map import LocalMap
+from calib.stars.grid_map import LocalMap
 from calib.stars.symmetry_kernels import SYMMETRY_UNKNOWNS, normal_equations
 
 #: Half the side of the square in which symmetry is measured, pitches: the star's own cell and no more, so that

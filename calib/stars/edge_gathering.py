@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.compiled import INNER, KERNEL
 from calib.stars.centring import SYMMETRY_REACH
-from calib.stars.local_map import LocalMap
+from calib.stars.grid_map import LocalMap
 from calib.stars.open_sides import cell_reach
 from calib.stars.printed_star import OVERSAMPLING, EdgeMap
 

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography
 from calib.stars.edge_pixels import quantise
+from calib.stars.grid_map import LocalMap
 from calib.stars.likelihood import edge_widths_px as widths_by_likelihood
 from calib.stars.likelihood import typical_pitch_px
-from calib.stars.local_map import LocalMap
 from calib.target import StarTarget
 
 Array = NDArray[np.float64]

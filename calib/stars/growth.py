@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.homography import apply_homography, fit_affine, fit_homography
+from calib.model.homography import apply_homography, fit_affine, fit_homography, linear_at
 from calib.stars.grid_map import predict_locally
 from calib.stars.star_search import search_stars
 from calib.stars.tag import TagDetection
@@ -179,20 +179,6 @@ def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> ND
     if len(grid) >= PERSPECTIVE_FROM:
         return fit_homography(grid, places)
     return fit_affine(grid, places) if len(grid) >= PERSPECTIVE_FROM // 2 else h
-
-
-def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Jacobian of a homography.
-
-    Own derivation, by the quotient rule: with [p q w] = H [x y 1], du/dx = (h11 - u h31) / w, and so on.
-
-    h: (3, 3) float64, homography from grid to px.
-    grid: (N, 2) float64, pitches, grid positions.
-    Returns: (N, 2, 2) float64, px per pitch.
-    """
-    q = grid @ h[:, :2].T + h[:, 2]
-    at = apply_homography(h, grid)
-    return np.asarray((h[None, :2, :2] - at[:, :, None] * h[None, 2:, :2]) / q[:, 2, None, None])
 
 
 def _neighbours(

@@ -43,7 +43,7 @@ from calib.stars.edge_pixels import (
     count_levels,
     edge_scores,
 )
-from calib.stars.local_map import LocalMap
+from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import EdgeMap, blurred_edge_map, render_star
 from calib.target import StarTarget
 

@@ -41,7 +41,6 @@ MAX_SIGMA_PITCHES = 0.15
 FIRST_FOCAL_LENGTHS = (0.6, 1.0, 1.7, 2.9, 5.0)
 #: Number of points along each side of the inner part of the image, and the size of that part as a share of the image.
 SIDE, INNER = 5, 0.8
-_MAX_STEPS, _LONGEST_STEP = 60, 0.5
 _LOG_F, _CENTRE, _LOG_R, _MOUNTING, _BASE = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
 _UNKNOWNS = 10
 
@@ -186,29 +185,18 @@ def _first_values(first: LabelledView, observed: _Observations, focal_px: float)
 
 
 def _fitted(observed: _Observations, values: Array) -> _Fit:
-    """Minimise the sum of squares by the method of Levenberg and Marquardt (Marquardt 1963).
+    """Minimise the sum of squares by steps within a trusted region (Branch, Coleman and Li, 1999).
 
     The covariance is the inverse of J^T J, times the mean square of the residuals if it exceeds 1 (Birge, 1932).
     """
-    residuals = observed.residuals(values)
-    cost, damping = float(residuals @ residuals), 1e-3
-    for _ in range(_MAX_STEPS):
-        jacobian = _jacobian(observed.residuals, values)
-        normal = jacobian.T @ jacobian
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residuals)
-        step *= min(1.0, _LONGEST_STEP / float(np.abs(step[_LOG_R:]).max() + abs(step[_LOG_F])))
-        tried = observed.residuals(values + step)
-        gain = cost - float(tried @ tried)
-        damping = damping / 10.0 if gain > 0 else damping * 10.0
-        if gain > 0:
-            values, residuals, cost = values + step, tried, cost - gain
-        if 0 < gain < 1e-9 * cost or damping > 1e9:
-            break
-    jacobian = _jacobian(observed.residuals, values)
+    from scipy.optimize import least_squares
+
+    found = least_squares(observed.residuals, values, x_scale="jac")
+    cost, jacobian = 2.0 * float(found.cost), np.asarray(found.jac)
     redundancy = max(2 * POINTS_PER_VIEW * len(observed.nodes) - _UNKNOWNS, 1)
     factor = max(cost / redundancy, 1.0)
     covariance = factor * np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
-    return _Fit(values, covariance, cost, factor)
+    return _Fit(np.asarray(found.x), covariance, cost, factor)
 
 
 def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:

@@ -25,11 +25,11 @@ from calib.stars.detect import (
     OPEN_STRIP_PX,
     refine_candidates,
 )
+from calib.stars.grid_map import LocalMap
 from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_tag
 from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import typical_pitch_px
-from calib.stars.local_map import LocalMap
 from calib.stars.open_sides import cell_reach, open_sides
 from calib.stars.tag import TagDetection, find_tag, modules_correlation
 from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, star_contrasts

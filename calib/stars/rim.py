@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import TooFewStars
+from calib.model.homography import linear_at
 from calib.stars.grid_map import fit_grid_map, predict_locally
 from calib.stars.rim_sections import Samples, rim_in_sections
 from calib.target import StarTarget
@@ -130,7 +131,7 @@ def _map_nodes(view: View, target: StarTarget) -> _Map:
     nodes = _nodes_near(grid, target)
     fitted, _ = fit_grid_map(grid.astype(float), view.points_px)
     points = predict_locally(fitted.homography, grid.astype(float), view.points_px, nodes.astype(float))
-    return _Map(nodes, points, _linear(fitted.homography, nodes.astype(float)))
+    return _Map(nodes, points, linear_at(fitted.homography, nodes.astype(float)))
 
 
 def _levels(image: NDArray[Any], stars: _Map, target: StarTarget) -> _Levels | None:
@@ -179,13 +180,6 @@ def _nodes_near(grid: NDArray[np.int64], target: StarTarget) -> NDArray[np.int64
     near = cv2.dilate(taken, np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8))
     nodes = np.argwhere(near > 0)[:, ::-1] + first
     return np.asarray(nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0])
-
-
-def _linear(h: Array, grid: Array) -> Array:
-    """Return the (N, 2, 2) derivatives of a homography at grid positions, px per pitch."""
-    ones = np.column_stack([grid, np.ones(len(grid))]) @ h.T
-    uv = ones[:, :2] / ones[:, 2:]
-    return np.asarray((h[None, :2, :2] - uv[:, :, None] * h[None, 2:, :2]) / ones[:, 2:, None])
 
 
 def _values(image: NDArray[Any], mapped: _Map, offsets: Array) -> tuple[Array, NDArray[np.bool_]]:

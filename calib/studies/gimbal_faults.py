@@ -1,7 +1,7 @@
 """Search for faults of a gimbal: an axis that slipped, a single wrong pose, axes that are not at right angles.
 
 Each fault is added to the fit, and an F test shows whether the fit improves by more than chance
-(`calib.studies.gimbal_scatter` estimates the chance scatter). A bad pose is removed, so that it cannot hide a slip.
+(`calib.studies.hand_eye_fit` estimates the chance scatter). A bad pose is removed, so that it cannot hide a slip.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations
-from calib.studies.hand_eye_fit import GimbalFit, seen_minus_read
+from calib.studies.hand_eye_fit import INCONSISTENT, Explanation, GimbalFit, SeenRotations, seen_minus_read
 
 Array = NDArray[np.float64]
 FaultKind = Literal["slip", "pose", "squareness"]

@@ -20,9 +20,16 @@ from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, angles_of
 from calib.studies.gimbal_faults import GimbalFault, search_faults
 from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
-from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations, first_explanation
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
-from calib.studies.hand_eye_fit import GimbalFit, global_fit, scales_near
+from calib.studies.hand_eye_fit import (
+    INCONSISTENT,
+    Explanation,
+    GimbalFit,
+    SeenRotations,
+    first_explanation,
+    global_fit,
+    scales_near,
+)
 from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ARCSEC
 

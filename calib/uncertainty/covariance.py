@@ -5,9 +5,8 @@ influence function over the square of its mean slope (Huber, 1981, chapter 7). I
 views test that: if their estimates differ by more than star noise allows, the covariance is multiplied by the square of
 the Birge ratio.
 
-Views of one pose are one cluster in every statistic: they share the errors of the collimator, of the pixel grid and of
-the sensor's fixed pattern, so that they bring less than as many independent views. How much less is estimated from the
-residuals of the stars that they share. If a passport holds the collimator, its covariance is propagated to the camera.
+Views of one pose are one where poses are compared: they share the errors of the collimator, of the pixel grid and of
+the sensor's fixed pattern. If a passport holds the collimator, its covariance is propagated to the camera.
 """
 
 from __future__ import annotations
@@ -103,9 +102,8 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     variance = float((influence**2).sum() / freedom)
     factor = variance / float(slope) ** 2
     inverse = inverse_information(views.information.sum(axis=0), bundle.names)
-    growth, (information, scores) = noise_growth(bundle, residuals), pose_scores(bundle, views)
-    covariance = factor * (inverse + _added_by_repeats(information, inverse, growth))
-    ratio, views_freedom = _birge(information, scores, variance, growth, len(bundle.names))
+    covariance = factor * inverse
+    ratio, views_freedom = _birge(*pose_scores(bundle, views), variance, len(bundle.names))
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -140,17 +138,6 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     return np.asarray(joint)
 
 
-def _added_by_repeats(information: Array, inverse: Array, growth: Array) -> Array:
-    """Return what the common noise of repeated views adds to a covariance, per unit of noise variance.
-
-    Linear propagation of the scores' noise (JCGM 100:2008, section 5.2). ``information`` (P, G, G) is that of each
-    pose, and (P,) ``growth`` that of its noise.
-    """
-    if not (growth > 1.0).any():
-        return np.zeros_like(inverse)
-    return np.asarray(inverse @ ((growth - 1.0)[:, None, None] * information).sum(axis=0) @ inverse)
-
-
 def enlarged(nominal: Uncertainty) -> Uncertainty:
     """Return the uncertainty, multiplied by the Birge ratio (Birge, 1932) if the views are inconsistent."""
     if not nominal.inconsistent:
@@ -162,15 +149,13 @@ def enlarged(nominal: Uncertainty) -> Uncertainty:
     )
 
 
-def _birge(
-    information: Array, scores: Array, variance: float, growth: Array, count: int
-) -> tuple[float, int]:
+def _birge(information: Array, scores: Array, variance: float, count: int) -> tuple[float, int]:
     """Return the squared Birge ratio of P poses and its degrees of freedom; `count` parameters are shared.
 
     At the optimum the scores s_i (P, G) of the poses cancel. Star noise gives s_i the covariance variance * A_i, where
-    A_i is the pose's information (P, G, G) on the shared parameters; repeated views multiply it by `growth` (P,). The
-    sum of s_i^T A_i^+ s_i has as many degrees of freedom as the poses determine directions, minus the number of shared
-    parameters. Own extension of Birge (1932) from one measurand to several, of which a pose may determine only some.
+    A_i is the pose's information (P, G, G) on the shared parameters. The sum of s_i^T A_i^+ s_i has as many degrees of
+    freedom as the poses determine directions, minus the number of shared parameters. Own extension of Birge (1932) from
+    one measurand to several, of which a pose may determine only some.
     """
     diagonals = np.diagonal(information, axis1=1, axis2=2)
     scale = 1.0 / np.sqrt(np.maximum(diagonals, np.finfo(float).tiny))
@@ -181,7 +166,7 @@ def _birge(
     freedom = int(determined.sum()) - count
     if freedom <= 0 or variance <= 0:
         return 1.0, 0
-    return float((squares.sum(axis=1) / growth).sum()) / freedom / variance, freedom
+    return float(squares.sum()) / freedom / variance, freedom
 
 
 def inverse_information(information: Array, names: Sequence[str]) -> Array:
@@ -230,39 +215,6 @@ def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
         np.array([scores.information[views].sum(axis=0) for views in poses]),
         np.array([scores.score[views].sum(axis=0) for views in poses]),
     )
-
-
-def noise_growth(bundle: Bundle, residuals: Array) -> Array:
-    """Return how many times larger the noise of a pose's score is than that of independent views.
-
-    With m views whose stars' errors have the intraclass correlation q (Fisher, 1925), the variance of a sum over the
-    views is 1 + (m - 1) q times that of independent ones. q is estimated over all poses from the stars that two views
-    of a pose share: the mean product of their residuals over the mean square.
-
-    residuals: (N, 2) weighted residuals at the optimum.
-    Returns: (P,) growth of each pose, at least 1.
-    """
-    poses = views_of_poses(bundle)
-    products, squares = 0.0, 0.0
-    for views in poses:
-        for k, i in enumerate(views):
-            for j in views[k + 1 :]:
-                a, b = _shared(bundle, residuals, i, j)
-                products += float((a * b).sum())
-                squares += 0.5 * float((a**2).sum() + (b**2).sum())
-    correlation = min(max(products / squares, 0.0), 1.0) if squares > 0 else 0.0
-    return np.array([1.0 + (len(views) - 1) * correlation for views in poses])
-
-
-def _shared(bundle: Bundle, residuals: Array, i: int, j: int) -> tuple[Array, Array]:
-    """Return the residuals of the stars that two views share, (M, 2) of each."""
-    obs = bundle.observations
-    rows = [obs.slices[k] for k in (i, j)]
-    keys = [[tuple(star) for star in obs.target[r, :2].round(6).tolist()] for r in rows]
-    places = {star: at for at, star in enumerate(keys[1])}
-    pairs = [(at, places[star]) for at, star in enumerate(keys[0]) if star in places]
-    at, other = np.array(pairs, np.int64).reshape(-1, 2).T
-    return residuals[rows[0]][at], residuals[rows[1]][other]
 
 
 def propagate_passport(

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import minimize
 
 from calib import CalibrationOptions, Passport, calibrate
-from calib.diagnosis.gross_stars import part_of
 from calib.errors import InputMismatch
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
@@ -122,7 +121,7 @@ def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders)
     seen = []
     for view, x in zip(views[:3], (-mm, -mm, mm), strict=True):
         away = view.target_mm - middle - [x, 0.0]
-        seen.append(part_of(view, np.hypot(*away.T) < 25.0))
+        seen.append(view.part(np.hypot(*away.T) < 25.0))
     discs, pupils = rims_and_pupils(seen if wanders else views[:3], np.arange(3), 255.0)
     assert (pupils is not None) == wanders
     if wanders:
@@ -135,7 +134,7 @@ def test_stars_near_the_rim_count_as_much_as_they_scatter(bench):
     clean, bent, rims = [], [], []
     for view in bench.views(rng, 0.02, POSES[:3]):
         rho = np.hypot(*(view.target_mm - view.target_mm.mean(axis=0)).T) / 25.0
-        seen = part_of(view, rho < 1.0)
+        seen = view.part(rho < 1.0)
         noise = 0.06 * rho[rho < 1.0, None] ** 12 * rng.standard_normal((len(seen), 2))
         clean.append(seen)
         bent.append(replace(seen, points_px=seen.points_px + noise))

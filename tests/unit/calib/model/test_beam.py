@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.gross_stars import part_of
 from calib.engine import CalibrationOptions, calibrate
 from calib.model.beam import inside_guard_band, visible_discs
 
@@ -44,7 +43,7 @@ def test_centre_and_radius_are_found_within_the_stated_uncertainty(small_disc):
 
 def test_stars_missing_inside_hardly_move_it(small_disc):
     view = small_disc.view("one", small_disc.turn(0.0, 0.0))
-    thinned = part_of(view, np.random.default_rng(52).random(len(view)) > 0.05)
+    thinned = view.part(np.random.default_rng(52).random(len(view)) > 0.05)
     whole, thin = (visible_discs([one])[0].centre_mm for one in (view, thinned))
     assert np.abs(thin - whole).max() < 1.0
 
@@ -54,7 +53,7 @@ def test_a_tag_without_stars_is_no_rim(make_bench):
     bench = make_bench(half_angle_deg=8.0, centre=(97.0, 100.0, -255.0), fx=4400.0, fy=4400.0)
     views = bench.views(poses=((-6.0, 3.0), (6.0, 2.0), (0.0, -4.0), (0.0, 0.0)))
     middle = np.mean([view.target_mm.mean(axis=0) for view in views], axis=0)
-    tagged = [part_of(view, np.abs(view.target_mm - middle).max(axis=1) > 10.0) for view in views]
+    tagged = [view.part(np.abs(view.target_mm - middle).max(axis=1) > 10.0) for view in views]
     assert all(len(one) < len(view) for one, view in zip(tagged, views, strict=True))
     for disc in visible_discs(tagged):
         assert np.abs(disc.centre_mm - bench.centre[:2]).max() < 6.0

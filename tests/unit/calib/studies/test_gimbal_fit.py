@@ -11,9 +11,16 @@ from calib.model.gimbal import mountings
 from calib.model.rotation import exp_map
 from calib.studies import gimbal_faults
 from calib.studies.gimbal_model import GimbalModel
-from calib.studies.gimbal_scatter import SeenRotations, first_explanation
 from calib.studies.hand_eye import check_hand_eye
-from calib.studies.hand_eye_fit import Metric, global_fit, refine, scales_near, seen_minus_read
+from calib.studies.hand_eye_fit import (
+    Metric,
+    SeenRotations,
+    first_explanation,
+    global_fit,
+    refine,
+    scales_near,
+    seen_minus_read,
+)
 
 KINDS = {
     "star noise": {},
