@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
@@ -19,8 +18,6 @@ from calib.diagnosis.gross_stars import typical_noise_px
 from calib.diagnosis.linearised import ShiftEquations, image_shifts, plain_bundle
 from calib.model.median import median
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 HALF_PX = 0.5
 #: The offset of the views that have another origin must be known to this 1-sigma, px. Agreement and contradiction are

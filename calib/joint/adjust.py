@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.degeneracy import explain_weak_geometry
@@ -28,8 +27,6 @@ from calib.model.homography import view_homography
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.model.rim_fit import Disc
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 ROUNDS = 40
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).

@@ -6,11 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-
 #: The quantities of a row: the pinhole parameters, and the point of the sensor with the largest projection uncertainty.
 WORST_CORNER = "worst_corner"
 ROW_QUANTITIES = ("fx", "fy", "cx", "cy", WORST_CORNER)

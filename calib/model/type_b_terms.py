@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 TermKind = Literal[
     "print_scale", "print_bow", "thermal", "collimator_thermal", "effective_radius", "wavefront"

@@ -217,14 +217,8 @@ class PoseGains:
 def _thinned(view: View) -> View:
     """Return the view with every n-th star, each with the information of n."""
     step = max(1, len(view) // _STARS)
-    return View(
-        view.name,
-        view.image_size,
-        view.ids[::step],
-        view.points_px[::step],
-        view.target_mm[::step],
-        view.covariances_px2[::step] / step,
-    )
+    part = view.part(np.arange(len(view)) % step == 0)
+    return replace(part, covariances_px2=part.covariances_px2 / step)
 
 
 def _reduced(problem: Problem, equations: Equations, squares: Array) -> Array:
