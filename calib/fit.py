@@ -26,7 +26,7 @@ from calib.model import result_parts as names
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
-from calib.model.median import median
+from calib.model.median import RAYLEIGH_MEDIAN, median
 from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
 from calib.uncertainty.covariance import (
     Uncertainty,
@@ -126,8 +126,6 @@ def _constrained(
 #: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
 _LIMIT_SIGMAS = 2.5
 _LIMIT_ROUNDS = 3
-#: Median length of a residual vector over its standard deviation per axis (Rayleigh distribution): sqrt(2 ln 2).
-_RAYLEIGH_MEDIAN = 1.1774100225154747
 
 
 def refine_robustly(
@@ -150,7 +148,7 @@ def refine_robustly(
     robust = options.loss != "l2" and given is None
     for _ in range(_LIMIT_ROUNDS if robust else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
-        spread = median(lengths(residuals)) / _RAYLEIGH_MEDIAN
+        spread = median(lengths(residuals)) / RAYLEIGH_MEDIAN
         if not spread > 0:
             break
         loss = Loss(options.loss, _LIMIT_SIGMAS * spread)

@@ -187,7 +187,7 @@ def parallax_check(
         else {
             "value": parallax.bound.defocus,
             "sigma": parallax.bound.defocus_sigma,
-            "source": parallax.defocus_source,
+            "source": "station",
         },
         "parallax": None if parallax is None else {"value": parallax.share, "sigma": parallax.share_sigma},
         "fx_px": None if parallax is None else {"value": parallax.fx_px, "sigma": parallax.fx_sigma_px},
@@ -196,18 +196,13 @@ def parallax_check(
 
 
 def _parallax(walk: PupilWalk, calibration: Calibration, station: Station) -> Parallax | None:
-    """Return the parallax by the station's defocus, or by that of the calibration; None if neither has one."""
-    names, stated = calibration.parameter_names, station.collimator.defocus
-    if stated is not None:
-        defocus, sigma, source = stated.value, stated.sigma, "station"
-    elif "pupil_shift" in names:
-        defocus = float(calibration.values[names.index("pupil_shift")])
-        sigma, source = calibration.sigma["pupil_shift"], "calibration"
-    else:
+    """Return the parallax by the station's defocus; None if it states none."""
+    stated = station.collimator.defocus
+    if stated is None:
         return None
     assert calibration.collimator is not None
     return walk.parallax(
-        defocus, sigma, source=source, r_mm=calibration.collimator.r, fx_px=calibration.camera.fx
+        stated.value, stated.sigma, r_mm=calibration.collimator.r, fx_px=calibration.camera.fx
     )
 
 
@@ -250,10 +245,9 @@ def _effect(parallax: Parallax | None) -> list[str]:
             )
         ]
     bound = parallax.bound
-    by = "the station file" if parallax.defocus_source == "station" else "this calibration"
     says = (
-        f"With a defocus of {bound.defocus:.2g}, standard uncertainty {bound.defocus_sigma:.2g} (by {by}), the "
-        f"parallax is {100 * parallax.share:.2g} % of the turn, standard uncertainty "
+        f"With a defocus of {bound.defocus:.2g}, standard uncertainty {bound.defocus_sigma:.2g} (by the station file), "
+        f"the parallax is {100 * parallax.share:.2g} % of the turn, standard uncertainty "
         f"{100 * parallax.share_sigma:.2g} %. Without a correction for it, readings of the gimbal change fx by "
         f"{parallax.fx_px:.2g} px, standard uncertainty {parallax.fx_sigma_px:.2g} px."
     )

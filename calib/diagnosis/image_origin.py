@@ -16,7 +16,7 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.gross_stars import typical_noise_px
 from calib.diagnosis.linearised import ShiftEquations, image_shifts, plain_bundle
-from calib.model.median import median
+from calib.model.median import RAYLEIGH_MEDIAN, median
 from calib.view import View
 
 HALF_PX = 0.5
@@ -31,7 +31,6 @@ _JOINS = 6.0
 #: so a view counts as this number of independent stars.
 _SYSTEMATIC = 1.3
 _INDEPENDENT = 10
-_RAYLEIGH_MEDIAN = 1.1774100225154747
 _STARS = 400
 
 
@@ -116,7 +115,7 @@ def _joined(equations: ShiftEquations, sign: int, factor: float) -> tuple[float,
 def _spread(bundle: Bundle, parameters: AdjustmentParameters) -> float:
     """Return the robust standard deviation per axis of the weighted residuals."""
     lengths = np.linalg.norm(bundle.weighted_residuals(parameters), axis=1)
-    return median(lengths) / _RAYLEIGH_MEDIAN
+    return median(lengths) / RAYLEIGH_MEDIAN
 
 
 def _variance_factor(views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters) -> float:

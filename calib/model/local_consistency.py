@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.median import median
+from calib.model.median import RAYLEIGH_MEDIAN, median
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -36,8 +36,6 @@ _PATCH_SHARE = 0.5
 _BESIDE = 1.5
 #: If fewer than this share of the pairs of neighbours agree, the view has no order that patches could show.
 _ORDERED_SHARE = 0.4
-#: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2).
-_RAYLEIGH_MEDIAN = 1.1774100225154747
 _ROUNDS = 6
 #: The least limit is larger by this factor times the mean offset of the neighbours, in spacings of the stars.
 _RIM_FACTOR = 4.0
@@ -140,7 +138,7 @@ def contradicts_neighbours(
     for _ in range(_ROUNDS if len(suspects) else 0):
         deviations, local = _robust_deviations(nearest, off, suspects, ~wrong)
         some = deviations if len(suspects) == len(off) else plain
-        general = median(some[~wrong]) / _RAYLEIGH_MEDIAN if not wrong.all() else 0.0
+        general = median(some[~wrong]) / RAYLEIGH_MEDIAN if not wrong.all() else 0.0
         noise = np.maximum(local, general * np.broadcast_to(wider, len(off))[suspects])
         beyond = deviations > np.maximum(LIMIT_SIGMAS * noise, least[suspects])
         # A star is trusted again if enough trusted neighbours now predict it.
@@ -167,7 +165,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     if len(target) < MIN_STARS:
         return float("nan")
     deviations = _plain_deviations(nearest or nearest_stars(target), points - mapped, quadratic=True)
-    return median(deviations) / _RAYLEIGH_MEDIAN
+    return median(deviations) / RAYLEIGH_MEDIAN
 
 
 def local_spacing(target: Array) -> float:
@@ -227,13 +225,13 @@ def _robust_deviations(
     lengths = np.linalg.norm(values - centre[:, None], axis=2)
     leverage = np.zeros(len(stars))
     for _ in range(_ROUNDS):
-        local = _row_medians(lengths, usable) / _RAYLEIGH_MEDIAN
+        local = _row_medians(lengths, usable) / RAYLEIGH_MEDIAN
         cut = _CUT * np.maximum(local, _ROUNDING_PX)[:, None]
         weights = usable * np.maximum(1.0 - (lengths / cut) ** 2, 0.0) ** 2
         solution, leverage = _solve(design, values, weights)
         centre = solution[:, 0]
         lengths = np.linalg.norm(values - design @ solution, axis=2)
-    local = _row_medians(lengths, usable) / _RAYLEIGH_MEDIAN
+    local = _row_medians(lengths, usable) / RAYLEIGH_MEDIAN
     return np.linalg.norm(off[stars] - centre, axis=1) / np.sqrt(1.0 + leverage), local
 
 

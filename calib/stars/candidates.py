@@ -5,7 +5,6 @@ They are found to about a pixel; `calib.stars.detect` refines and tests them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -69,13 +68,13 @@ def find_candidates(
             tag = find_tag(image, target, name=name)
     if tag is None:
         return _label_without_tag(found, target, expected, name)
-    grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, _printed(target))
+    grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, lambda n: printed(target, n))
     return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
 
 
-def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
-    """Return a function from (N, 2) nodes of the target to (N,) bool: whether a star is printed there."""
-    return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
+def printed(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether a star is printed at each of (N, 2) nodes, (N,)."""
+    return np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
 
 
 class _Unlabelled(NamedTuple):
@@ -136,14 +135,14 @@ def _label_without_tag(
             raise labels
         labels, named_by = label_by_pose(grown, expected, name=name), "expected pose"
     nodes = labels.apply(grown.nodes())
-    printed = _printed(target)(nodes)
-    if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
+    seen = printed(target, nodes)
+    if np.count_nonzero(~seen) > MAX_STRAY * len(nodes):
         raise TargetNotFound(
-            f"{np.count_nonzero(~printed)} of {len(nodes)} stars would lie where the target has none.",
+            f"{np.count_nonzero(~seen)} of {len(nodes)} stars would lie where the target has none.",
             where=f"view {name}",
             remedy="Check the target's description and the expected pose.",
         )
-    return Candidates(nodes, grown.places()).select(printed), start.sign, named_by
+    return Candidates(nodes, grown.places()).select(seen), start.sign, named_by
 
 
 def _starts_as_expected(

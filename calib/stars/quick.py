@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import StarsUnnamed
-from calib.stars.candidates import MIN_STARS, Candidates
+from calib.stars.candidates import MIN_STARS, Candidates, printed
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.detect import (
     BLUR_PX,
@@ -73,7 +73,7 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
     named_by: Literal["tag", "part of the tag", ""] = "tag"
     if tag is not None:
         start = start_at_tag(tag, target)
-        grown = grow_star_grid(smoothed, start, target.segments, lambda n: _printed(target, n))
+        grown = grow_star_grid(smoothed, start, target.segments, lambda n: printed(target, n))
     else:
         found = find_lattice(smoothed, target.segments)
         if found is None:
@@ -153,12 +153,7 @@ def _labelled(
     except StarsUnnamed:
         return grown.nodes(), ""
     nodes = labels.apply(grown.nodes())
-    return (nodes, "part of the tag") if _printed(target, nodes).all() else (grown.nodes(), "")
-
-
-def _printed(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a star is printed at each of (N, 2) nodes, (N,)."""
-    return np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
+    return (nodes, "part of the tag") if printed(target, nodes).all() else (grown.nodes(), "")
 
 
 def _none(tag: TagDetection | None) -> QuickStars:

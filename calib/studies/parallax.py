@@ -40,7 +40,6 @@ class Parallax:
     """The parallax of a gimbal in front of a collimator that is out of focus."""
 
     bound: ParallaxBound
-    defocus_source: str  # Where the defocus comes from
     # share, share_sigma: Displacement of the pattern per unit tangent of the turn, as a share of r, and its
     # standard uncertainty.
     share: float
@@ -113,23 +112,20 @@ class PupilWalk:
             pivot = f"If the axes meet in one pivot, the entrance pupil is {place}, standard uncertainty {sigma} mm."
         return found, pivot
 
-    def parallax(
-        self, defocus: float, defocus_sigma: float, *, source: str, r_mm: float, fx_px: float
-    ) -> Parallax:
+    def parallax(self, defocus: float, defocus_sigma: float, *, r_mm: float, fx_px: float) -> Parallax:
         """Return the parallax that follows from the defocus of the collimator.
 
         Product of two independent quantities: `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the
         opposite share of fx.
 
         defocus, defocus_sigma: Defocus of the collimator and its standard uncertainty, dimensionless.
-        source: Where the defocus comes from.
         r_mm: Radius of the collimator, mm.
         fx_px: Focal length of the camera, px.
         Raises InputMismatch: If a number is not finite, or the uncertainty is negative.
         """
         bound = ParallaxBound(defocus, defocus_sigma, self.pupil_off_pivot_mm, self.sigma_mm)
         share, sigma = bound.mean_and_sigma(r_mm)
-        return Parallax(bound, source, share, sigma, -share * fx_px, sigma * fx_px)
+        return Parallax(bound, share, sigma, -share * fx_px, sigma * fx_px)
 
 
 def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) -> PupilWalk:

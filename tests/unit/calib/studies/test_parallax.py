@@ -150,7 +150,7 @@ def test_the_sentences_state_what_to_write_into_the_station_file(off, sigma, ent
 
 
 def test_the_parallax_follows_from_the_defocus():
-    found = walk_of(44.0, 2.0).parallax(0.066, 0.01, source="station", r_mm=255.0, fx_px=3345.0)
+    found = walk_of(44.0, 2.0).parallax(0.066, 0.01, r_mm=255.0, fx_px=3345.0)
     assert found.share == pytest.approx(-0.066 * 44 / 255)
     expected = np.sqrt((0.066 * 2) ** 2 + (44 * 0.01) ** 2 + (0.01 * 2) ** 2) / 255
     assert found.share_sigma == pytest.approx(expected)
