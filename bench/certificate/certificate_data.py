@@ -7,17 +7,29 @@ It holds values and texts only: no file, no clock, no key. Times are UTC, ``2026
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any, Literal
 
-from bench.certificate import strict_json
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from bench.base.bounded_json import canonical_json, parse_json
+from bench.base.errors import EvidenceError
 from bench.records.results import Verdict
+from sequences.tree import path_text
 
 PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
 
+class _Strict:
+    """What is read has every key and no other, and each value is of its type; numbers are finite."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
 @dataclass(frozen=True)
-class Address:
+class Address(_Strict):
     """A postal address."""
 
     # street, post_code, city: Street with its number, post code, city; empty where there is none.
@@ -33,7 +45,7 @@ class Address:
 
 
 @dataclass(frozen=True)
-class Contact:
+class Contact(_Strict):
     """How to reach somebody."""
 
     # name, email, phone: Person or office, mail address, telephone number; empty where there is none.
@@ -43,7 +55,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Accreditation:
+class Accreditation(_Strict):
     """The accreditation of the laboratory."""
 
     body: str
@@ -52,7 +64,7 @@ class Accreditation:
 
 
 @dataclass(frozen=True)
-class Laboratory:
+class Laboratory(_Strict):
     """The laboratory that calibrated (ISO/IEC 17025, 7.8.2.1 b and c)."""
 
     name: str
@@ -65,7 +77,7 @@ class Laboratory:
 
 
 @dataclass(frozen=True)
-class Customer:
+class Customer(_Strict):
     """The customer (7.8.2.1 e)."""
 
     name: str
@@ -74,7 +86,7 @@ class Customer:
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(_Strict):
     """The calibrated camera, as it identified itself in the run."""
 
     # maker, model, sensor, serial, firmware: What the camera reported; empty where it reports nothing.
@@ -89,7 +101,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Lens:
+class Lens(_Strict):
     """The lens. Camera and lens are calibrated as one."""
 
     # maker, model, serial: Identification; empty where there is none.
@@ -104,7 +116,7 @@ class Lens:
 
 
 @dataclass(frozen=True)
-class Item:
+class Item(_Strict):
     """The calibrated item (7.8.2.1 g)."""
 
     camera: Camera
@@ -114,7 +126,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Method:
+class Method(_Strict):
     """The method of calibration (7.8.2.1 f)."""
 
     id: str
@@ -123,7 +135,7 @@ class Method:
 
 
 @dataclass(frozen=True)
-class Deviation:
+class Deviation(_Strict):
     """A deviation from the method, an addition or an exclusion (7.8.2.1 n)."""
 
     text: str
@@ -132,7 +144,7 @@ class Deviation:
 
 
 @dataclass(frozen=True)
-class Condition:
+class Condition(_Strict):
     """A condition that influences the result (7.8.4.1 b)."""
 
     name: str  # Name of the condition, such as ``room temperature``
@@ -146,7 +158,7 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Traceability:
+class Traceability(_Strict):
     """A reference to which the results are traceable (7.8.4.1 c)."""
 
     what: str  # The reference, such as ``focal length of the collimator``
@@ -165,7 +177,7 @@ class Traceability:
 
 
 @dataclass(frozen=True)
-class AuthorisedBy:
+class AuthorisedBy(_Strict):
     """The person who is to authorise the certificate (7.8.2.1 o). The signature itself lies beside the seal."""
 
     # name, role, key_fingerprint: Name, role, and fingerprint of the person's key (``SHA256:...``).
@@ -175,7 +187,7 @@ class AuthorisedBy:
 
 
 @dataclass(frozen=True)
-class Result:
+class Result(_Strict):
     """A result with its uncertainty (7.8.2.1 m, 7.8.4.1 a)."""
 
     # symbol, name: Symbol as in results.json (``fx``), and name in words.
@@ -199,7 +211,7 @@ class Result:
 
 
 @dataclass(frozen=True)
-class Covariance:
+class Covariance(_Strict):
     """The joint covariance of all results, in their order."""
 
     names: tuple[str, ...]
@@ -208,7 +220,7 @@ class Covariance:
 
 
 @dataclass(frozen=True)
-class FurtherResult:
+class FurtherResult(_Strict):
     """A number about the calibration that is itself an uncertainty or a residual: it has none of its own."""
 
     # ``projection_centre``, ``projection_median``, ``projection_worst_corner``, ``rms``, ``mean`` or
@@ -223,7 +235,7 @@ class FurtherResult:
 
 
 @dataclass(frozen=True)
-class BudgetRow:
+class BudgetRow(_Strict):
     """A row of an uncertainty budget."""
 
     name: str
@@ -253,7 +265,7 @@ class BudgetRow:
 
 
 @dataclass(frozen=True)
-class Budget:
+class Budget(_Strict):
     """The uncertainty budget of one result."""
 
     symbol: str
@@ -269,7 +281,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class ValueBefore:
+class ValueBefore(_Strict):
     """A value of an earlier calibration."""
 
     # symbol, value, U, unit: Symbol, value, expanded uncertainty (None if unknown) and unit.
@@ -280,7 +292,7 @@ class ValueBefore:
 
 
 @dataclass(frozen=True)
-class BeforeAdjustment:
+class BeforeAdjustment(_Strict):
     """The calibration that was valid before this one, and the change since then (7.8.4.1 d)."""
 
     text: str
@@ -297,7 +309,7 @@ class BeforeAdjustment:
 
 
 @dataclass(frozen=True)
-class Conformity:
+class Conformity(_Strict):
     """A statement of conformity of one result (7.8.6)."""
 
     symbol: str
@@ -312,7 +324,7 @@ class Conformity:
 
 
 @dataclass(frozen=True)
-class Software:
+class Software(_Strict):
     """A program that contributed to the results."""
 
     name: str
@@ -324,7 +336,7 @@ CERTIFICATE = "certificate.json"
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(_Strict):
     """The sealed run that the certificate is made from."""
 
     id: str
@@ -344,7 +356,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Change:
+class Change(_Strict):
     """A field that differs from the amended certificate."""
 
     # field, before, after: Path of the field, and its values as text; ``absent`` where there was or is none.
@@ -354,7 +366,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Amends:
+class Amends(_Strict):
     """The certificate that this one replaces (7.8.8)."""
 
     # number, sha256: Its number, and SHA-256 of its SHA256SUMS.
@@ -365,7 +377,7 @@ class Amends:
 
 
 @dataclass(frozen=True)
-class Statement:
+class Statement(_Strict):
     """A fixed text of the certificate."""
 
     # ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``,
@@ -376,7 +388,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(_Strict):
     """A certificate of calibration."""
 
     format: Literal["starbench/certificate/1"]  # ``starbench/certificate/1``
@@ -413,16 +425,57 @@ class Certificate:
 
     def to_json(self) -> bytes:
         """Return the certificate as `certificate.json` holds it."""
-        return strict_json.to_json(self)
+        return canonical_json(asdict(self), ascii_only=False)
 
     @classmethod
     def from_json(cls, data: bytes, where: str = CERTIFICATE) -> Certificate:
         """Read a certificate. Unknown, missing and double keys and values of another type are refused."""
-        return strict_json.from_json(data, cls, where)
+        try:
+            parse_json(data)  # refuses what two readers could read differently, and what is nested too deeply
+            return _reader().validate_json(data)
+        except ValidationError as error:
+            faults = [_fault(one["type"], one["loc"], one.get("ctx", {})) for one in error.errors()]
+        except ValueError as error:
+            faults = [f"it is not readable JSON ({error})"]
+        more = [f"and {len(faults) - _MOST_FAULTS} more"] if len(faults) > _MOST_FAULTS else []
+        raise EvidenceError(
+            "This is not a certificate of this form: " + "; ".join([*faults[:_MOST_FAULTS], *more]) + ".",
+            where=where,
+            remedy="Another version of Starbench wrote it, or it was changed.",
+        )
 
     def statement(self, id: str) -> str:  # noqa: A002 - the field's name
         """Return a fixed text; empty if the certificate does not have it."""
         return next((one.text for one in self.statements if one.id == id), "")
+
+
+_MOST_FAULTS = 20
+_FORMS = {
+    "string_type": "a text",
+    "float_type": "a finite number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+}
+
+
+@cache
+def _reader() -> TypeAdapter[Certificate]:
+    return TypeAdapter(Certificate)
+
+
+def _fault(kind: str, place: tuple[int | str, ...], more: Mapping[str, Any]) -> str:
+    """Return what pydantic found as people read it, with its place in the certificate."""
+    path = path_text(place)
+    if kind == "missing":
+        return f"{path} is missing"
+    if kind == "unexpected_keyword_argument":
+        return f"{path_text((*place[:-1], str(place[-1])[:60]))} is unknown"
+    if kind == "literal_error":
+        wanted = str(more["expected"]).replace("'", "").replace(" or ", ", ")
+        return f"{path} must be one of {wanted}"
+    return f"{path or 'the whole'} must be {_FORMS.get(kind, 'a mapping')}"
 
 
 def sha256(data: bytes) -> str:
