@@ -23,9 +23,9 @@ from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.signers import read_signers
 from bench.plan.job import Job
 from bench.records.ledger import Ledger
-from tests.unit.bench.evidence.attack_steps import checked, copied
+from tests.unit.bench.evidence.attack_steps import checked
 from tests.unit.bench.evidence.attacked_run import kept_in_memory, make_run
-from tests.unit.bench.evidence.resealed import Forger
+from tests.unit.bench.evidence.resealed import Forger, copied
 from tests.unit.bench.evidence.test_attacks import ATTACKS
 from tests.unit.bench.evidence.test_attacks_on_recordings import AGAIN, ONLY_A_NEW_RECORDING
 

@@ -15,6 +15,8 @@ from simulators.faults.line_faults import LineFault
 from tests.hil.direct_lights import OPENED, direct_light
 from tests.hil.direct_stages import FAMILIES, DirectLine, DirectStage, VirtualClock
 
+pytestmark = pytest.mark.usefixtures("never_late")
+
 UNGUARDED = {"flir"}
 """Families whose queries are one bit away from commands that move: PP, the position, from RP, a homing."""
 LONGEST_S = 60.0

@@ -1,16 +1,25 @@
-"""The command `panel` as an operator types it: the address first, a quiet end, and clear words if it cannot begin."""
+"""Commands that show the bench: panel, simulate, devices."""
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import socket
+import subprocess
 from pathlib import Path
 
 import httpx
 import pytest
+from click.testing import CliRunner
 from journals import MadeRun
-from running import starbench, start
+from running import STARBENCH, environment, starbench, start
+
+from bench.base.clock import BenchClock
+from bench.commands.cli import cli
+from bench.run.wiring import check_wiring
+from bench.stations.devices import Devices
+from bench.stations.station import load_station
 
 TOKEN = "0123456789abcdef"
 
@@ -95,3 +104,75 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
     found = starbench("panel", tmp_path / "nowhere", "--no-browser", home=tmp_path)
     assert found.returncode == 2
     assert "There is no such folder." in found.stderr
+
+
+# ---------------------------------------------------------------- simulate
+
+
+@pytest.fixture
+def simulated(tmp_path):
+    process = subprocess.Popen(
+        [*STARBENCH, "simulate", "--seed", "3"],
+        env=environment(tmp_path),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_it_prints_its_ports_obeys_orders_and_leaves_nothing_behind(simulated):
+    ports = dict(simulated.stdout.readline().split() for _ in range(4))
+    assert set(ports) == {"gimbal", "light", "camera", "frame-camera"}
+    assert Path(ports["gimbal"]).is_char_device()
+    for order, ok in (("pan stall share=0.3", True), ("pan fly", False)):
+        simulated.stdin.write(order + "\n")
+        simulated.stdin.flush()
+        assert json.loads(simulated.stdout.readline())["ok"] is ok
+    simulated.send_signal(signal.SIGINT)
+    assert simulated.wait(timeout=30) == 0
+    assert not Path(ports["gimbal"]).exists()
+
+
+# ---------------------------------------------------------------- wiring
+
+
+@pytest.mark.slow
+def test_each_fault_of_the_cable_is_named():
+    clock, station = BenchClock(), load_station("simulated").value
+    devices = Devices(station, seed=1, clock=clock, wire_log=None)
+    found = {}
+    try:
+        for fault in (
+            "",
+            "no_sync",
+            "sync_inverted",
+            "sync_channel factor=1",
+            "sync_weak factor=0.3",
+            "lamp_open",
+        ):
+            if fault:
+                devices.simulation.order(f"light {fault}")
+            report = check_wiring(devices, station, clock)
+            assert not devices.light.is_on()
+            found[fault.split(" ")[0]] = [one.name for one in report.faults]
+            devices.simulation.order("light mend")
+    finally:
+        devices.close()
+    assert found == {
+        "": [],
+        "no_sync": ["trigger cable missing"],
+        "sync_inverted": ["inverted"],
+        "sync_channel": ["wrong channel"],
+        "sync_weak": ["sync level"],
+        "lamp_open": ["no light"],
+    }
+
+
+def test_the_light_stays_dark_where_nobody_can_be_asked():
+    result = CliRunner().invoke(cli, ["devices", "--wiring", "--station", "simulated"], input="")
+    assert result.exit_code != 0
+    assert "nobody can be asked" in str(result.exception) + result.output

@@ -1,18 +1,30 @@
-"""The simulated EVK4 over its socket: commands, refusals and notifications."""
+"""The simulated EVK4 on its socket: settings, stream, temperature."""
 
 import json
+import math
 import select
 import struct
 import threading
+import time
+from datetime import UTC, datetime
 
+import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
+from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.clock import SystemClock
+from simulators.cameras import evk4
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.streaming import StreamFault
-from simulators.pixels.sensor_stream import SensorStream
+from simulators.config import bench_config
+from simulators.pixels import sensor_stream
+from simulators.pixels.event_filters import EventFilters
+from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
 from simulators.world.truth_config import truth_from_config
-from simulators.world.world import World
-from tests.hil.evk4_host import COMPUTING, Host, bench
+from simulators.world.world import AxisMotion, LightState, World
+from tests.hil.evk4_host import COMPUTING, FLICKER, SMALL, Host, bench
 
 
 @pytest.fixture
@@ -152,3 +164,317 @@ def test_a_world_that_cannot_be_drawn_is_reported_to_the_host():
         assert "camera" in json.loads(payload)["message"]
         assert host.ask("stop")["ok"]
     camera.close()
+
+
+# ---------------------------------------------------------------- the stream
+
+
+def test_frames_begin_with_their_own_time(camera):
+    with Host(camera) as host:
+        host.record(6)
+        frames = host.words
+    for k, frame in enumerate(frames):
+        high, low = np.frombuffer(frame[:4], "<u2")
+        assert (high >> 12, low >> 12) == (0x8, 0x6)
+        assert ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF) == k * FRAME_US
+
+
+def test_a_recording_depends_on_seed_pose_settings_and_count_only():
+    def recordings(seed, clock=None, pan=0.0):
+        world = bench(seed=seed, **({"clock": clock} if clock else {}))
+        world.set_axis("pan", AxisMotion.resting(pan, round(pan * 6400)))
+        camera = SimulatedEvk4(world, paced=False)
+        camera.start()
+        with Host(camera) as host:
+            taken = [host.record(4) for _ in range(2)]
+        camera.close()
+        return taken
+
+    ticks = iter(np.arange(5.0, 1e6, 0.777))
+    first, again = recordings(1), recordings(1, clock=lambda: float(next(ticks)))
+    assert first == again
+    assert first[0] != first[1]  # the second of a process is another one
+    assert first[0] != recordings(2)[0]
+    assert first[0] != recordings(1, pan=0.5)[0]
+
+
+def began_us(words):
+    """Return the sensor time of the first words."""
+    high, low = np.frombuffer(words[:4], "<u2")
+    assert (high >> 12, low >> 12) == (0x8, 0x6)
+    return ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF)
+
+
+def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
+    with Host(camera) as host:
+        assert [began_us(host.record(frames)) for frames in (60, 1, 52)] == [0, 204_800, 307_200]
+    while camera.has_host:
+        time.sleep(0.01)
+    with Host(camera) as host:  # another one, the same camera
+        assert began_us(host.record(1)) == 512_000
+
+
+def test_frames_that_the_host_discards_do_not_advance_the_clock(camera):
+    def begins(late_s):
+        with Host(camera) as host:
+            for _ in range(2):
+                assert host.ask("start")["ok"]
+                while len(host.words) < 40:
+                    host.words.append(host.frame()[1])
+                time.sleep(late_s)
+                assert host.ask("stop", frames=40)["ok"]
+                host.words = []
+            return began_us(host.record(1))
+
+    at_once = begins(0.0)
+    camera.unplug()
+    assert begins(0.3) == at_once == 204_800
+
+
+def test_a_host_cannot_have_kept_more_than_it_was_sent(camera):
+    with Host(camera) as host:
+        host.record(3)
+        assert host.ask("start")["ok"]
+        assert host.ask("stop", frames=10**6)["error"] == "bad_value"
+        assert host.ask("stop")["error"] == "not_streaming"
+
+
+def test_a_camera_that_was_without_power_begins_at_0(camera):
+    with Host(camera) as host:
+        host.record(2)
+    camera.unplug()
+    with Host(camera) as host:
+        assert began_us(host.record(1)) == 0
+
+
+@given(clock_us=st.integers(1, 1 << 26))
+@example(clock_us=(1 << 24) - 60_000)  # the clock wraps in its middle
+@settings(max_examples=6, deadline=None)
+def test_the_time_of_a_stream_changes_only_the_upper_bits_of_its_clock(clock_us):
+    def taken(at_us):
+        stream = SensorStream(bench(), CameraState(trigger_in=True), {}, at_us)
+        return stream, np.concatenate([np.frombuffer(stream.next_frame(), "<u2") for _ in range(35)])
+
+    _, first = taken(0)
+    later, words = taken(clock_us)
+    is_high = first >> 12 == 0x8
+    assert later.clock_us - 70_000 >= clock_us
+    np.testing.assert_array_equal(words[~is_high], first[~is_high])
+    on = (words[is_high].astype(int) - first[is_high]) % 4096
+    assert (on == (later.clock_us - 70_000 >> 12) % 4096).all()
+    np.testing.assert_array_equal(words >> 12, first >> 12)
+
+
+def listen_to_edges(monkeypatch, edges):
+    """Note the edges of the light, each time with the time at which its period began, microseconds."""
+    monkeypatch.setattr(
+        sensor_stream,
+        "sync_edges",
+        lambda light, began_us, *span: (
+            edges.append((began_us, sync_edges(light, began_us, *span))) or edges[-1][1]
+        ),
+    )
+
+
+def taken_by(stream, taken, *, frames):
+    """Note the sensor's events of some frames, before the camera's filters."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            EventFilters, "apply", lambda _filters, events: (taken.append(events), (events, events.t))[1]
+        )
+        for _ in range(frames):
+            stream.next_frame()
+
+
+def test_an_independent_decoder_reads_the_same_events(camera, tmp_path, monkeypatch):
+    evt3 = pytest.importorskip("evt3", reason="the independent decoder evt3 is not installed")
+    with Host(camera) as host:
+        words = host.record(17)
+    path = tmp_path / "stream.raw"
+    header = b"% evt 3.0\n% format EVT3;height=180;width=320\n% geometry 320x180\n% end\n"
+    path.write_bytes(header + words)
+    events, triggers = evt3.decode_file_with_triggers(str(path))
+
+    sensor, edges = [], []
+    listen_to_edges(monkeypatch, edges)
+    taken_by(SensorStream(bench(), CameraState(trigger_in=True), {}), sensor, frames=17)
+    edges = [found for _, found in edges]
+    for name in ("t", "x", "y", "p"):
+        np.testing.assert_array_equal(
+            getattr(events, name), np.concatenate([getattr(one, name) for one in sensor])
+        )
+    np.testing.assert_array_equal(triggers.timestamp, np.concatenate([e[0] for e in edges]))
+    np.testing.assert_array_equal(triggers.value, np.concatenate([e[1] for e in edges]))
+    assert len(events.t) > 10_000
+    assert len(triggers.timestamp) == 4
+
+
+def test_triggers_stand_at_the_edges_of_the_light():
+    t, value = sync_edges(LightState(frequency_hz=60.0, duty_percent=30.0, output=True), -1234.5, 0, 100_000)
+    period = 1e6 / 60.0
+    rising, falling = t[value == 1], t[value == 0]
+    k = np.arange(1, 1 + len(rising))
+    np.testing.assert_array_equal(rising, np.floor(-1234.5 + k * period))
+    np.testing.assert_array_equal(falling, np.floor(-1234.5 + (np.arange(len(falling)) + 0.3) * period))
+    assert len(rising) == len(falling) == 6
+
+
+def test_the_light_stays_one_clock_over_recordings(monkeypatch):
+    """The phase drawn for a recording is the light's own phase at the moment the sensor starts."""
+    now = [3.1]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(LightState(output=True, sync=True, origin_s=0.123))
+    counts, edges = {}, []
+    listen_to_edges(monkeypatch, edges)
+    for moment in (3.1, 3.107, 17.4):
+        now[0] = moment
+        stream = SensorStream(world, CameraState(trigger_in=True), counts)
+        stream.next_frame()
+        assert 0.0 <= stream.start_s - moment <= 1.0 / 60.0 + 1e-9
+        phase = -edges[-1][0] / world.light(moment).period_us
+        turns = (stream.start_s - 0.123) * 60.0 - phase
+        assert math.isclose(turns, round(turns), abs_tol=1e-6)
+
+
+def test_a_moving_axis_smears_the_stars():
+    def fired(motion):
+        """Correlation of the stream's first and second period, pixel by pixel, and the stream."""
+        world = World(SMALL, clock=lambda: 10.0)
+        world.set_light(FLICKER, since_s=0.0)
+        world.set_axis("pan", motion, since_s=0.0)
+        stream = SensorStream(world, CameraState(), {})
+        taken = []
+        taken_by(stream, taken, frames=17)
+        counts = np.zeros((2, 180, 320))
+        for k, events in enumerate(taken[1:]):
+            np.add.at(counts[k // 8], (events.y, events.x), 1.0)
+        return np.corrcoef(counts.reshape(2, -1))[0, 1], stream
+
+    resting, _ = fired(AxisMotion.resting(0.1, 640))
+    again, _ = fired(AxisMotion(lambda _t: 0.1, math.inf, 640))
+    asked_s = []
+    slewing, stream = fired(AxisMotion(lambda t: asked_s.append(t) or 0.1 + 20.0 * (t - 10.0), math.inf, 640))
+    assert asked_s[-1] == pytest.approx(stream.covered_s - 2e-3, abs=1e-9)  # the middle of the last frame
+    assert again == pytest.approx(resting, abs=0.06)
+    assert slewing < resting - 0.3  # the stars are elsewhere by then
+
+
+def test_switching_the_light_off_ends_events_and_triggers():
+    now = [10.0]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(FLICKER, since_s=0.0)
+    stream = SensorStream(world, CameraState(trigger_in=True), {})
+    before = sum(len(stream.next_frame()) for _ in range(17))
+    world.set_light(LightState(output=False), since_s=stream.covered_s)
+    stream.next_frame()
+    after = [np.frombuffer(stream.next_frame(), "<u2") for _ in range(17)]
+    assert sum(2 * len(words) for words in after) < before / 4
+    assert not any((words >> 12 == 0xA).any() for words in after)
+
+
+def fired_in(stream, frames=9):
+    """Return which pixels fired in a recording of some frames."""
+    taken = []
+    taken_by(stream, taken, frames=frames)
+    fired = np.zeros((180, 320))
+    for events in taken:
+        fired[events.y, events.x] = 1.0
+    return fired
+
+
+def test_previews_show_what_recordings_show_and_leave_these_unchanged():
+    world, camera = bench(), CameraState(trigger_in=True)
+    alone = SensorStream(bench(), camera, {})
+    plain = fired_in(alone)
+    preview = SensorStream(world, camera, {}, preview=True)
+    for number in range(3):
+        if number:
+            assert preview.go_on(camera, preview.clock_us)
+        begun_us = preview.clock_us
+        words = np.frombuffer(preview.next_frame(), "<u2")
+        assert began_us(words.tobytes()) == begun_us % (1 << 24)
+        assert np.corrcoef(fired_in(preview).ravel(), plain.ravel())[0, 1] > 0.9
+    np.testing.assert_array_equal(fired_in(SensorStream(world, camera, {})), plain)
+
+
+def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn(monkeypatch):
+    now = [10.0]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(FLICKER, since_s=0.0)
+    camera, edges = CameraState(trigger_in=True), []
+    listen_to_edges(monkeypatch, edges)
+    preview = SensorStream(world, camera, {}, preview=True)
+    before = fired_in(preview)
+    now[0] = 12.345
+    world.set_axis("pan", AxisMotion.resting(0.5, 3200), since_s=0.0)
+    assert preview.go_on(camera, preview.clock_us)
+    assert 0.0 <= preview.covered_s - now[0] <= 1.0 / 60.0 + 1e-9
+    after = fired_in(preview)
+    began_s = preview.start_s + 1e-6 * edges[-1][0]
+    turns = world.light(now[0]).phase_at(began_s)
+    assert math.isclose(turns, round(turns), abs_tol=1e-6)
+    there = fired_in(SensorStream(world, camera, {}))
+    assert np.corrcoef(after.ravel(), there.ravel())[0, 1] > 0.9
+    assert np.corrcoef(after.ravel(), before.ravel())[0, 1] < 0.7
+
+
+def test_a_preview_cannot_go_on_under_another_light_or_with_other_settings():
+    world, camera = bench(), CameraState()
+    preview = SensorStream(world, camera, {}, preview=True)
+    preview.next_frame()
+    assert not preview.go_on(CameraState(trigger_in=True), preview.clock_us)
+    assert not preview.go_on(camera, preview.clock_us + 1)  # the clock has run on since
+    world.set_light(LightState(output=True, sync=True, frequency_hz=75.0))
+    assert not preview.go_on(camera, preview.clock_us)
+
+
+def test_previews_over_the_wire_go_on_with_the_same_sensor(camera, monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        evk4, "SensorStream", lambda *given, **more: made.append(more) or SensorStream(*given, **more)
+    )
+
+    def preview(host):
+        host.words = []
+        assert host.ask("start", preview=True)["ok"]
+        while len(host.words) < 9:
+            host.words.append(host.frame()[1])
+        assert host.ask("stop", frames=9)["ok"]
+        return began_us(host.words[0])
+
+    with Host(camera) as host:
+        host.record(4)
+        first = preview(host)
+        second = preview(host)
+        assert sum(more.get("preview", False) for more in made) == 1
+        assert second >= first + 9 * FRAME_US
+        assert not host.ask("start", preview="yes")["ok"]
+
+
+# ---------------------------------------------------------------- temperature
+
+
+def test_the_reported_temperature_is_the_one_that_the_focal_length_follows():
+    config = bench_config({"thermal": {"room_c": 21, "warm_up_min": 10, "focal_ppm_per_c": 20}})
+    now = [50.0]
+    world = World(config.truth, clock=lambda: now[0])
+    camera = SimulatedEvk4(world)
+    camera.start()
+    try:
+        host = SimulatedEvk4Camera.open(
+            camera.address, clock=SystemClock(), utc_now=lambda: datetime.now(UTC)
+        )
+        reported = []
+        for on_s in (0.0, 600.0, 7200.0):
+            now[0] = 50.0 + on_s
+            reported.append(host.temperature_c())
+            law = 1.0 + 20e-6 * (reported[-1] - 41.5)
+            assert world.truth_at(now[0]).camera.fx == pytest.approx(config.truth.camera.fx * law, rel=1e-12)
+        host.close()
+    finally:
+        camera.close()
+    assert reported == [
+        21.0,
+        pytest.approx(21.0 + 18.0 * (1.0 - 0.36788), abs=0.006),
+        pytest.approx(39.0, abs=0.01),
+    ]

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import shutil
 import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from bench.evidence.seal import seal
 from bench.records.journal import CAPTURE_STORED, Journal
 from bench.records.run_folder import RunFolder
 from bench.views.kept_views import KeptViews
+from tests.unit.bench.evidence.resealed import copied
 
 
 @pytest.fixture
@@ -111,11 +111,7 @@ def sealed_once(tmp_path_factory, key):
 @pytest.fixture
 def sealed(sealed_once, tmp_path):
     """A sealed run that a test may tamper with."""
-    copy = tmp_path / "sealed"
-    shutil.copytree(sealed_once, copy)
-    for path in [copy, *copy.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    return copy
+    return copied(sealed_once, tmp_path / "sealed")
 
 
 @pytest.fixture(autouse=True)

@@ -1,9 +1,17 @@
-"""The link between a driver and its port: one exchange at a time, in step, within its deadline."""
+"""The link: lines in step, what was sent, devices that babble."""
+
+from __future__ import annotations
+
+import json
+import threading
 
 import pytest
 
-from drivers.errors import PortLost, ReplyGarbled, ReplyTimeout
+from drivers.errors import PortLost, ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.link import LONGEST_LINE, Link, ReplyReader
+from drivers.stage import zaber
+from drivers.stage.zaber import ZaberChain
+from drivers.wire_log import WireLogFile
 
 
 class Resync:
@@ -156,3 +164,114 @@ def test_a_lost_port_passes_through(clock) -> None:
     link, _ = make(Gone(), clock)
     with pytest.raises(PortLost):
         link.exchange(b"a\n", line, deadline_s=1.0)
+
+
+# ---------------------------------------------------------------- the wire log
+
+
+def entries(path) -> list[dict]:
+    return [json.loads(text) for text in path.read_text().splitlines()]
+
+
+def test_any_byte_can_be_read_back(tmp_path) -> None:
+    log = WireLogFile(tmp_path / "wire.jsonl")
+    data = bytes(range(256))
+    log.record(1.25, "port", ">", data)
+    log.close()
+    (entry,) = entries(log.path)
+    assert entry["bytes"].encode("latin-1") == data
+    assert (entry["t"], entry["port"], entry["dir"]) == (1.25, "port", ">")
+
+
+def test_an_existing_log_is_continued(tmp_path) -> None:
+    for number in range(2):
+        log = WireLogFile(tmp_path / "wire.jsonl")
+        log.record(float(number), "port", "<", b"x")
+        log.close()
+    assert [entry["t"] for entry in entries(log.path)] == [0.0, 1.0]
+
+
+def test_the_log_is_bounded_and_keeps_the_latest(tmp_path) -> None:
+    log = WireLogFile(tmp_path / "wire.jsonl", max_bytes=500, kept=2)
+    for number in range(100):
+        log.record(float(number), "port", "<", b"x" * 20)
+    log.close()
+    files = sorted(tmp_path.iterdir())
+    assert [file.name for file in files] == ["wire.jsonl", "wire.jsonl.1", "wire.jsonl.2"]
+    assert all(file.stat().st_size <= 500 for file in files)
+    kept = [entry["t"] for file in reversed(files) for entry in entries(file)]
+    assert kept == [float(number) for number in range(100 - len(kept), 100)]
+
+
+def test_a_log_that_cannot_be_written_says_so_and_disturbs_nothing(tmp_path) -> None:
+    log = WireLogFile(tmp_path / "missing" / "wire.jsonl")
+    log.record(0.0, "port", ">", b"stop\n")
+    log.record(0.0, "port", ">", b"stop\n")
+    assert log.fault is not None
+    assert "No such file or directory" in log.fault
+
+
+# ---------------------------------------------------------------- devices that babble
+
+PATIENCE_S = 10.0
+
+
+class Babbler:
+    """Says the same bytes whenever it is read."""
+
+    name = "babbler"
+
+    def __init__(self, says: bytes) -> None:
+        self.says = says
+        self.sent: list[bytes] = []
+        self.silent = threading.Event()
+
+    def write(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        if self.silent.wait(min(timeout_s, 0.001)):
+            return b""
+        return self.says
+
+    def close(self) -> None:
+        self.silent.set()
+
+
+@pytest.mark.parametrize(
+    "says", [b"\xf8" * 512, b"\xf8" * LONGEST_LINE + b"\n"], ids=["no end", "long lines"]
+)
+def test_a_stop_ends_within_its_deadlines_on_a_line_without_end(clock, says, monkeypatch) -> None:
+    monkeypatch.setattr(zaber, "REPLY_S", 0.1)
+    port = Babbler(says)
+    chain = ZaberChain(port, [1, 2], clock=clock)
+    ended: list[BaseException] = []
+
+    def stop() -> None:
+        try:
+            chain.stop_all()
+        except ReplyError as error:
+            ended.append(error)
+
+    thread = threading.Thread(target=stop, daemon=True)
+    thread.start()
+    thread.join(PATIENCE_S)
+    hangs = thread.is_alive()
+    port.says = b"@01 0 00 OK IDLE -- 0\n"  # what lets a hanging one go on
+    assert not hangs
+    assert len(ended) == 1
+    assert [data[:8] for data in port.sent].count(b"/0 0 00 ") == 1
+    assert len(port.sent) == 3  # tries
+
+
+def test_a_line_too_long_is_thrown_away_with_its_refusal(scripted, clock) -> None:
+    port = scripted([(b"a\n", b"x" * (LONGEST_LINE + 1)), (b"sync\n", b"in step\n"), (b"b\n", b"good\n")])
+
+    def resynchronise() -> None:
+        link.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1, urgent=True)
+
+    link = Link(port, clock=clock, resynchronise=resynchronise)
+    with pytest.raises(ReplyGarbled):
+        link.exchange(b"a\n", ReplyReader.read_line, deadline_s=0.1)
+    assert link.unread == b""
+    assert link.exchange(b"b\n", ReplyReader.read_line, deadline_s=0.1) == b"good\n"

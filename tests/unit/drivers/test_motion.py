@@ -1,15 +1,18 @@
-"""What all stages' moves have in common."""
+"""Moves: time, limits, readings."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits
+from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits, ReplyGarbled
+from drivers.retry import Reading, read_position_until_agreed, read_until_agreed
 from drivers.stage import AxisLimits
 from drivers.stage.motion import MoveWatch, check_targets, deadline_s, longest_move_s, travel_time_s
 
 PAN = AxisLimits(-15.0, 15.0, speed_deg_s=10.0, acceleration_deg_s2=20.0)
+
 TILT = AxisLimits(-10.0, 10.0, speed_deg_s=1.0, acceleration_deg_s2=20.0)
+
 LIMITS = {"pan": PAN, "tilt": TILT}
 
 
@@ -92,3 +95,50 @@ def test_a_search_for_the_reference_ends_wherever_it_ends() -> None:
     search.update(0.1, -3.0, busy=True)
     search.update(0.2, 0.0, busy=False)
     assert search.update(0.3, 0.0, busy=False)
+
+
+# ---------------------------------------------------------------- readings
+
+
+def position(readings: list[tuple[float, float, bool]]) -> float:
+    told = iter(readings)
+    return read_position_until_agreed(
+        lambda: Reading(*next(told)),
+        tolerance_deg=0.01,
+        speed_deg_s=10.0,
+        what="pan's position",
+        where="port",
+    )
+
+
+def test_two_equal_readings_are_believed() -> None:
+    values = iter([1, 2, 1, 1, 9])
+    assert read_until_agreed(lambda: next(values), what="it", where="port") == 1
+
+
+def test_readings_that_never_agree_are_refused() -> None:
+    values = iter(range(10))
+    with pytest.raises(ReplyGarbled, match="port: 5 readings of it do not agree"):
+        read_until_agreed(lambda: next(values), what="it", where="port")
+
+
+def test_a_standing_axis_is_believed_at_the_second_equal_reading() -> None:
+    assert position([(0.0, 5.0, False), (0.1, 5.0, False)]) == 5.0
+
+
+def test_a_reading_that_is_off_by_one_digit_is_outvoted() -> None:
+    assert position([(0.0, 5.0, False), (0.1, 5.001, False), (0.2, 5.0, False)]) == 5.0
+    assert position([(0.0, 5.0, False), (0.1, 85.0, False), (0.2, 5.0, False), (0.3, 5.0, False)]) == 5.0
+
+
+def test_an_axis_that_trembles_is_where_its_middle_is() -> None:
+    assert position([(0.0, 5.002, False), (0.1, 5.0, False), (0.2, 5.001, False)]) == 5.001
+
+
+def test_a_moving_axis_may_have_come_as_far_as_its_speed_allows() -> None:
+    assert position([(0.0, 5.0, True), (0.1, 6.0, True)]) == 6.0
+
+
+def test_a_moving_axis_does_not_jump() -> None:
+    with pytest.raises(ReplyGarbled):
+        position([(0.1 * n, 3.0 * n, True) for n in range(5)])

@@ -1,21 +1,50 @@
-"""Errors of the reticle: a bow acts as distortion, and a larger print as a smaller radius of the collimator."""
+"""The simulated reticle and printed target: irregular prints, screens."""
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.errors import ConfigError
-from simulators.optics.collimator_errors import aberrations_of, reticle_point
-from simulators.optics.picture import project, projection_of, render, star_centres, true_rotation
-from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
+from calib.stars.detect import detect_stars
+from calib.target import StarTarget
+from drivers.camera.evt3 import Evt3Decoder
+from simulators.config import bench_config
+from simulators.errors import ConfigError, SimulationMisuse
+from simulators.optics import scene
+from simulators.optics.collimator_errors import (
+    DEGREE,
+    MONOMIALS,
+    POWER,
+    RIM_FROM,
+    RIM_OUTWARDS,
+    aberrations_of,
+    displacement_field,
+    field_coefficients,
+    random_functions,
+    reticle_point,
+)
+from simulators.optics.picture import (
+    pose_rotation,
+    project,
+    projection_of,
+    render,
+    star_centres,
+    true_rotation,
+)
+from simulators.pixels.biases import FACTORY
+from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, ScreenTruth, Truth
 from simulators.world.truth_config import truth_from_config
+from simulators.world.world import AxisMotion, LightState, World
 
 TRUTH = Truth(camera=CameraTruth(k1=0.0, k2=0.0))
+
 TURN = true_rotation({"pan": 4.0, "tilt": -3.0, "roll": 12.0}, TRUTH)
+
 AROUND = st.floats(0.0, 2.0 * np.pi)
 
 
@@ -105,3 +134,210 @@ def test_a_wrong_configuration_of_the_reticle_names_its_key(section, key):
     with pytest.raises(ConfigError) as error:
         truth_from_config({"reticle": section})
     assert error.value.where == key
+
+
+# ---------------------------------------------------------------- irregular prints
+
+GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 61), np.linspace(-1, 1, 61)), axis=-1).reshape(-1, 2)
+
+DISC = GRID[np.hypot(*GRID.T) <= 1.0]
+
+POSES = np.random.default_rng(4).uniform(-0.45, 0.45, (150, 2))
+
+
+def over(points, drawn):
+    """Displacements at points of the disc."""
+    return np.array([displacement_field(u, v, drawn) for u, v in points])
+
+
+def test_the_displacement_has_the_rms_asked_for_over_disc_and_poses():
+    squares = [
+        (over(DISC[::7], field_coefficients(tuple(pose), 0.02, 0.0, 1)) ** 2).sum(axis=1).mean()
+        for pose in POSES
+    ]
+    assert np.sqrt(np.mean(squares)) == pytest.approx(0.02, rel=0.15)
+
+
+def test_polynomials_of_a_degree_carry_their_share():
+    shares = np.zeros(DEGREE + 1)
+    radius, turn = np.hypot(*DISC.T), np.arctan2(*DISC.T[::-1])
+    tilt = 2.0 * radius * np.cos(turn)
+    focus = np.sqrt(3.0) * (2.0 * radius**2 - 1.0)
+    for pose in POSES:
+        moved = over(DISC, field_coefficients(tuple(pose), 1.0, 0.0, 1))
+        shares[1] += (np.mean(moved * tilt[:, None], axis=0) ** 2).sum()
+        shares[2] += (np.mean(moved * focus[:, None], axis=0) ** 2).sum()
+    expected = np.array(POWER) / sum(POWER) / (np.arange(1, DEGREE + 1) + 1)
+    np.testing.assert_allclose(shares[1:3] / len(POSES), expected[:2], rtol=0.35)
+
+
+def test_near_poses_have_like_errors_and_distant_poses_do_not():
+    drawn = np.array([random_functions(tuple(pose), 60, 1) for pose in POSES])
+    beside = np.array([random_functions((x + 0.02, y), 60, 1) for x, y in POSES])
+    assert np.mean(drawn * beside) / np.mean(drawn**2) > 0.7
+    assert abs(np.mean(drawn[1:] * drawn[:-1])) < 0.1
+    assert not np.allclose(drawn, [random_functions(tuple(pose), 60, 2) for pose in POSES], atol=0.5)
+
+
+def test_only_the_rim_scatters_and_mostly_outwards():
+    turns = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    circle = np.column_stack([np.cos(turns), np.sin(turns)])
+    at_edge = np.array([over(circle, field_coefficients(tuple(pose), 0.0, 0.05, 1)) for pose in POSES])
+    outwards = (at_edge * circle).sum(axis=2)
+    assert outwards.mean() == pytest.approx(0.05 * RIM_OUTWARDS, rel=0.25)
+    assert (at_edge - 0.05 * RIM_OUTWARDS * circle).std() == pytest.approx(0.05, rel=0.2)
+    assert np.abs(over(0.99 * RIM_FROM * circle, field_coefficients((0.1, 0.2), 0.0, 0.05, 1))).max() == 0.0
+
+
+def test_without_coefficients_nothing_moves():
+    assert displacement_field(0.3, 0.9, np.zeros((0, 2))) == (0.0, 0.0)
+    assert field_coefficients((0.0, 0.0), 0.01, 0.01, 1).shape == (MONOMIALS + 7, 2)
+
+
+# ---------------------------------------------------------------- printed targets
+
+SMALL = {"squares": [32, 30], "pitch_mm": 4.0, "tag_square": [14, 13]}
+
+
+@pytest.mark.parametrize(
+    ("family", "tag", "side", "segments", "polarity"),
+    [
+        ("36h11", 586, 4, 16, "negative"),
+        ("36h10", 2000, 5, 12, "positive"),
+        ("25h9", 7, 4, 16, "positive"),
+        ("16h5", 11, 3, 16, "negative"),
+    ],
+)
+def test_every_star_of_a_target_of_its_own_is_found_with_its_id(family, tag, side, segments, polarity):
+    own = {**SMALL, "tag_family": family, "tag_id": tag, "tag_squares": side, "segments": segments}
+    truth = truth_from_config({"target": own, "reticle": {"polarity": polarity}})
+    assert truth.target.tag_family == family
+    rotation = pose_rotation({"pan": 3.0, "tilt": -2.0}, truth.optics)
+    found = detect_stars(render(truth, rotation), truth.target)
+    ids, points = star_centres(truth, rotation, clearance=1.0, border_px=36.0)
+    assert found.named_by == "tag"
+    assert len(ids) > 150
+    assert set(ids) <= set(found.view.ids)
+    of_found = found.view.points_px[np.searchsorted(found.view.ids, ids)]
+    assert np.abs(of_found - points).max() < 0.05
+
+
+@pytest.mark.parametrize("segments", [8, 12, 20, 24, 32])
+def test_stars_with_other_numbers_of_segments_are_found(segments):
+    """An eighth of a star may hold one colour only, or more of one than of the other."""
+    truth = truth_from_config({"target": {**SMALL, "segments": segments}})
+    rotation = pose_rotation({"pan": 2.0}, truth.optics)
+    found = detect_stars(render(truth, rotation), truth.target).view
+    ids, points = star_centres(truth, rotation, clearance=1.0, border_px=36.0)
+    assert set(ids) <= set(found.ids)
+    assert np.abs(found.points_px[np.searchsorted(found.ids, ids)] - points).max() < 0.06
+
+
+def test_a_negative_reticle_is_dark_where_a_positive_one_is_bright():
+    images = []
+    for polarity in ("positive", "negative"):
+        truth = truth_from_config({"reticle": {"polarity": polarity}, "optics": {"black": 0.0}})
+        images.append(render(truth, pose_rotation({}, truth.optics)))
+    sum_of_both = images[0] + images[1]
+    assert sum_of_both.max() > 0.9
+    assert np.abs(sum_of_both[330:390, 610:670] - sum_of_both[330:390, 610:670].mean()).max() < 0.02
+
+
+def test_the_axis_of_the_collimator_stays_near_the_tag_unless_its_place_is_given():
+    standard = truth_from_config({}).collimator
+    own = truth_from_config({"target": SMALL}).collimator
+    middle, own_middle = StarTarget().tag_centre_mm, truth_from_config({"target": SMALL}).target.tag_centre_mm
+    assert own.x - own_middle[0] == pytest.approx(standard.x - middle[0])
+    assert own.y - own_middle[1] == pytest.approx(standard.y - middle[1])
+    assert truth_from_config({"target": SMALL, "collimator": {"x": 5.0}}).collimator.x == 5.0
+    assert truth_from_config({"target": {"squares": [50, 72]}}).collimator == standard
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"target": 5}, "target: A mapping is expected"),
+        ({"target": {"pitch": 4}}, r"target\.pitch: Unknown key"),
+        ({"target": {"squares": [3]}}, r"target\.squares: 2 numbers are expected"),
+        ({"target": {"tag_id": 999}}, "target: No such target can be printed: .* has tags 0 to 586"),
+        ({"reticle": {"polarity": "both"}}, r"reticle\.polarity: Unknown polarity 'both'"),
+    ],
+)
+def test_a_target_that_cannot_be_is_refused(given, said):
+    with pytest.raises(ConfigError, match=said):
+        truth_from_config(given)
+
+
+# ---------------------------------------------------------------- screens
+
+CAMERA = CameraTruth(fx=420.0, fy=421.0, cx=159.0, cy=91.0, k1=-0.1, k2=0.05, width=320, height=180)
+
+TURN_DEG = tuple(np.degrees([0.2, -0.3, 0.1]).tolist())
+
+MIDDLE = (5.0, -3.0, 300.0)
+
+
+def screen(middle_mm=MIDDLE):
+    return Truth(
+        camera=CAMERA,
+        screen=ScreenTruth(7, 4, 20.0, middle_mm, TURN_DEG),
+        optics=OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)),
+    )
+
+
+def test_corners_lie_where_opencv_projects_them():
+    x, y = np.meshgrid(20.0 * np.arange(7) - 60.0, 20.0 * np.arange(4) - 30.0)
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(28)])
+    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
+    distortion = np.array([CAMERA.k1, CAMERA.k2, 0.0, 0.0])
+    expected, _ = cv2.projectPoints(points, np.radians(TURN_DEG), np.array(MIDDLE), matrix, distortion)
+    np.testing.assert_allclose(scene.corners(screen(), {}), expected.reshape(-1, 2), atol=1e-9)
+
+
+def test_opencv_refines_the_rendered_corners_to_their_true_places():
+    picture = scene.picture(screen(), {})
+    true = scene.corners(screen(), {})
+    eight_bit = np.uint8(np.round(255 * picture))
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    start = (true + 0.4).astype(np.float32).reshape(-1, 1, 2)
+    found = cv2.cornerSubPix(eight_bit, start, (5, 5), (-1, -1), criteria).reshape(-1, 2)
+    assert np.abs(found - true).max() < 0.12  # the refinement's own, of either sign
+    assert np.abs((found - true).mean(axis=0)).max() < 0.02
+    assert picture.min() >= 0.0
+    assert picture.max() <= 1.0 + 1e-6
+
+
+def test_the_screen_is_dark_around_the_board():
+    corners = scene.corners(screen(), {})
+    assert scene.picture(screen(), {})[:, : int(corners[:, 0].min()) - 40].max() == 0.0
+
+
+def test_a_board_behind_the_camera_is_refused():
+    with pytest.raises(SimulationMisuse):
+        scene.picture(screen((5.0, -3.0, -300.0)), {})
+
+
+def test_the_camera_streams_the_board_that_its_station_puts_before_it():
+    camera = {"fx": 420, "fy": 421, "cx": 159, "cy": 91, "k1": -0.1, "k2": 0.05, "width": 320, "height": 180}
+    section = {
+        "columns": 7,
+        "rows": 4,
+        "square_mm": 20,
+        "position_mm": [5, -3, 300],
+        "turn_deg": [10, -15, 6],
+    }
+    truth = bench_config({"camera": camera, "screen": section, "noise": "none"}).truth
+    world = World(truth)
+    world.set_axis("pan", AxisMotion.resting(2.0, 12_800))
+    world.set_light(LightState(output=True))
+    stream = SensorStream(world, CameraState(dict(FACTORY)), {})
+    words = np.frombuffer(b"".join(stream.next_frame() for _ in range(10)), "<u2")
+    shown = scene.picture(truth, {"pan": 2.0})
+    fired = np.zeros(shown.shape, bool)
+    for events, _ in Evt3Decoder(320, 180).decode(words):
+        fired[events.y, events.x] = True
+    assert fired[shown > 0.9].mean() > 0.99
+    assert not fired[shown < 0.02].any()
+    corners = scene.corners(truth, {"pan": 2.0})
+    assert corners.shape == (28, 2)
+    assert ((corners > 0) & (corners < [320, 180])).all()

@@ -18,13 +18,6 @@ ADDR_X = 2
 """Type of the EVT3 word of a single event; bit 11 is its polarity."""
 
 
-def copied(folder, to):
-    shutil.copytree(folder, to)
-    for path in [to, *to.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    return to
-
-
 def checked(folder, trusted, *, again=True):
     """What `verify --again` finds without a ledger, or plain `verify`."""
     checks = [check_recorded_with, *([check_run_again] if again else [])]

@@ -5,9 +5,8 @@ import pytest
 from bench.evidence.keys import load_key
 from bench.evidence.signers import read_signers
 from bench.plan.job import Job
-from tests.unit.bench.evidence.attack_steps import copied
 from tests.unit.bench.evidence.attacked_run import kept_in_memory, make_run
-from tests.unit.bench.evidence.resealed import Forger
+from tests.unit.bench.evidence.resealed import Forger, copied
 
 
 @pytest.fixture

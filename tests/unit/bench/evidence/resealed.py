@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from datetime import datetime
 
 from bench.evidence.keys import NAMESPACE
@@ -23,6 +24,18 @@ def kinds(verification):
 def reseal(folder, key, namespace=NAMESPACE):
     (folder / "SHA256SUMS").write_bytes(manifest := make_manifest(folder))
     (folder / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, namespace))
+
+
+def copied(folder, to):
+    """Copy a sealed run; the copy may be written to."""
+    shutil.copytree(folder, to)
+    return writable(to)
+
+
+def writable(folder):
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return folder
 
 
 class Forger:

@@ -12,7 +12,6 @@ from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
     a_year_earlier,
     checked,
-    copied,
     everywhere,
     forged_focal_length,
     in_views,
@@ -23,7 +22,7 @@ from tests.unit.bench.evidence.attack_steps import (
     swap_captures,
     unused_event,
 )
-from tests.unit.bench.evidence.resealed import Forger
+from tests.unit.bench.evidence.resealed import Forger, copied
 
 pytestmark = pytest.mark.usefixtures("made_once")
 

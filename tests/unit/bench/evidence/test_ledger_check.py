@@ -15,7 +15,7 @@ from bench.records.journal import Journal
 from bench.records.ledger import Ledger
 from bench.records.run_folder import RunFolder
 from bench.records.run_index import RunIndex
-from tests.unit.bench.evidence.resealed import reseal
+from tests.unit.bench.evidence.resealed import reseal, writable
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 SOFTWARE = {"starbench": "1"}
@@ -42,12 +42,6 @@ class Bench:
         self.ledger.end(place["number"], how=how, folder=path)
         RunIndex(self.ledger.home).runs([path])
         return place
-
-
-def writable(folder):
-    for path in [folder, *folder.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    return folder
 
 
 @pytest.fixture

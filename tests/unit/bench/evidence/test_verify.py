@@ -17,7 +17,7 @@ from bench.evidence.keys import NAMESPACE, Signer, create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_folder
-from tests.unit.bench.evidence.resealed import kinds, reseal
+from tests.unit.bench.evidence.resealed import copied, kinds, reseal
 
 
 @pytest.fixture
@@ -378,9 +378,7 @@ def test_whatever_is_done_to_a_sealed_folder_is_found_and_told_without_a_crash(
 ):
     folder = tmp_path / "tampered"
     shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(sealed_once, folder)
-    for path in [folder, *folder.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
+    copied(sealed_once, folder)
     before = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
     for tampering in done:
         tamper(folder, tampering)

@@ -17,8 +17,8 @@ from bench.commands.verify import show_verification
 from bench.evidence.keys import AUTHORISATION_NAMESPACE, create_key
 from bench.evidence.signers import Signer, read_signers
 from bench.evidence.sshsig import sign
-from tests.unit.bench.evidence.attack_steps import by_another_program, checked, copied, edit, result
-from tests.unit.bench.evidence.resealed import kinds
+from tests.unit.bench.evidence.attack_steps import by_another_program, checked, edit, result
+from tests.unit.bench.evidence.resealed import copied, kinds
 
 pytestmark = pytest.mark.usefixtures("made_once")
 

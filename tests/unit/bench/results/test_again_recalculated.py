@@ -16,7 +16,7 @@ from bench.results.offline_options import OfflineOptions, options_data, options_
 from bench.results.result import json_bytes
 from calib.boards.board import Board
 from calib.engine import calibrate
-from tests.unit.bench.evidence.resealed import Forger, kinds
+from tests.unit.bench.evidence.resealed import Forger, copied, kinds
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,7 @@ def results_once(points, tmp_path_factory, key):
 
 @pytest.fixture
 def forger(results_once, tmp_path, key):
-    copy = Path(shutil.copytree(results_once, tmp_path / "out"))
-    for path in [copy, *copy.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    return Forger(copy, key)
+    return Forger(copied(results_once, tmp_path / "out"), key)
 
 
 def checked(folder, signers, *, again=True):

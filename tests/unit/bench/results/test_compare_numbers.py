@@ -1,6 +1,7 @@
-"""Results held against those calculated again and against the simulated truth: rounding counts as equal."""
+"""Results held against those calculated again, by this program and by another, and against the simulated truth."""
 
 import copy
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +10,11 @@ from report_sample import sample
 
 from bench.evidence.findings import Findings
 from bench.results import compare_numbers
-from bench.results.compare_numbers import differences, tolerance
+from bench.results.compare_numbers import differences, same_stars, tolerance
+from bench.results.compare_trees import SeenView, tell_views
 from bench.results.results_content import other_software, software
 from bench.results.solution import compare_with_truth
+from calib.view import View
 from simulators.config import bench_config
 
 
@@ -123,8 +126,6 @@ def test_notes_of_another_program_may_have_other_words_but_not_those_of_the_same
 
 
 # ---------------------------------------------------------------- how far numbers may differ
-
-
 def results(fx, planar_fx, rms_px):
     return {
         "calibration": {"camera": {"fx": fx}, "sigma": {"fx": 1.0}, "rms_px": rms_px},
@@ -150,7 +151,6 @@ def test_other_numbers_of_the_calibration_may_differ_by_a_millionth():
 
 
 # ---------------------------------------------------------------- the simulated truth
-
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 
 CALIBRATION = SimpleNamespace(
@@ -172,3 +172,118 @@ def test_each_value_is_compared_in_its_unit_and_in_its_uncertainty():
 
 def test_the_apparent_centre_is_not_compared_with_that_of_an_ideal_collimator():
     assert tuple(rows("like-bench")) == ("fx", "fy", "cx", "cy", "k1", "k2", "r")
+
+
+# ---------------------------------------------------------------- another program
+
+
+@pytest.fixture(scope="module")
+def stored_by_another():
+    whole = sample(size=(160, 90)).results
+    whole = {**whole, "run": {**whole["run"], "software": {**software(), "program": "an earlier one"}}}
+    return {name: value for name, value in whole.items() if name != "previous"}
+
+
+def compared(stored_by_another, change):
+    again = copy.deepcopy(stored_by_another)
+    change(again["calibration"])
+    found = Findings()
+    check_numbers(stored_by_another, again, found)
+    return [str(fault) for fault in found.faults], found.not_compared
+
+
+def test_a_value_within_a_quarter_of_its_uncertainty_is_not_compared_and_its_size_is_told(stored_by_another):
+    sigma = stored_by_another["calibration"]["sigma"]["fx"]
+    faults, places = compared(
+        stored_by_another,
+        lambda results: results["camera"].update(
+            fx=stored_by_another["calibration"]["camera"]["fx"] + 0.2 * sigma
+        ),
+    )
+    assert faults == []
+    assert places == [
+        (
+            "results.json with the recordings: another program calculated it, with differences in 1 number (fx differs "
+            "most, by 0.2 of its standard uncertainty)"
+        )
+    ]
+
+
+def test_a_value_beyond_it_is_a_fault_and_the_program_is_named(stored_by_another):
+    again = copy.deepcopy(stored_by_another)
+    again["calibration"]["camera"]["fx"] += 0.3 * stored_by_another["calibration"]["sigma"]["fx"]
+    found = Findings()
+    check_numbers(stored_by_another, again, found)
+    (fault,) = found.faults
+    assert "calibration.camera.fx is " in str(fault)
+    assert any("the results were made with program an earlier one" in remark for remark in found.remarks)
+
+
+@pytest.mark.parametrize(
+    ("factor", "faulty"), [(1.3, False), (3.9, False), (4.2, True), (0.2, True), (0.0, True)]
+)
+def test_an_uncertainty_may_differ_by_a_factor(stored_by_another, factor, faulty):
+    faults, places = compared(
+        stored_by_another,
+        lambda results: results["sigma"].update(fx=factor * stored_by_another["calibration"]["sigma"]["fx"]),
+    )
+    assert bool(faults) == faulty
+    assert bool(places) != faulty
+
+
+def test_words_may_hold_other_numbers_but_not_other_words(stored_by_another):
+    had = {**stored_by_another, "gimbal_readings": {"why_not": "They contradict the stars: chi-square 2266."}}
+    for words, faulty in (("They contradict the stars: chi-square 2264.", False), ("They agree.", True)):
+        found = Findings()
+        check_numbers(had, {**had, "gimbal_readings": {"why_not": words}}, found)
+        assert bool(found.faults) == faulty
+
+
+def test_facts_of_devices_have_no_excuse(stored_by_another):
+    found = Findings()
+    again = copy.deepcopy(stored_by_another)
+    again["devices"]["camera"]["serial"] = "00050999"
+    check_numbers(stored_by_another, again, found)
+    assert found.faults
+
+
+def test_a_table_is_named_once(stored_by_another):
+    again = copy.deepcopy(stored_by_another)
+    for row in again["calibration"]["budget_rows"]:
+        row["name"] = "of another name"
+    found = Findings()
+    check_numbers(stored_by_another, again, found)
+    assert not found.faults
+    assert found.not_compared[0].count("budget_rows") == 1
+
+
+def view(shift_px=0.0, count=100):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(0, 700, (100, 2))[:count] + shift_px
+    targets, covariances = rng.uniform(0, 100, (100, 2))[:count], np.tile(np.eye(2), (count, 1, 1))
+    return View("pose 1", (1280, 720), np.arange(count), points, targets, covariances)
+
+
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [(view(0.01), True), (view(0.03), False), (view(count=99), True), (view(count=90), False)],
+)
+def test_stars_of_another_program_lie_at_the_same_places(other, same):
+    assert same_stars(view(), other) == same
+
+
+def test_views_that_another_program_found_are_told_in_one_sentence():
+    found = Findings()
+    seen = [
+        SeenView("pose 1", ["other covariances"], True),
+        SeenView("pose 2", ["other covariances"], True),
+        SeenView("pose 3", [], True),
+    ]
+    tell_views(seen, "recordings", found)
+    assert found.not_compared == [
+        "pose 1, pose 2 of views.h5 with the recordings: another program found the stars, with other covariances"
+    ]
+    tell_views([replace(seen[0], excused=False)], "recordings", found)
+    assert [str(fault) for fault in found.faults] == [
+        "views.h5: the recordings of pose 1 give other covariances"
+    ]

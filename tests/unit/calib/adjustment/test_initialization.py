@@ -1,4 +1,4 @@
-"""Closed forms, on any views: each camera is real and finite, and one of them can be refined."""
+"""Where the adjustment starts, and what no start can help."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calib.adjustment.initialization import passport_starts, planar_starts, spherical_starts
 from calib.engine import CalibrationOptions, calibrate
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, DegenerateViews
 from calib.model.closed_forms import (
     camera_matrix_from_centre,
     linear_solution,
@@ -20,10 +20,13 @@ from calib.model.passport import Passport
 from tests.unit.calib.conftest import Bench, rotation
 
 SIZE = (1280, 720)
+
 #: Three poses, pan, tilt and roll in degrees, that determine a camera without any doubt.
 WELL_SPREAD = np.array([[-5.0, 2.0, 0.0], [0.5, -2.5, 10.0], [5.0, 2.5, -20.0]])
+
 #: Turns of a set of views: anything, the same pose again and again, about one axis, a roll, and all but these.
 ANGLE = st.floats(-12.0, 12.0)
+
 NEARLY = st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1e-1])
 
 
@@ -159,3 +162,45 @@ def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
     first = next(passport_starts(h, SIZE, (), known))
     assert first.camera.fx == pytest.approx(bench.fx, rel=0.05)
     assert first.collimator.r == 255.0
+
+
+# ---------------------------------------------------------------- degenerate views
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("poses", "reason"),
+    [
+        ((), "0 views"),
+        (((0, 0),), "1 view given; at least 2"),
+        (((1, 1), (1, 1)), "All 2 views show the same pose"),
+        (((1, 1), (1, 1.1), (1.1, 1)), "All 3 views show the same pose"),
+        (((0, 0, 0), (0, 0, 30)), "roll about the optical axis"),
+        (((0, 0, 0), (0, 0, 30), (0, 0, -50)), "roll about the optical axis"),
+    ],
+)
+def test_views_that_do_not_constrain_are_named(bench, poses, reason, noise_px):
+    views = bench.views(np.random.default_rng(31), noise_px, poses=poses)
+    with pytest.raises(DegenerateViews, match=reason):
+        calibrate(views)
+
+
+def test_a_beam_too_narrow_is_named(make_bench):
+    bench = make_bench(
+        centre=(60.0, 60.0, -255.0), half_angle_deg=1.9, poses=((0, 0), (1, 0.5, 20), (-0.5, 1))
+    )
+    with pytest.raises(DegenerateViews, match="beam is too narrow"):
+        calibrate(bench.views(np.random.default_rng(32), 0.2))
+
+
+def test_square_on_views_are_not_enough_for_the_planar_model(bench):
+    views = bench.views(np.random.default_rng(33), 0.05, poses=((0, 0), (0, 0, 40)))
+    with pytest.raises(DegenerateViews, match="roll about the optical axis"):
+        calibrate(views, CalibrationOptions(model="planar"))
+
+
+def test_a_turntable_is_enough(bench):
+    views = bench.views(np.random.default_rng(34), 0.05, poses=((-4, 1), (0, 1), (4, 1)))
+    result = calibrate(views)
+    assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
+    assert result.sigma["fx"] < 12

@@ -1,4 +1,4 @@
-"""Quick stars: the same stars as the whole search, good to a few hundredths of a pixel, and named only if they are."""
+"""Stars at a glance, and the search for them."""
 
 import dataclasses
 
@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from calib.errors import TargetNotFound
+from calib.stars.centring import centre_information, solve_steps
 from calib.stars.quick import find_stars_quickly
+from calib.stars.star_search import search_stars
+from calib.stars.template import SEARCH_RADII, StarTemplate, star_contrasts
 from simulators.optics.picture import TARGET, project, star_centres, true_rotation
 from tests.support.live_slices import bench, fired, seen
 
@@ -59,3 +62,82 @@ def test_shapes_far_out_of_focus_are_no_stars():
     image = np.log(seen(bench(circle_px=24.0), pan=1.0) + 0.03)
     assert np.ptp(image) > 0.3
     assert len(find_stars_quickly(image, TARGET).ids) == 0
+
+
+# ---------------------------------------------------------------- the search
+
+random = np.random.default_rng(7)
+
+TEMPLATE = StarTemplate.of(16, SEARCH_RADII)
+
+IMAGE = random.normal(200.0, 5.0, (90, 120)).astype(np.float32)
+
+LINEAR = np.array([[22.0, 6.0], [-7.0, 21.0]])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("guess", [(60.2, 45.7), (8.4, 45.1), (60.0, 82.3), (111.6, 45.5)])
+def test_the_best_place_is_found(guess, sign):
+    """The last guesses are so close to the border that parts of the star lie outside."""
+    reach = 3.3
+    found, score = search_stars(IMAGE, np.array([guess]), LINEAR[None], np.array([reach]), TEMPLATE, sign)
+    steps = np.arange(-4, 5)
+    moves = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    places = guess + moves[(moves**2).sum(axis=1) <= reach**2 + 0.5]
+    shapes = np.broadcast_to(LINEAR, (len(places), 2, 2)).copy()
+    expected, _ = star_contrasts(IMAGE, places, shapes, TEMPLATE, sign)
+    assert np.isfinite(expected).any()
+    assert score[0] == pytest.approx(np.nanmax(expected), abs=1e-4)
+    np.testing.assert_allclose(found[0], places[np.nanargmax(expected)])
+
+
+def test_no_place_is_found_outside_of_the_image():
+    guesses = np.array([[-20.0, 45.0], [60.0, 110.0]])
+    found, score = search_stars(IMAGE, guesses, np.array([LINEAR, LINEAR]), np.full(2, 3.0), TEMPLATE, 1.0)
+    assert np.isnan(found).all()
+    assert np.isnan(score).all()
+
+
+@pytest.mark.parametrize("brightness", [0.0, 0.1, 1.0, 255.0, 60000.0])
+@pytest.mark.parametrize("middle", [1.0, 0.37, 0.0])
+def test_a_flat_image_shows_no_star(brightness, middle):
+    flat = np.full(IMAGE.shape, brightness, np.float32)
+    flat[45, 60] *= middle  # none of the samples lies there
+    _, score = search_stars(flat, np.array([[60.2, 45.7]]), LINEAR[None], np.array([3.0]), TEMPLATE, 1.0)
+    assert score[0] == 0.0
+
+
+# ---------------------------------------------------------------- centring
+
+
+def equations(smallest, random):
+    """Return normal equations with unknowns in different units, and their exact solution."""
+    q, _ = np.linalg.qr(random.normal(size=(6, 6)))
+    units = np.diag([1.0, 1.0, 100.0, 100.0, 7.0, 7.0])
+    return units @ q @ np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest]) @ q.T @ units, random.normal(size=6)
+
+
+def test_each_step_solves_the_equations_of_its_star():
+    random = np.random.default_rng(4)
+    normal, solution = map(np.array, zip(*(equations(c, random) for c in (1.0, 1e-2, 1e-6)), strict=True))
+    right = np.einsum("nkm,nm->nk", normal, solution)
+    regular, step = solve_steps(normal, right)
+    assert regular.all()
+    np.testing.assert_allclose(np.einsum("nkm,nm->nk", normal, step), right, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(
+        centre_information(normal), np.linalg.inv(np.linalg.inv(normal)[:, :2, :2]), rtol=1e-4
+    )
+
+
+@pytest.mark.parametrize("flat", [np.zeros((6, 6)), np.ones((6, 6)), np.full((6, 6), np.nan)])
+def test_a_flat_image_determines_no_step_and_leaves_other_stars_theirs(flat):
+    lit, solution = equations(0.1, np.random.default_rng(6))
+    regular, step = solve_steps(np.array([flat, lit]), np.array([np.ones(6), lit @ solution]))
+    assert list(regular) == [False, True]
+    np.testing.assert_array_equal(step[0], 0.0)
+    np.testing.assert_allclose(step[1], solution, rtol=1e-9)
+
+
+def test_a_matrix_that_is_nearly_singular_determines_no_step():
+    normal, _ = equations(1e-14, np.random.default_rng(5))
+    assert not solve_steps(normal[None], np.ones((1, 6))).regular.any()

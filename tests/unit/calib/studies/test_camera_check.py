@@ -1,15 +1,23 @@
-"""Whether a stated camera is still right: rates of false alarms and misses, the place, the cause."""
+"""Checks of a camera by a few views, one view, and halves."""
 
 import numpy as np
 import pytest
 
-from calib.errors import InputMismatch
+from calib.engine import CalibrationOptions
+from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import CameraModel
+from calib.model.rotation import exp_map
 from calib.studies.camera_check import check_camera
+from calib.studies.one_view_check import check_one_view
+from calib.studies.split_half import split_half
+from calib.view import View
 
 SIZE = (1280, 720)
+
 LENS = {"k1": 0.06, "k2": -0.9, "p1": 3e-4, "p2": -2e-4}
+
 CAMERA = CameraModel(3345.0, 3345.5, 643.2, 364.8, SIZE, LENS)
+
 SIGMA = np.array([1.0, 1.0, 1.2, 1.4, 6e-3, 0.15, 2e-4, 2e-4])
 
 
@@ -88,3 +96,105 @@ def test_a_camera_of_another_size_is_refused():
     other = CameraModel(3345.0, 3345.5, 320.0, 240.0, (640, 480), {})
     with pytest.raises(InputMismatch, match="640 x 480 px, these views have 1280 x 720 px"):
         check_camera(other, None, CAMERA, np.diag(SIGMA**2), np.random.default_rng(1))
+
+
+# ---------------------------------------------------------------- one view
+
+TRUE = CameraModel(1600.0, 1602.0, 642.0, 363.0, SIZE, {"k1": -0.1, "k2": 0.05})
+
+FRONTAL, TILTED = (2.0, -3.0, 5.0), (25.0, -20.0, 5.0)
+
+
+def view(camera, turn_deg, seed, sigma=0.05, stated=True):
+    grid = np.stack(np.meshgrid(np.arange(11) * 20.0, np.arange(7) * 20.0), -1).reshape(-1, 2)
+    rotation = exp_map(np.radians(turn_deg))
+    centre = np.array([100.0, 60.0, 0.0]) - rotation.T @ np.array([0.0, 0.0, 300.0])
+    points = camera.project((np.column_stack([grid, np.zeros(len(grid))]) - centre) @ rotation.T)
+    points = points + np.random.default_rng(seed).normal(0.0, sigma, points.shape)
+    covariances = np.tile(np.eye(2) * (sigma**2 if stated else 1.0), (len(grid), 1, 1))
+    return View("one", SIZE, np.arange(len(grid)), points, grid, covariances)
+
+
+def changed(**by):
+    values = dict(zip(TRUE.parameter_names, TRUE.values.tolist(), strict=True))
+    return TRUE.with_values(np.array([value + by.get(name, 0.0) for name, value in values.items()]))
+
+
+@pytest.mark.parametrize("turn", [FRONTAL, TILTED])
+def test_false_alarms_are_one_in_twenty(turn):
+    wrong = [
+        not check_one_view(TRUE, None, view(TRUE, turn, seed, stated=False)).right for seed in range(200)
+    ]
+    assert 0.01 <= np.mean(wrong) <= 0.09
+
+
+@pytest.mark.parametrize(
+    ("turn", "name"), [(FRONTAL, "k1"), (TILTED, "k1"), (TILTED, "cx"), (TILTED, "scale")]
+)
+def test_a_change_of_twice_the_stated_size_is_seen_and_of_a_tenth_is_not(turn, name):
+    least = check_one_view(TRUE, None, view(TRUE, turn, 0)).seen_from[name]
+
+    def found(times):
+        size = times * least
+        by = {"fx": size * TRUE.fx, "fy": size * TRUE.fy} if name == "scale" else {name: size}
+        return np.mean(
+            [not check_one_view(TRUE, None, view(changed(**by), turn, seed)).right for seed in range(30)]
+        )
+
+    assert found(2.0) > 0.9
+    assert found(0.1) < 0.2
+
+
+def test_a_frontal_view_sees_a_change_of_scale_far_worse_than_a_tilted_one():
+    frontal, tilted = (
+        check_one_view(TRUE, None, view(TRUE, turn, 0)).seen_from for turn in (FRONTAL, TILTED)
+    )
+    assert frontal["scale"] > 5 * tilted["scale"]
+    assert frontal["cx"] > 3 * tilted["cx"]
+
+
+def test_the_stated_uncertainty_counts_and_gross_errors_do_not():
+    moved = view(changed(k1=0.01), TILTED, 3)
+    assert not check_one_view(TRUE, None, moved).right
+    covariance = np.diag([1.0, 1.0, 1.0, 1.0, 0.02, 0.1]) ** 2
+    assert check_one_view(TRUE, covariance, moved).right
+    points = view(TRUE, TILTED, 4)
+    points.points_px[7] += 9.0
+    assert check_one_view(TRUE, None, points).right
+    assert 70 <= check_one_view(TRUE, None, points).points <= 76
+
+
+def test_another_size_and_too_few_points_are_refused():
+    other = CameraModel(1600.0, 1602.0, 320.0, 240.0, (640, 480), {})
+    with pytest.raises(InputMismatch, match="has 640 x 480 px, this view has 1280 x 720 px"):
+        check_one_view(other, None, view(TRUE, FRONTAL, 0))
+    one = view(TRUE, FRONTAL, 0)
+    few = View("few", SIZE, one.ids[:9], one.points_px[:9], one.target_mm[:9], one.covariances_px2[:9])
+    with pytest.raises(DegenerateViews, match="9 usable points; at least 20"):
+        check_one_view(TRUE, None, few)
+
+
+# ---------------------------------------------------------------- halves
+
+POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (-1, 1, 200))
+
+
+def test_halves_of_ideal_views_differ_as_expected(bench):
+    ratios = [split_half(bench.views(np.random.default_rng(i), 0.05, poses=POSES)).ratio for i in range(8)]
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.8
+
+
+def test_a_moving_centre_makes_the_halves_differ_more_than_noise_would(bench):
+    rng = np.random.default_rng(3)
+    centres = np.array(bench.centre) + rng.normal(scale=0.5, size=(6, 3))
+    found = split_half(bench.views(rng, 0.05, poses=POSES, centres=centres), CalibrationOptions("spherical"))
+    steady = split_half(
+        bench.views(np.random.default_rng(3), 0.05, poses=POSES), CalibrationOptions("spherical")
+    )
+    assert found.difference.rms_px > 3 * steady.difference.rms_px
+    assert found.expected_px > 3 * steady.expected_px
+
+
+def test_three_views_make_no_halves(bench):
+    with pytest.raises(DegenerateViews, match="at least 4"):
+        split_half(bench.views())

@@ -1,12 +1,18 @@
-"""The covariance is the scatter of repeated calibrations."""
+"""Covariances: of parameters, of projections, and by cross validation."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from monte_carlo_runs import jackknife
 
+from calib.adjustment.levenberg_marquardt import refine
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
+from calib.fit import fit_model
+from calib.model.camera import CameraModel
+from calib.uncertainty.cross_validation import CrossValidation, leave_one_out
+from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty, sensor_grid
 from calib.view import View
 
 
@@ -87,3 +93,130 @@ def test_more_parameters_than_measurements_are_refused(bench):
     few = [corners(view) for view in bench.views()[:2]]
     with pytest.raises(DegenerateViews, match="16 measurements cannot determine 21 parameters"):
         calibrate(few, CalibrationOptions("spherical", distortion="rational"))
+
+
+# ---------------------------------------------------------------- projections
+
+CAMERA = CameraModel(3345.0, 3345.0, 640.0, 360.0, (1280, 720), {"k1": 0.06, "k2": -0.9})
+
+
+def covariance(**sigmas):
+    return np.diag([sigmas.get(name, 0.0) ** 2 for name in CAMERA.parameter_names])
+
+
+def test_a_shift_of_the_principal_point_is_nearly_a_turn_and_hardly_counts():
+    shifted = projection_uncertainty(CAMERA, covariance(cx=1.0))
+    assert shifted.worst_px < 0.05
+    scaled = projection_uncertainty(CAMERA, covariance(fx=1.0, fy=1.0))
+    assert scaled.worst_px == pytest.approx(639.5 / 3345.0, rel=0.2)
+
+
+def test_focal_error_grows_from_the_middle_to_the_corner():
+    found = projection_uncertainty(CAMERA, covariance(fx=1.0), points_across=33)
+    middle = found.sigma_px[found.sigma_px.shape[0] // 2, 16]
+    assert middle < 0.01
+    assert found.sigma_px[0, 0] == pytest.approx(found.worst_px, rel=0.05)
+
+
+def test_pixels_become_arc_seconds_by_the_focal_length():
+    found = projection_uncertainty(CAMERA, covariance(fx=1.0, fy=1.0))
+    ratio = found.sigma_arcsec[:, 1:-1] / found.sigma_px[:, 1:-1]
+    assert np.nanmedian(ratio) == pytest.approx(206265 / 3345, rel=0.03)
+
+
+def test_the_map_is_the_scatter_of_repeated_calibrations(bench):
+    runs = [
+        calibrate(
+            bench.views(np.random.default_rng([71, i]), 0.05), CalibrationOptions("spherical", loss="l2")
+        )
+        for i in range(16)
+    ]
+    stated = projection_uncertainty(runs[0].camera, runs[0].camera_covariance, 9).sigma_px
+    truth = replace(runs[0].camera).with_values(
+        np.array([bench.truth[name] for name in runs[0].camera.parameter_names])
+    )
+    off = np.array([camera_difference(truth, run.camera, 9).offset_px for run in runs])
+    # Two components share the trace; the larger eigenvalue is between half and all of it.
+    scatter = np.sqrt((off**2).sum(axis=3).mean(axis=0))
+    assert np.median(scatter / stated) == pytest.approx(1.15, abs=0.3)
+
+
+def test_a_turned_camera_does_not_differ_from_itself():
+    assert camera_difference(CAMERA, CAMERA).worst_px < 1e-9
+    moved = replace(CAMERA, cx=CAMERA.cx + 5.0)
+    assert camera_difference(CAMERA, moved).worst_px < 0.3
+    longer = replace(CAMERA, fx=3355.0, fy=3355.0)
+    assert camera_difference(CAMERA, longer).rms_px == pytest.approx(10 / 3345 * 424, rel=0.15)
+
+
+def test_the_grid_spans_the_sensor():
+    grid = sensor_grid((1280, 720), 17)
+    assert grid.shape == (10, 17, 2)
+    assert grid[0, 0].tolist() == [0, 0]
+    assert grid[-1, -1].tolist() == [1279, 719]
+
+
+def test_beyond_the_fold_of_the_lens_there_is_no_number():
+    folded = CameraModel(500.0, 500.0, 640.0, 360.0, (1280, 720), {"k1": -0.6})
+    found = projection_uncertainty(folded, np.eye(5) * 1e-4)
+    assert np.isnan(found.sigma_px[0, 0])
+    assert np.isfinite(found.worst_px)
+
+
+# ---------------------------------------------------------------- cross validation
+
+POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130))
+
+L2 = CalibrationOptions(loss="l2")
+
+
+def test_what_is_left_out_has_no_part_in_the_estimate(bench):
+    views = bench.views(np.random.default_rng(101), 0.05, poses=POSES)
+    whole = fit_model(views, L2, "spherical")
+    left = leave_one_out(whole.bundle, whole.parameters, whole.loss)
+    without = fit_model(views[1:], L2, "spherical")
+    sigma = np.sqrt(np.diag(without.uncertainty.covariance))
+    assert np.abs((left.values[0] - without.parameters.values(whole.bundle.names)) / sigma).max() < 0.02
+    assert left.stars.tolist() == [len(view) for view in views]
+
+
+@pytest.mark.parametrize("model", ["spherical", "planar"])
+def test_a_view_that_belongs_is_predicted_to_the_noise_and_one_that_does_not_is_not(bench, model):
+    rng = np.random.default_rng(102)
+    views = bench.views(rng, 0.02, poses=POSES)
+    centre = np.array(bench.centre) + np.array([3.0, 0.0, 0.0])
+    views[2] = bench.view("moved", bench.turn(*POSES[2]), rng, 0.02, centre)
+    fitted = fit_model(views, L2, model)
+    left = leave_one_out(fitted.bundle, fitted.parameters, fitted.loss)
+    if model == "spherical":
+        assert left.rms_px.argmax() == 2
+    assert left.rms_px[2] > 5 * 0.02 * np.sqrt(2)
+
+
+def test_the_jackknife_of_views_that_agree_is_the_stated_covariance(bench):
+    views = bench.views(np.random.default_rng(103), 0.05, poses=POSES)
+    fitted = fit_model(views, L2, "spherical", leave_out=True)
+    ratio = np.sqrt(np.diag(jackknife(fitted.cross_validation)) / np.diag(fitted.uncertainty.covariance))
+    # Four degrees of freedom, and views of unequal weight: a factor of two is agreement.
+    assert 0.5 < np.sqrt((ratio**2).mean()) < 2.2
+    assert not fitted.uncertainty.inconsistent
+
+
+def test_totals_weigh_views_by_their_stars():
+    left = CrossValidation(np.array([[1.0], [3.0], [2.0]]), np.array([0.1, 0.2, 0.3]), np.array([10, 10, 80]))
+    assert left.total_rms_px == pytest.approx(np.sqrt((0.01 * 10 + 0.04 * 10 + 0.09 * 80) / 100))
+    assert jackknife(left) == pytest.approx(np.array([[2 / 3 * 2.0]]))
+
+
+def test_of_many_views_a_step_leads_where_a_refit_without_one_ends(bench):
+    rng = np.random.default_rng(104)
+    poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(10)]
+    whole = fit_model(bench.views(rng, 0.05, poses=poses), L2, "spherical")
+    left = leave_one_out(whole.bundle, whole.parameters, whole.loss)
+    sigma = np.sqrt(np.diag(whole.uncertainty.covariance))
+    moved = (left.values - whole.parameters.values(whole.bundle.names)) / sigma
+    assert np.abs(moved).max() > 0.3
+    for i in (0, 7):
+        others = [j for j in range(10) if j != i]
+        refit = refine(whole.bundle.subset(others), whole.parameters.subset(others), whole.loss).parameters
+        assert np.abs((left.values[i] - refit.values(whole.bundle.names)) / sigma).max() < 0.03
