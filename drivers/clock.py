@@ -14,17 +14,11 @@ class Clock(Protocol):
     """The time that a driver reads and waits by."""
 
     def monotonic(self) -> float:
-        """Return the time since a fixed moment; it never goes back.
-
-        Returns: Time, in seconds.
-        """
+        """Return the time since a fixed moment, s; it never goes back."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Wait; the owner of the clock may interrupt the wait by an exception of its own.
-
-        seconds: Length of the wait, in seconds.
-        """
+        """Wait, in seconds; the owner of the clock may interrupt the wait by an exception of its own."""
         ...
 
 

@@ -37,8 +37,7 @@ FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
 def locks_folder() -> Path:
     """Return the folder of the lock files, the same one for all users of this computer.
 
-    Returns: The folder that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary
-      folder.
+    It is the one that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary folder.
     """
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder)
@@ -49,9 +48,8 @@ def locks_folder() -> Path:
 class DeviceHold:
     """A device reserved for this process, until ``release`` or the end of the process.
 
-    device: Unique name of the device: family and serial number, or its real path.
-    folder: Folder of the lock file; None for ``locks_folder()``.
-    Raises PortDenied: The lock file cannot be made.
+    ``device`` is a unique name: family and serial number, or its real path; ``folder`` None stands for
+    ``locks_folder()``. Raises `PortDenied` if the lock file cannot be made.
     """
 
     # BUSY, DENIED: Errors that are raised; a subclass may name errors of its own family.
@@ -91,8 +89,6 @@ class DeviceHold:
 def _file_name(device: str) -> str:
     """Return a readable file name that is different for every device.
 
-    Examples
-    --------
     >>> _file_name("evk4 00050423")
     'evk4-00050423-4642f8a7.lock'
     """
@@ -122,8 +118,7 @@ def _open(path: Path) -> int:
 class CameraLock(DeviceHold):
     """A camera locked by this process, until ``release`` or the end of the process.
 
-    Raises CameraBusy: If another process, or another driver object in this one, holds the lock.
-    Raises CameraError: If the lock file cannot be made.
+    Raises `CameraBusy` if another process, or another driver object in this one, holds the lock.
     """
 
     BUSY: ClassVar[type[DriverError]] = CameraBusy

@@ -79,8 +79,7 @@ class ReplyError(DriverError):
 class ReplyTimeout(ReplyError):
     """No complete reply came before the deadline.
 
-    what, where, remedy: See `DriverError`.
-    late_s: How late a busy computer was during the wait, s; 0 where the computer is not to blame.
+    ``late_s`` is how late a busy computer was during the wait, s; 0 where the computer is not to blame.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "", late_s: float = 0.0) -> None:
@@ -173,11 +172,7 @@ class NotARecording(RecordingFileError):
 
 
 class RecordingCorrupt(RecordingFileError):
-    """Data are malformed at a byte offset.
-
-    what, where, remedy: See `DriverError`.
-    offset: Position of the first malformed word in the file, in bytes.
-    """
+    """Data are malformed; ``offset`` is the position of the first malformed word in the file, bytes."""
 
     def __init__(self, what: str, *, offset: int, where: str = "", remedy: str = "") -> None:
         self.offset = offset

@@ -25,9 +25,9 @@ _MOST_LETTERS: Final = 200
 
 
 def holder_text(inode: int) -> str:
-    """Return who holds the exclusive lock of the file with this inode.
+    """Return who holds the exclusive lock of the file with this inode; empty if it is not known.
 
-    Returns: Such as ``process 4711 of ada, since 2026-11-21 12:03 UTC, in /data/runs/cam7``; empty if it is not known.
+    Such as ``process 4711 of ada, since 2026-11-21 12:03 UTC, in /data/runs/cam7``.
     """
     with suppress(OSError, ValueError, IndexError):
         locks = list(_locks())
@@ -109,10 +109,8 @@ else:
 def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
     """Lock an open file until it is closed. Locking the same descriptor again does no harm.
 
-    descriptor: Descriptor of the open file; on Windows the file must be open for writing.
-    wait: Wait, without limit, until no other process holds the lock.
-    Raises BlockingIOError: Another process holds the lock; the error's ``strerror`` says which one.
-    Raises OSError: The file cannot be locked.
+    On Windows the file must be open for writing. ``wait`` waits without limit; else a lock of another process raises
+    `BlockingIOError`, whose ``strerror`` says which one.
     """
     try:
         _take(descriptor, shared=shared, wait=wait)

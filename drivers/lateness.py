@@ -33,11 +33,7 @@ REMEDY: Final = (
 
 
 class Lateness:
-    """Adds up how late this process is woken.
-
-    now_s: Returns the time, s.
-    longest_s: Longest single delay, s.
-    """
+    """Adds up how late this process is woken; ``longest_s`` is the longest single delay, s."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
@@ -58,10 +54,7 @@ class Lateness:
 
     @contextmanager
     def interpreter_held(self) -> Iterator[None]:
-        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run.
-
-        Yields: During the block.
-        """
+        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run."""
         with self._noting:
             self._held += 1
         try:
@@ -72,19 +65,13 @@ class Lateness:
                 self._due_s = self._now_s() + PERIOD_S
 
     def lost_s(self) -> float:
-        """Return the time that this process has lost since it began to measure.
-
-        Returns: Seconds, with a delay that has not ended yet.
-        """
+        """Return the time that this process has lost since it began to measure, s, with a delay that still lasts."""
         with self._noting:
             overdue_s = 0.0 if self._held else self._now_s() - self._due_s
             return self._lost_s + (overdue_s if overdue_s > NOTED_S else 0.0)
 
     def summary(self) -> Mapping[str, float | None]:
-        """Return the delays, as a journal and a status hold them.
-
-        Returns: ``lost_s``, ``longest_s``; ``load``, of the last minute, or None where the system has none.
-        """
+        """Return ``lost_s``, ``longest_s`` and ``load`` (last minute; None where the system has none) for a journal."""
         return {"lost_s": round(self.lost_s(), 3), "longest_s": round(self.longest_s, 3), "load": _load()}
 
 
@@ -117,8 +104,7 @@ _clocks: dict[str, Callable[[], float]] = {}
 def follow_clock(address: str, lived_s: Callable[[], float]) -> None:
     """Let the deadlines of a device follow the clock of the process that simulates it.
 
-    lived_s: Returns the time that the process could use, s. It stands still while the process waits for a
-      processor.
+    ``lived_s`` returns the time that the process could use, s. It stands still while the process waits for a processor.
     """
     _clocks[address] = lived_s
 
@@ -131,10 +117,7 @@ def follow_no_clock(address: str) -> None:
 class Deadline:
     """A deadline that counts only the time that the processes at both ends could use.
 
-    seconds: Time until the deadline on an idle computer, s.
-    address: Address of the device; see `follow_clock`.
-    now_s: Returns the time, s.
-    lateness: Measurement of this process; by default `own_lateness`.
+    ``seconds`` is the time on an idle computer, ``address`` that of the device; see `follow_clock`.
     """
 
     def __init__(
@@ -162,30 +145,19 @@ class Deadline:
         return max(0.0, own_s, peer_s)
 
     def left_s(self) -> float:
-        """Return the time that is left.
-
-        Returns: Seconds; 0 or less when the deadline is over.
-        """
+        """Return the time that is left, s; 0 or less when the deadline is over."""
         return self._seconds - (self._now_s() - self._began_s) + min(self.late_s(), MOST_STRETCH_S)
 
     def starved_s(self) -> float:
-        """Return how late the computer was, where that may be why no reply came.
-
-        Returns: Seconds; 0 where the computer is not to blame.
-        """
+        """Return how late the computer was, s, where that may be why no reply came; else 0."""
         late_s = self.late_s()
         waited_s = self._now_s() - self._began_s
         return late_s if late_s >= max(BUSY_S, BUSY_SHARE * waited_s) else 0.0
 
 
 def busy_text(late_s: float) -> str:
-    """Return the sentence about a computer that is too busy.
+    """Return the sentence about a computer that was late, without a capital letter and without a full stop.
 
-    late_s: How late it was, s.
-    Returns: The sentence, without a capital letter and without a full stop.
-
-    Examples
-    --------
     >>> busy_text(2.345)
     'this computer is too busy: it was 2.3 s late'
     """

@@ -41,10 +41,9 @@ T = TypeVar("T")
 
 
 class ReplyReader:
-    """Reads the reply to one request, up to its deadline. A ``read_reply`` function gets it from the link.
+    """Reads the reply to one request, whole within ``deadline_s``. A ``read_reply`` function gets it from the link.
 
-    link: The line, held by this thread.
-    deadline_s: Longest time for the whole reply, in seconds from now.
+    This thread holds the line meanwhile.
     """
 
     def __init__(self, link: Link, deadline_s: float) -> None:
@@ -53,11 +52,7 @@ class ReplyReader:
         self._deadline = Deadline(deadline_s, link.name)
 
     def read_line(self) -> bytes:
-        """Read the next line that is no unsolicited message.
-
-        Raises ReplyTimeout: No complete line came before the deadline.
-        Raises ReplyGarbled: The line is longer than ``LONGEST_LINE``.
-        """
+        """Read the next line that is no unsolicited message, of ``LONGEST_LINE`` at most."""
         while True:
             line = self._link.take_line()
             if line is None:
@@ -66,12 +61,7 @@ class ReplyReader:
                 return line
 
     def read_exactly(self, count: int) -> bytes:
-        """Read a number of bytes.
-
-        count: Number of bytes.
-        Returns: The next ``count`` bytes.
-        Raises ReplyTimeout: Fewer bytes came before the deadline.
-        """
+        """Read the next ``count`` bytes."""
         while True:
             data = self._link.take(count)
             if data is not None:
@@ -105,21 +95,16 @@ class ReplyReader:
 
 
 def no_unsolicited(_line: bytes) -> bool:
-    """Take no line as unsolicited: for protocols without such messages.
-
-    Returns: Always False.
-    """
+    """Take no line as unsolicited: for protocols without such messages."""
     return False
 
 
 class Link:
     """A line to one device or a chain of devices. Threads share it; one exchange is made at a time.
 
-    resynchronise: Brings the line back into step; see ``prove_in_step``. It is called with the lock
-      held, may call ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
-    unsolicited: Gets each line; returns True when the line is a message that answers no request.
-    wire_log: Records every byte; None for no record.
-    lock: While a thread holds it, no other thread can send.
+    ``resynchronise`` brings the line back into step (see ``prove_in_step``). It is called with the lock held, may call
+    ``drain`` and make urgent exchanges, and raises `ReplyError` when it fails. ``unsolicited`` returns True for a line
+    that answers no request. ``wire_log`` records every byte. While a thread holds ``lock``, no other thread can send.
     """
 
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
@@ -166,15 +151,11 @@ class Link:
         deadline_s: float,
         urgent: bool = False,
     ) -> T:
-        """Send a request and read its reply, alone on the line.
+        """Send a request and return what ``read_reply`` makes of its reply, alone on the line.
 
-        read_reply: Reads and parses the reply; raises ReplyGarbled when the bytes are no reply to this
-          request.
-        deadline_s: Longest wait for the whole reply, in seconds.
-        urgent: Send at once, without resynchronising. For stops, whose reply cannot be mistaken for another
-          one.
-        Returns: What ``read_reply`` returned.
-        Raises ReplyTimeout, ReplyGarbled: The line is then resynchronised before the next request.
+        ``read_reply`` raises `ReplyGarbled` when the bytes are no reply to this request; ``deadline_s`` is for the
+        whole reply. ``urgent`` sends at once, without resynchronising: for stops, whose reply cannot be mistaken for
+        another one. After an error the line is resynchronised before the next request.
         """
         with self.lock:
             if not urgent:
@@ -194,10 +175,7 @@ class Link:
             self._port.write(data)
 
     def bring_into_step(self) -> None:
-        """Resynchronise when an old reply is unread, or may still come.
-
-        Raises ReplyError: The line could not be resynchronised.
-        """
+        """Resynchronise when an old reply is unread, or may still come."""
         with self.lock:
             self._take_strays()
             if not self._in_step:
@@ -209,20 +187,15 @@ class Link:
         self._in_step = False
 
     def garbled_reply(self, what: str, remedy: str = "") -> ReplyGarbled:
-        """Mark the line as out of step: a reply had the right form, but cannot be right.
+        """Mark the line as out of step (a reply had the right form, but cannot be right); return the error to raise.
 
-        what: What is wrong with the reply.
-        remedy: What to do; empty for what helps on most lines of this kind.
-        Returns: The error, for the caller to raise.
+        ``remedy`` is empty for what helps on most lines of this kind.
         """
         self.mark_out_of_step()
         return ReplyGarbled(what, where=self.name, remedy=remedy or self.GARBLED_REMEDY)
 
     def drain(self) -> bytes:
-        """Throw away what arrives until the line is silent.
-
-        Raises ReplyGarbled: The device did not fall silent.
-        """
+        """Throw away what arrives until the line is silent; `ReplyGarbled` if the device does not fall silent."""
         with self.lock:
             end = time.monotonic() + self.longest_drain_s
             while self.receive(self.quiet_s):
@@ -251,20 +224,14 @@ class Link:
         """Bring the line back into step: throw away what is old, then prove that nothing old is left.
 
         The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
-        the marker is answered and, for a protocol without message ids, nothing follows its answer. There are two
-        attempts.
+        the marker is answered and, with ``silence_after`` (a protocol without message ids), nothing follows its answer;
+        else ``failed`` and ``remedy`` are told. There are two attempts.
 
-        exchange_marker: Sends the marker; returns False when its answer is not the expected one, and raises
-          ReplyError for no valid answer.
-        failed, remedy: What is told when the marker's answer was unexpected, or something followed it.
-        clear_device: Sends what makes the device forget the beginning of a command. Called after the line was
-          silent.
-        inspect_old: Gets the old bytes before they are lost, for unsolicited messages in them.
-        silence_after: Whether nothing may follow the marker's answer.
-        once_if_silent: Whether a marker without an answer ends the attempts, unless the computer is too busy. For
-          a caller that repeats the request, and with it this, by itself: a device without power is then told
-          sooner.
-        Raises ReplyError: The line is still out of step, or the device does not fall silent.
+        ``exchange_marker`` returns False when its answer is not the expected one, and raises `ReplyError` for no valid
+        answer. ``clear_device`` makes the device forget the beginning of a command; it is called after the line was
+        silent. ``inspect_old`` gets the old bytes before they are lost, for unsolicited messages in them.
+        ``once_if_silent`` ends the attempts at a marker without an answer, unless the computer is too busy: for a
+        caller that repeats the request, and with it this, by itself, so that a device without power is told sooner.
         """
         for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
             inspect_old(self.drain())
@@ -282,10 +249,7 @@ class Link:
         raise ReplyGarbled(failed, where=self.name, remedy=remedy)
 
     def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only."""
         with self.lock:
             self.receive(duration_s)
 
@@ -297,11 +261,7 @@ class Link:
     # ------------------------------------------------------------ for ReplyReader
 
     def receive(self, timeout_s: float) -> bool:
-        """Wait for bytes and keep them as unread.
-
-        timeout_s: Longest wait for the first byte, in seconds.
-        Returns: Whether any byte came.
-        """
+        """Wait for bytes and keep them as unread; return whether any came. ``timeout_s`` is for the first byte."""
         data = self._port.read(timeout_s)
         self._clock.monotonic()
         if data:
@@ -310,11 +270,7 @@ class Link:
         return bool(data)
 
     def take(self, count: int) -> bytes | None:
-        """Take a number of unread bytes.
-
-        count: Number of bytes.
-        Returns: The bytes; None when fewer are unread.
-        """
+        """Take a number of unread bytes; None when fewer are unread."""
         if len(self._buffer) < count:
             return None
         data = bytes(self._buffer[:count])
@@ -322,11 +278,9 @@ class Link:
         return data
 
     def take_line(self) -> bytes | None:
-        """Take one unread line.
+        """Take one unread line with its terminator; None when no complete line is unread.
 
-        Returns: The line with its terminator; None when no complete line is unread.
-        Raises ReplyGarbled: The line is too long. It is thrown away, so that the next call does not find it
-          again.
+        A line that is too long raises `ReplyGarbled` and is thrown away, so that the next call does not find it again.
         """
         end = self._buffer.find(self._terminator)
         if end < 0 and len(self._buffer) <= LONGEST_LINE:
@@ -342,10 +296,7 @@ class Link:
         return self.take(end + len(self._terminator))
 
     def route_unsolicited(self, line: bytes) -> bool:
-        """Pass a line to the handler of unsolicited messages.
-
-        Returns: Whether the handler took it.
-        """
+        """Pass a line to the handler of unsolicited messages; return whether it took the line."""
         return self._unsolicited(line)
 
     # ------------------------------------------------------------ inside

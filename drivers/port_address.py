@@ -22,13 +22,8 @@ _PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(?:[,:])")  # a single letter 
 
 
 def refused_port(address: str) -> str | None:
-    """Return why an address cannot be a serial port.
+    """Return why an address cannot be a serial port (`PORT_REMEDY`: what to write instead); None if it may be one.
 
-    address: A device file, a port name of the system, or a URL.
-    Returns: What is wrong; None if the address may be a port. `PORT_REMEDY` says what to write instead.
-
-    Examples
-    --------
     >>> refused_port("/dev/ttyUSB0"), refused_port("socket://10.0.0.7:4001")
     (None, None)
     >>> refused_port("spy:///dev/null?file=notes.txt")
@@ -41,13 +36,8 @@ def refused_port(address: str) -> str | None:
 
 
 def refused_source(name: str) -> str | None:
-    """Return why a name cannot be a video source.
+    """Return why a number, path or URL cannot be a video source (`SOURCE_REMEDY`: what instead); None if it may be.
 
-    name: Number or path of a video device, path of a video, or a URL.
-    Returns: What is wrong; None if the name may be a source. `SOURCE_REMEDY` says what to write instead.
-
-    Examples
-    --------
     >>> refused_source("/dev/video0"), refused_source("0"), refused_source("rtsp://10.0.0.8/stream")
     (None, None, None)
     >>> refused_source("concat:a.mp4|b.mp4")

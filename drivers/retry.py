@@ -27,16 +27,11 @@ def do_nothing(*_arguments: object) -> None:
 def repeat(
     attempt: Callable[[], T], *, tries: int = TRIES, before_next: Callable[[], object] = do_nothing
 ) -> T:
-    """Call a function until it succeeds.
+    """Call a function until it succeeds; again only after a `ReplyError`, the last of which is raised.
 
-    attempt: Sends one request and returns what it reads. Another call is made only after a ReplyError.
-    tries: How often ``attempt`` is called in all, at least once; more often where the computer was too busy.
-    before_next: Called between a failure and the next attempt.
-    Returns: What ``attempt`` returned.
-    Raises ReplyError: The one of the last attempt. Any other exception of ``attempt`` ends the loop at once.
+    ``tries`` is how often it is called in all, at least once; more often where the computer was too busy.
+    ``before_next`` is called between a failure and the next attempt.
 
-    Examples
-    --------
     >>> replies = iter(["", "", "17"])
     >>> def ask():
     ...     if not (reply := next(replies)):
@@ -66,13 +61,8 @@ _MOST_READINGS: Final = 5
 
 
 def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
-    """Read until two consecutive readings are equal, at most five times.
+    """Read until two consecutive readings are equal, at most five times; else raise `ReplyGarbled`.
 
-    read: Reads once.
-    Raises ReplyGarbled: No two consecutive readings are equal. Exceptions of ``read`` pass through.
-
-    Examples
-    --------
     >>> values = iter([5, 7, 7])
     >>> read_until_agreed(lambda: next(values), what="the value", where="")
     7
@@ -97,15 +87,10 @@ class Reading(NamedTuple):
 def read_position_until_agreed(
     read: Callable[[], Reading], *, tolerance_deg: float, speed_deg_s: float, what: str, where: str
 ) -> float:
-    """Read a position until consecutive readings agree, at most five times.
+    """Read a position, degrees, until consecutive readings agree, at most five times; else raise `ReplyGarbled`.
 
     Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
     Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
-
-    tolerance_deg: Largest tremble of an axis at rest, in degrees.
-    speed_deg_s: Highest speed of the axis, in degrees per second.
-    Returns: Position, in degrees.
-    Raises ReplyGarbled: The readings do not agree. Exceptions of ``read`` pass through.
     """
     readings = [read()]
     for _ in range(_MOST_READINGS - 1):

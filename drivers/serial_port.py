@@ -42,10 +42,7 @@ except ImportError:  # Windows opens every serial port exclusively by itself.
 else:
 
     def lock_exclusively(descriptor: int) -> None:
-        """Lock an open port. Locking the same descriptor again does no harm.
-
-        Raises BlockingIOError: Another program has locked the port.
-        """
+        """Lock an open port, or raise `BlockingIOError`. Locking the same descriptor again does no harm."""
         file_lock.lock(descriptor)
         # A device that is no terminal has no TIOCEXCL; the flock still holds.
         with contextlib.suppress(OSError):
@@ -92,11 +89,7 @@ class Port(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived.
-
-        timeout_s: Longest wait for the first byte, in seconds.
-        Returns: What has arrived; empty when nothing came in time.
-        """
+        """Return the bytes that have arrived; empty when nothing came in time. ``timeout_s`` is for the first byte."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -111,16 +104,10 @@ class Port(Protocol):
 class SerialPort:
     """An open serial port, locked for this program.
 
-    Opening sends nothing and leaves the modem lines as the system sets them. It uses 8 data bits and no parity.
-
-    address: A device file, preferably below ``/dev/serial/by-id/``, a port name of the system,
-      ``socket://host:port`` or ``rfc2217://host:port``. Other URLs of pyserial are refused.
-    baudrate: Bits per second.
-    stopbits: Number of stop bits, 1 or 2.
-    rtscts: Whether the device uses the lines RTS and CTS to hold the sender; only devices that need it have
-      it.
-    Raises PortNotFound: There is no such port, or it is no serial port.
-    Raises PortDenied: The user may not open the port.
+    Opening sends nothing and leaves the modem lines as the system sets them. It uses 8 data bits and no parity. The
+    address is a device file, preferably below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port``
+    or ``rfc2217://host:port``; other URLs of pyserial are refused. ``rtscts``: the device uses the lines RTS and CTS to
+    hold the sender; only devices that need it have it.
     """
 
     def __init__(self, address: str, *, baudrate: int, stopbits: int = 1, rtscts: bool = False) -> None:

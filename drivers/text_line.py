@@ -299,10 +299,8 @@ class InstrumentError(NamedTuple):
 class ScpiLine(TextLine):
     """A line to an SCPI instrument. Opening asks ``*IDN?`` and ``SYST:ERR?``; it sets nothing.
 
-    clock, wire_log: See ``drivers.link.Link``.
-    has_error_queue: False when the instrument does not answer ``SYST:ERR?``. A refused setting then shows
-      only when it is read back.
-    Raises ReplyTimeout, ReplyGarbled: The instrument does not identify itself.
+    ``has_error_queue`` is False for one that does not answer ``SYST:ERR?``: a refused setting then shows only when it
+    is read back.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -324,11 +322,7 @@ class ScpiLine(TextLine):
         return maker, model, serial, firmware
 
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
-        """See `TextLine.query`. After a silence, also ask the error queue whether the query was refused.
-
-        Raises DeviceRefused: The error queue says that the instrument does not know the query.
-        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
-        """
+        """See `TextLine.query`. After a silence, also ask the error queue whether the query was refused."""
         try:
             return super().query(query, deadline_s=deadline_s, tries=1)
         except ReplyError as error:
@@ -339,21 +333,12 @@ class ScpiLine(TextLine):
         return super().query(query, deadline_s=deadline_s, tries=tries - 1)
 
     def command(self, command: str) -> list[InstrumentError]:
-        """Send a command, once, and read the error queue.
-
-        command: A command without reply.
-        Returns: Errors in the queue after the command, oldest first; empty without a queue.
-        Raises ReplyTimeout, ReplyGarbled: The error queue could not be read.
-        """
+        """Send a command without reply, once; return the errors in the queue after it, oldest first."""
         self.send(command)
         return self.read_errors()
 
     def read_errors(self) -> list[InstrumentError]:
-        """Empty the error queue.
-
-        Returns: Errors that were in the queue, oldest first; empty without a queue.
-        Raises ReplyTimeout, ReplyGarbled: The queue could not be read, or has no end.
-        """
+        """Empty the error queue; return its errors, oldest first. A queue without an end raises `ReplyGarbled`."""
         found: list[InstrumentError] = []
         while self.has_error_queue:
             error = self._next_error()

@@ -15,10 +15,9 @@ class WireLog(Protocol):
     """Record of the bytes that a link sends and receives."""
 
     def record(self, t_s: float, port: str, direction: Direction, data: bytes) -> None:
-        """Record bytes. This never raises, because a full disk must not keep a stop from being sent.
+        """Record bytes to or from a device at a time on the bench's monotonic clock.
 
-        t_s: Time on the bench's monotonic clock, in seconds.
-        direction: Whether the bytes go to the device or come from it.
+        This never raises, because a full disk must not keep a stop from being sent.
         """
         ...
 
@@ -26,13 +25,10 @@ class WireLog(Protocol):
 class WireLogFile:
     """A wire log on disk, one JSON object a line: ``{"t": s, "port": name, "dir": ">", "bytes": text}``.
 
-    Bytes are written as Latin-1 text, so every byte is one character and text stays readable. A file that would
-    exceed ``max_bytes`` is renamed to ``<name>.1`` (older ones to ``.2`` ...) and a new one is begun.
-
-    path: The file; its folder must exist. An existing file is continued.
-    max_bytes: Largest size of a file, in bytes.
-    fault: Why logging ended; None while it works. A log that cannot be written does not stop a device from
-      being controlled; the bench reports this text instead.
+    Bytes are written as Latin-1 text, so every byte is one character and text stays readable. A file that would exceed
+    ``max_bytes`` is renamed to ``<name>.1`` (older ones to ``.2`` ...) and a new one is begun. The folder must exist;
+    an existing file is continued. ``fault`` says why logging ended; None while it works. A log that cannot be written
+    does not stop a device from being controlled; the bench reports this text instead.
     """
 
     def __init__(self, path: Path, *, max_bytes: int = 8_000_000, kept: int = 3) -> None:

@@ -8,12 +8,7 @@ from drivers.errors import DriverError
 
 
 def find_cameras() -> tuple[list[FoundCamera], list[str]]:
-    """List the connected cameras.
-
-    A camera is listed once for each driver that could use it.
-
-    Returns: The cameras; and sentences about missing software, without which others cannot be seen.
-    """
+    """List the connected cameras, once for each driver that could use them; and sentences about missing software."""
     found: list[FoundCamera] = []
     missing: list[str] = []
     for discover in (metavision_discovery.discover, neuromorphic_evk4.discover):

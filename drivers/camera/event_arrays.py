@@ -19,12 +19,7 @@ class Events(NamedTuple):
     p: NDArray[np.uint8]  # (N,) uint8: polarity, 1 = ON, 0 = OFF
 
     def part(self, begin: int, end: int) -> Events:
-        """Return views of some of the events.
-
-        begin: Index of the first event.
-        end: Index after the last event.
-        Returns: Views, not copies.
-        """
+        """Return views, not copies, of the events from ``begin`` to before ``end``."""
         place = slice(begin, end)
         return Events(self.t[place], self.x[place], self.y[place], self.p[place])
 
@@ -38,29 +33,19 @@ class Triggers(NamedTuple):
 
 
 def empty_events(n: int) -> Events:
-    """Allocate arrays for events.
-
-    Returns: Arrays of length n, not initialised.
-    """
+    """Allocate arrays for n events, not initialised."""
     return Events(
         np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8)
     )
 
 
 def empty_triggers(n: int) -> Triggers:
-    """Allocate arrays for trigger edges.
-
-    Returns: Arrays of length n, not initialised.
-    """
+    """Allocate arrays for n trigger edges, not initialised."""
     return Triggers(np.empty(n, np.int64), np.empty(n, np.uint8), np.empty(n, np.uint8))
 
 
 def join_triggers(pieces: list[Triggers]) -> Triggers:
-    """Concatenate triggers.
-
-    pieces: Triggers in the order of the stream.
-    Returns: All edges; empty arrays for no pieces.
-    """
+    """Concatenate triggers, given in the order of the stream; empty arrays for no pieces."""
     return (
         Triggers(*(np.concatenate(fields) for fields in zip(*pieces, strict=True)))
         if pieces

@@ -42,12 +42,10 @@ class Frame(NamedTuple):
 
 
 class Evk4Line:
-    """One connection to a simulated EVK4.
+    """One connection to a simulated EVK4 at ``host:port``.
 
-    address: ``host:port``.
-    clock: Deadlines count on it; its ``sleep`` is called in every round of waiting.
-    silence_s: How long the camera may send nothing while something is expected, s; after that it counts as
-      lost. A camera that computes for longer reports so meanwhile.
+    The clock's ``sleep`` is called in every round of waiting. A camera that sends nothing for ``silence_s`` while
+    something is expected counts as lost; one that computes for longer reports so meanwhile.
     """
 
     def __init__(self, address: str, *, clock: Clock, silence_s: float) -> None:
@@ -67,12 +65,8 @@ class Evk4Line:
     ) -> Mapping[str, Any]:
         """Send a command and wait for its answer. Words and late answers that arrive before it are dropped.
 
-        interruptible: Whether the clock may end the wait.
-        within_s: Deadline, s; None for the limits on silence and on computing.
-        Raises DeviceRefused: If the camera refuses the command.
-        Raises ReplyTimeout: If no answer comes in time.
-        Raises ReplyGarbled: If the camera sends something that is no frame or no JSON.
-        Raises CameraLost: If the connection is lost.
+        ``interruptible``: the clock may end the wait. ``within_s`` None stands for the limits on silence and on
+        computing.
         """
         number = self._send(command, parameters)
         deadline = self._clock.monotonic() + (COMPUTING_S if within_s is None else within_s)
@@ -89,30 +83,24 @@ class Evk4Line:
                 raise self._no_answer(command)
 
     def silent_s(self) -> float:
-        """Measure the silence while something is expected. Polls count too, as a test's clock may stand still.
+        """Measure the silence while something is expected, s, without what a busy computer took from either end.
 
-        Returns: Time, s, without the time that a busy computer did not let the camera or this process use.
+        Polls count too, as a test's clock may stand still.
         """
         silent_s = max(self._clock.monotonic() - self._heard_s, self._idle_s)
         return max(0.0, silent_s - min(self._quiet.late_s(), MOST_STRETCH_S))
 
     def check_alive(self) -> None:
-        """Check that the camera still sends.
-
-        Raises CameraLost: If nothing has come for ``silence_s``.
-        """
+        """Raise `CameraLost` if nothing has come for ``silence_s``."""
         if self.silent_s() > self.silence_s:
             late_s = self._quiet.starved_s()
             how = f"it has sent nothing for {self.silence_s:g} s"
             raise self._lost(f"{how}; {busy_text(late_s)}" if late_s else how, busy=late_s > 0)
 
     def receive(self) -> Frame | None:
-        """Wait a short time for the next frame.
+        """Wait a short time for the next frame: an answer or words; None if no frame is complete yet.
 
-        Returns: An answer or words; None if no frame is complete yet.
-        Raises CameraError: If the camera reports a fault of its own.
-        Raises CameraLost: If the connection is lost.
-        Raises ReplyGarbled: If the camera sends something that is no frame.
+        A fault that the camera itself reports is raised as `CameraError`.
         """
         frame = self._take_frame()
         if frame is None:

@@ -64,10 +64,7 @@ class StreamStatistics:
         return (self.last_t_us - self.first_t_us) * 1e-6 if self.first_t_us >= 0 else 0.0
 
     def loss_messages(self) -> tuple[str, ...]:
-        """Describe each gap, and the losses that the sensor's own counts show.
-
-        Returns: Sentences for the operator; none if nothing was lost.
-        """
+        """Describe each gap, and the losses that the sensor's own counts show; no sentence if nothing was lost."""
         messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):
             messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
@@ -88,11 +85,9 @@ class StreamStatistics:
 class Evt3Decoder:
     """Decoder of one stream, which is given in pieces of whole words.
 
-    width, height: Size of the sensor, px; events outside it raise ``RecordingCorrupt``.
-    first_byte: Offset of the first word in the file, bytes; for messages.
+    Events outside ``width`` and ``height``, px, raise `RecordingCorrupt`; ``first_byte`` is the offset of the first
+    word in the file, for messages.
 
-    Examples
-    --------
     >>> words = np.array([0x8001, 0x6002, 0x0005, 0x2803], np.uint16)
     >>> [(events, _)] = Evt3Decoder(1280, 720).decode(words)
     >>> [int(field[0]) for field in events]
@@ -108,11 +103,9 @@ class Evt3Decoder:
         self._passing = empty_events(0)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Decode words to events and triggers, in pieces.
+        """Decode words, (N,) uint16, in pieces of at most ``max_events`` events, but at least 32.
 
-        words: (N,) uint16, the next words of the stream.
-        max_events: Largest number of events in a piece; 32 if it is smaller.
-        Raises RecordingCorrupt: At a malformed word, after the pieces before it.
+        A malformed word raises `RecordingCorrupt` after the pieces before it.
         """
         start = 0
         while start < len(words):
@@ -123,13 +116,9 @@ class Evt3Decoder:
             start = self._advance(words, start, stop)
 
     def decode_into(self, words: Words, events: Events, at: int) -> tuple[int, Triggers]:
-        """Decode words into arrays that the caller provides.
+        """Decode words, (N,) uint16, into the caller's arrays from index ``at``; return the index after the last event.
 
-        words: (N,) uint16, the next words of the stream.
-        events: Arrays to fill. 32 places after the last event may be touched.
-        at: Index of the first event to write.
-        Returns: Index after the last event written, and the triggers.
-        Raises ValueError: If the arrays have no room for more events, and 32 places.
+        32 places after the last event may be touched; without room for them, `ValueError` is raised.
         """
         found = []
         start = 0
@@ -145,9 +134,8 @@ class Evt3Decoder:
     def count(self, words: Words, image: NDArray[np.uint16]) -> Triggers:
         """Add the events of words to an image of counts, without a list of events.
 
-        words: (N,) uint16, the next words of the stream.
-        image: (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
-        Raises ValueError: If the image does not have the sensor's size.
+        The words are (N,) uint16; the image is (2, height, width) uint16, OFF counts, then ON counts, which wrap above
+        65535.
         """
         if image.shape != (2, self._state[S.HEIGHT], self._state[S.WIDTH]):
             raise ValueError(
@@ -157,10 +145,7 @@ class Evt3Decoder:
         return self._pass(words, image)
 
     def tally(self, words: Words) -> Triggers:
-        """Count the events of words for ``statistics``, and drop them.
-
-        words: (N,) uint16, the next words of the stream.
-        """
+        """Count the events of words, (N,) uint16, for ``statistics``, and drop them."""
         return self._pass(words, None)
 
     def _pass(self, words: Words, image: NDArray[np.uint16] | None) -> Triggers:
@@ -229,10 +214,7 @@ class Evt3Decoder:
         return self.clock_us - first if first >= 0 else 0
 
     def statistics(self) -> StreamStatistics:
-        """Sum up the stream as decoded so far.
-
-        Returns: Counts, times and losses.
-        """
+        """Sum up the stream as decoded so far."""
         state = {place: int(self._state[place]) for place in S}
         reported = state[S.EVENTS_AT_REPORT] >= 0
         kept = self._gaps[: min(state[S.GAPS], GAPS_KEPT)]
@@ -253,13 +235,8 @@ class Evt3Decoder:
 
 
 def first_time_high(words: Words) -> int | None:
-    """Find the first TIME_HIGH word: there a stream that is joined in its middle can begin.
+    """Find the first TIME_HIGH word of (N,) uint16: there a stream that is joined in its middle can begin.
 
-    words: (N,) uint16, EVT3 words.
-    Returns: Index of the word; None if there is none.
-
-    Examples
-    --------
     >>> first_time_high(np.array([0x0005, 0x2803, 0x8001], np.uint16))
     2
     """

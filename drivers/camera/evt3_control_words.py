@@ -101,11 +101,7 @@ class S(IntEnum):
 
 
 def new_state(width: int, height: int) -> NDArray[np.int64]:
-    """Return the state before the first word of a stream.
-
-    width, height: Size of the sensor, px.
-    Returns: (28,) int64, indexed by ``S``.
-    """
+    """Return the state before the first word of a stream: (28,) int64, indexed by ``S``."""
     state = np.zeros(len(S), np.int64)
     state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US]] = -1
     state[S.WIDTH], state[S.HEIGHT] = width, height
@@ -153,11 +149,9 @@ def _time_low(state: Any, low: int) -> StopReason:
 
 @njit(**INNER, forceinline=True)
 def one_tick_later(idle_us: int) -> int:
-    """Return for how long only TIME_HIGH words have come, after one more.
+    """Return for how long only TIME_HIGH words have come, after one more, us; -1 if it is not known.
 
     In a stream without events the time stands still until the next TIME_LOW; TIME_HIGH comes every 16 us all the same.
-
-    idle_us: The time before it, us; -1 if it is not known.
     """
     return idle_us + _TICK_US if 0 <= idle_us < _TICK_US * _MAX_TICKS else -1
 
@@ -218,14 +212,11 @@ def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
 
 @njit(**INNER)
 def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> StopReason:
-    """Take a word that holds no event, with every check.
+    """Take a word that holds no event, with every check; return NONE, or why it cannot be taken.
 
-    state: (28,) int64 as of ``new_state``; changed.
-    kind: Type of the word, its upper 4 bits.
-    payload: Lower 12 bits of the word.
-    gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
-    edges: (E, 3) int64 to fill: time (us), value and channel of trigger edges.
-    Returns: NONE, or why the word cannot be taken.
+    ``state`` is (28,) int64 as of ``new_state``; changed. ``kind`` and ``payload`` are the upper 4 and lower 12 bits.
+    To fill: ``gaps``, (G, 2) int64, us: clock before and after each of the first G gaps; ``edges``, (E, 3) int64: time
+    (us), value and channel.
     """
     if kind <= 0x1:
         address = payload & 0x7FF

@@ -22,10 +22,8 @@ type name            payload
 0xF  CONTINUED_12    12 bits of an OTHERS payload
 ==== =============== =====================================================================
 
-References
-----------
-Prophesee, "EVT 3.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html. Type 0xD and the subtypes
-of OTHERS are named in OpenEB's source (evt3_event_types.h); 0x1 is in neither.
+Source: Prophesee, "EVT 3.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html. Type 0xD and the
+subtypes of OTHERS are named in OpenEB's source (evt3_event_types.h); 0x1 is in neither.
 """
 
 from __future__ import annotations
@@ -56,10 +54,9 @@ _BYTE, _EIGHT, _TWELVE = np.uint64(0xFF), np.uint64(8), np.uint64(12)
 
 @njit(**JIT)
 def max_event_count(words: Any) -> int:
-    """Return an upper bound of the number of events that words hold, without decoding them.
+    """Return an upper bound of the number of events that (N,) uint16 words hold, without decoding them.
 
-    words: (N,) uint16, EVT3 words.
-    Returns: The number of events if all have a time and a place; never too small.
+    It is the number if all events have a time and a place; never too small.
     """
     n = 0
     for k in range(len(words)):
@@ -69,10 +66,7 @@ def max_event_count(words: Any) -> int:
 
 @njit(**JIT)
 def add_events(events: Any, n: int, image: Any) -> None:
-    """Add the first n events to an image of counts; none lies outside it.
-
-    image: (2, height, width) of any integer type.
-    """
+    """Add the first n events to an image of counts, (2, height, width) of any integer; none lies outside it."""
     _, x, y, p = events
     for k in range(n):
         image[p[k], y[k], x[k]] += 1
@@ -195,15 +189,10 @@ def _take_rare(word: int, state: Any, gaps: Any, edges: Any) -> StopReason:
 
 @njit(**JIT)
 def run(words: Any, start: int, state: Any, gaps: Any, events: Any, edges: Any) -> int:
-    """Take words from ``start`` on; return where it stopped. ``state[S.STOP_REASON]`` holds the reason.
+    """Take words from ``start`` on; return the index of the first not taken. ``state[S.STOP_REASON]`` holds the reason.
 
-    words: (N,) uint16, EVT3 words.
-    start: Index of the first word to take.
-    state: (28,) int64 as of ``new_state``; changed.
-    gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
-    events: ``Events`` of arrays to fill; MARGIN places after the last event may be touched.
-    edges: (E, 3) int64 to fill: time (us), value and channel of trigger edges.
-    Returns: Index of the first word not taken.
+    ``words`` is (N,) uint16; ``state``, ``gaps`` and ``edges`` as for ``take_control_word``. MARGIN places after the
+    last event may be touched.
     """
     room = len(events[0]) - MARGIN
     state[S.TAKEN] = state[S.TAKEN_EDGES] = 0

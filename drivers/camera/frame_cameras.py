@@ -39,13 +39,8 @@ SYSTEM: Final = Path("/sys/class/video4linux")
 
 
 def device_path(source: str, dev: Path = DEV) -> Path | None:
-    """Return the device file that a source stands for.
+    """Return the device file that ``0``, ``/dev/video0`` or a name by id stands for; None for what is no device.
 
-    source: ``0``, ``/dev/video0``, a name by id, or something that is no device.
-    Returns: The device file; None for a source that is no device.
-
-    Examples
-    --------
     >>> device_path("0").as_posix(), device_path("rtsp://camera/1"), device_path("pose_%03d.png")
     ('/dev/video0', None, None)
     """
@@ -56,10 +51,7 @@ def device_path(source: str, dev: Path = DEV) -> Path | None:
 
 
 def usb_serial(device: Path, system: Path = SYSTEM) -> str:
-    """Read the serial number of the USB device that a video device belongs to.
-
-    Returns: The serial number; empty if the device has none.
-    """
+    """Read the serial number of the USB device that a video device belongs to; empty if it has none."""
     place = (system / device.name / "device").resolve()
     for folder in (place, *place.parents):
         if (folder / "idVendor").is_file():  # the USB device itself; below it are its interfaces
@@ -71,9 +63,9 @@ def usb_serial(device: Path, system: Path = SYSTEM) -> str:
 
 
 def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
-    """Return whether a video device is the first of its camera; the others carry metadata, which OpenCV cannot read.
+    """Return whether a video device is the first of its camera, or the system does not say.
 
-    Returns: True also if the system does not state it.
+    The others carry metadata, which OpenCV cannot read.
     """
     try:
         return (system / device.name / "index").read_text(encoding="ascii").strip() == "0"
@@ -104,9 +96,8 @@ IMAGE_SUFFIXES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff
 class FolderFrameCamera:
     """A ``FrameCamera`` that hands on the images of a folder: files in the order of their names, page by page.
 
-    files: The images, at least one.
-    serial: The serial number by the station file: images do not state it.
-    clock: Its ``sleep`` is called before each frame.
+    There is at least one file; the serial number is the station file's, as images do not state it. The clock's
+    ``sleep`` is called before each frame.
     """
 
     def __init__(self, files: list[Path], *, serial: str = "", clock: Clock) -> None:
@@ -122,13 +113,7 @@ class FolderFrameCamera:
 
     @classmethod
     def open(cls, folder: Path | str, *, serial: str = "", clock: Clock) -> FolderFrameCamera:
-        """Find the images of a folder.
-
-        clock: Its ``sleep`` is called before each frame.
-        Returns: The camera, at its first image.
-        Raises CameraNotFound: If the folder holds no images.
-        Raises NotARecording: If the first file is no image.
-        """
+        """Find the images of a folder; refuse one without images, or whose first file is no image."""
         folder = Path(folder)
         files = sorted(path for path in folder.glob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
         if not files:
@@ -140,17 +125,11 @@ class FolderFrameCamera:
         return cls(files, serial=serial, clock=clock)
 
     def identify(self) -> CameraIdentity:
-        """Return the size of the images, and the serial number given. Images do not state which camera took them.
-
-        Returns: The model is "pictures".
-        """
+        """Return the size of the images, the serial number given, and the model "pictures": images name no camera."""
         return CameraIdentity("", "pictures", "", self._serial, "", *self._size)
 
     def apply(self, settings: FrameSettings) -> FrameSettings:
-        """Accept settings that change nothing.
-
-        Raises CameraSettingRefused: If exposure or gain are given.
-        """
+        """Accept settings that change nothing; refuse an exposure or a gain."""
         if settings != FrameSettings():
             raise CameraSettingRefused(
                 "Exposure and gain of images cannot be changed after they were taken.",
@@ -203,14 +182,10 @@ _MANUAL_EXPOSURE: Final = 1.0
 class OpenCvFrameCamera:
     """A ``FrameCamera`` on a video source: a video device, a network camera's URL, a video or numbered files.
 
-    The computer chooses which device has which number, and OpenCV has no serial numbers. So a station file should
-    name a device by its id (``/dev/v4l/by-id/...``), and its serial number as USB states it. A network camera states
-    none.
-
-    serial: The serial number that the camera must have; empty accepts any.
-    clock: Its ``sleep`` is called before each frame.
-    shown_as: What messages and the camera's identity say in place of ``name``, where that is secret; empty
-      for the name.
+    The computer chooses which device has which number, and OpenCV has no serial numbers. So a station file should name
+    a device by its id (``/dev/v4l/by-id/...``), and its serial number as USB states it; empty accepts any. A network
+    camera states none. The clock's ``sleep`` is called before each frame. ``shown_as`` stands for a name that is secret
+    in messages and in the camera's identity.
     """
 
     def __init__(
@@ -241,23 +216,17 @@ class OpenCvFrameCamera:
     def open(
         cls, source: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM, shown_as: str = ""
     ) -> OpenCvFrameCamera:
-        """Open a video source.
+        """Open a video source; the arguments as for the class.
 
-        serial: The serial number that the camera must have; empty accepts any.
-        clock: Its ``sleep`` is called before each frame.
-        shown_as: What is printed in place of a source that is secret.
-        Raises CameraNotFound: If OpenCV cannot open the source.
-        Raises CameraBusy: If another process has locked it.
-        Raises WrongDevice: If a serial number is given and the camera has another one, or none.
+        Raises `CameraBusy` if another process has locked it, `WrongDevice` if the camera has another serial number than
+        the one given, or none.
         """
         return cls(source, serial=serial, clock=clock, system=system, shown_as=shown_as)
 
     def identify(self) -> CameraIdentity:
-        """Return the source's name, serial number and frame size.
+        """Return serial number, frame size, and as model "OpenCV" and the source's name.
 
-        Returns: The model is "OpenCV" and the name of the source.
-        Raises CameraLost: If the video device does not exist any more.
-        Raises WrongDevice: If it is another camera by now.
+        Raises `CameraLost` if the video device does not exist any more, `WrongDevice` if it is another camera by now.
         """
         self._require_open()
         serial = self._check_serial()
@@ -266,11 +235,7 @@ class OpenCvFrameCamera:
         return CameraIdentity("", f"OpenCV {self._shown_as}", "", serial, "", width, height)
 
     def apply(self, settings: FrameSettings) -> FrameSettings:
-        """Set exposure and gain in the driver's own units, read them back, and switch autofocus off.
-
-        Returns: The same settings; they were read back to within 1 %.
-        Raises CameraSettingRefused: If a setting reads back otherwise, or the autofocus stays on.
-        """
+        """Set exposure and gain in the driver's own units, read them back to within 1 %, and switch autofocus off."""
         self._require_open()
         if self._device is not None:
             self._source.set(cv2.CAP_PROP_AUTOFOCUS, 0.0)
@@ -289,11 +254,9 @@ class OpenCvFrameCamera:
         return settings
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
-        """Take frames; see `FrameCamera.capture`. Frames buffered from before are dropped.
+        """Take frames; see `FrameCamera.capture`.
 
-        path: The file to make; it must not exist.
-        Raises RecordingFailed: If the camera repeats a frame, or the frames cannot be written.
-        Raises CameraLost: If the camera sends no frame.
+        Frames buffered from before are dropped; a repeated frame is refused.
         """
         self._stop_asked.clear()
         self._require_open()
@@ -417,7 +380,7 @@ class OpenCvFrameCamera:
 class _FrozenCheck:
     """Check that a live camera does not repeat a frame: the noise of a sensor makes every frame different.
 
-    before: The last frame of the previous capture.
+    ``before`` is the last frame of the previous capture.
     """
 
     def __init__(self, before: Frame | None, frames: int, *, where: str) -> None:

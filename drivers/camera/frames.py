@@ -47,11 +47,7 @@ class ImageSize(NamedTuple):
 
 
 def require_bounded_images(path: Path) -> None:
-    """Refuse a file whose images would take far more memory than the file could hold.
-
-    Raises NotARecording: If an image is too large, or the file states more images than a file may have.
-    Raises RecordingFileError: If it cannot be read, or is no ordinary file.
-    """
+    """Refuse a file whose images would take far more memory than the file could hold, or which is no ordinary file."""
     try:
         require_regular(path)
         require_whole(path)
@@ -77,12 +73,9 @@ def require_bounded_images(path: Path) -> None:
 
 
 def image_sizes(file: BinaryIO) -> list[ImageSize]:
-    """Read the sizes that a file states.
+    """Read the sizes that an open file, at its first byte, states for its images; empty for another kind of file.
 
-    file: The open file, at its first byte.
-    Returns: One for each image; empty for a file of another kind.
-    Raises ValueError: If the structure is damaged, or never ends.
-    Raises struct.error: If the file ends too early.
+    Raises `ValueError` if the structure is damaged or never ends, `struct.error` if the file ends too early.
     """
     start = file.read(4096)
     if start.startswith(b"\x89PNG\r\n\x1a\n"):
@@ -261,13 +254,10 @@ class FrameCamera(Protocol):
 
 
 def to_grey(image: NDArray[Any], *, where: str) -> Frame:
-    """Return the grey values of an image of one, three (BGR) or four channels (BGRA).
+    """Return the grey values of an image of one, three (BGR) or four channels (BGRA), weighted by ITU-R BT.601.
 
-    Colours are weighted as OpenCV does it, by ITU-R BT.601.
-
-    image: (height, width) or (height, width, channels), uint8 or uint16.
-    Returns: (height, width), of the same type.
-    Raises RecordingFileError: If the pixels are neither 8 nor 16 bit.
+    The image is (height, width) or (height, width, channels), uint8 or uint16, else `RecordingFileError` is raised; the
+    result is (height, width), of the same type.
     """
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise RecordingFileError(
@@ -296,13 +286,10 @@ def capture_frames(
 ) -> FrameFacts:
     """Take frames one after the other and write them: the common part of every ``FrameCamera.capture``.
 
-    Nothing is written if the capture is interrupted or the camera fails, because frames are quickly taken again.
-
-    path: The file to make; it must not exist.
-    camera: The camera, with the expected size of a frame.
-    clock: Its ``sleep`` is called before each frame.
-    stop_asked: Set by another thread to end the capture early.
-    Raises RecordingFailed: If there is no frame, sizes or bit depths differ, or the file cannot be written.
+    Nothing is written if the capture is interrupted or the camera fails, because frames are quickly taken again. The
+    path must not exist; ``camera`` states the expected size of a frame; the clock's ``sleep`` is called before each
+    frame. ``stop_asked`` is set by another thread to end the capture early. Raises `RecordingFailed` if there is no
+    frame, sizes or bit depths differ, or the file cannot be written.
     """
     check_new(path)
     taken: list[Frame] = []
@@ -347,12 +334,9 @@ def _beside(clock: Clock, work: Callable[[], T]) -> T:
 
 
 def write_frames(path: Path, frames: Sequence[Frame]) -> int:
-    """Write frames of one size and bit depth as a new TIFF.
+    """Write frames, each (height, width) uint8 or uint16, at least one, as a new TIFF; return its length, bytes.
 
-    path: The file to make; it must not exist.
-    frames: The frames, at least one, each (height, width) uint8 or uint16.
-    Returns: Length of the file, bytes.
-    Raises RecordingFailed: If the file exists, or cannot be written.
+    All have one size and bit depth; the path must not exist.
     """
     check_new(path)
     partial = path.with_name(f"{path.stem}.partial.tiff")
@@ -372,12 +356,10 @@ def write_frames(path: Path, frames: Sequence[Frame]) -> int:
 
 
 def read_frames(path: Path) -> NDArray[Any]:
-    """Read all images of a file.
+    """Read all images of a file: (n, height, width), uint8 or uint16 grey values.
 
-    Returns: (n, height, width), uint8 or uint16: grey values.
-    Raises NotARecording: If it holds no images of one size and bit depth, or states images that no file of
-      its size can hold.
-    Raises RecordingFileError: If it cannot be read.
+    Raises `NotARecording` if it holds no images of one size and bit depth, or states images that no file of its size
+    can hold.
     """
     if not path.is_file():
         raise RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
@@ -403,9 +385,5 @@ def read_frames(path: Path) -> NDArray[Any]:
 
 
 def mean_frame(path: Path) -> NDArray[np.float32]:
-    """Read all images of a file, and average them.
-
-    Returns: (height, width) float32, in units of the grey values.
-    Raises NotARecording, RecordingFileError: As ``read_frames``.
-    """
+    """Average all images of a file, in units of the grey values: (height, width) float32."""
     return read_frames(path).mean(axis=0, dtype=np.float64).astype(np.float32)

@@ -59,8 +59,7 @@ from drivers.lateness import own_lateness
 def lets_go(*, holds: bool = False) -> Iterator[None]:
     """Empty the variables of the functions that an error has passed on its way out of the block.
 
-    holds: Whether the block may keep other threads from running, so that their delay does not count.
-    Yields: During the block.
+    ``holds``: the block may keep other threads from running, so that their delay does not count.
     """
     outside = sys.exception()
     try:
@@ -96,12 +95,10 @@ _LARGEST_STEP_US: Final = 1_000_000
 
 
 class MetavisionEvk4:
-    """An ``EventCamera`` behind ``metavision_hal``.
+    """An ``EventCamera`` behind ``metavision_hal``; ``serial`` None accepts any camera.
 
-    device: An open HAL device: a camera, or a RAW file opened as one.
-    hal: The module ``metavision_hal``.
-    serial: The serial number that the camera must have; None accepts any.
-    lock: The lock that reserves the camera for this process; ``close`` releases it.
+    ``device`` is an open HAL device: a camera, or a RAW file opened as one. ``close`` releases the lock that reserves
+    the camera for this process.
     """
 
     def __init__(
@@ -118,15 +115,11 @@ class MetavisionEvk4:
     @classmethod
     @lets_go(holds=True)
     def open(cls, *, serial: str | None = None, clock: Clock) -> MetavisionEvk4:
-        """Open a camera in the format EVT3.
+        """Open a camera in the format EVT3; ``serial`` None opens the first camera found.
 
-        serial: The serial number; None opens the first camera found.
-        Raises CameraSoftwareMissing: If ``metavision_hal`` cannot be imported.
-        Raises CameraNotFound: If there is no such camera, or another program uses it.
-        Raises CameraBusy: If another process of this bench has locked it; with a serial number given, the
-          camera has not been touched.
-        Raises WrongDevice: If another camera answers.
-        Raises CameraSettingRefused: If the camera does not send EVT3, or is connected by USB 2.
+        Raises `CameraNotFound` if there is no such camera, or another program uses it; `CameraBusy` if another process
+        of this bench has locked it (with a serial number given, the camera has not been touched); `WrongDevice` if
+        another camera answers; `CameraSettingRefused` if the camera does not send EVT3, or is connected by USB 2.
         """
         hal = vendor_software()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -162,11 +155,9 @@ class MetavisionEvk4:
 
     @lets_go(holds=True)
     def identify(self) -> CameraIdentity:
-        """Read the camera's identity.
+        """Read the camera's identity as the HAL states it; model and firmware only if it names a release version.
 
-        Returns: As the HAL states it; the model and the firmware only if it names a release version.
-        Raises WrongDevice: If the serial number differs from the one given when the camera was opened.
-        Raises CameraLost: If the camera goes away meanwhile.
+        Raises `WrongDevice` if the serial number differs from the one given when the camera was opened.
         """
         try:
             who = self._facility("get_i_hw_identification", "identification")
@@ -215,12 +206,9 @@ class MetavisionEvk4:
 
     @lets_go()
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Record into a new RAW file; see `EventCamera.record`.
+        """Record into a new RAW file at least ``duration_s`` on the sensor's clock; see `EventCamera.record`.
 
-        path: The file to make; it must not exist.
-        duration_s: The file covers at least this time on the sensor's clock, s.
-        Raises RecordingFailed: If the file cannot be made, or covers less time than was streamed; it is kept.
-        Raises CameraLost: If the camera goes away meanwhile; what was recorded before is kept.
+        A file that covers less time than was streamed is kept, as is what was recorded before the camera was lost.
         """
         check_duration(duration_s, where=self._where)
         check_new(path)

@@ -34,8 +34,7 @@ refused_firmware: set[str] = set()
 def listening() -> Iterator[list[str]]:
     """Listen to standard error during the block; `cameras_with_old_firmware` then knows what was said.
 
-    Yields: What was said; it is there when the block has ended. If standard error is closed, nothing is
-      heard.
+    What was said is there when the block has ended; nothing is heard if standard error is closed.
     """
     words: list[str] = []
     with _LISTENING, tempfile.TemporaryFile() as heard:
@@ -85,11 +84,7 @@ _UPDATE: Final = "Update the camera's firmware with the maker's updater (support
 
 
 def discover() -> tuple[FoundCamera, ...]:
-    """List the cameras that the maker's software finds.
-
-    Raises CameraSoftwareMissing: If ``metavision_hal`` cannot be imported.
-    Raises CameraError: If it cannot list cameras.
-    """
+    """List the cameras that the maker's software finds."""
     return _look()[0]
 
 
@@ -130,10 +125,9 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
 
 
 def not_opened(serial: str | None, reason: str) -> CameraNotFound:
-    """Return the error of a camera that cannot be opened, with its cause where one is known.
+    """Return the error of a camera (None: any) that cannot be opened, with its cause where one is known.
 
-    serial: The serial number; None for any camera.
-    reason: What the maker's software said, in brackets; empty if nothing.
+    ``reason`` is what the maker's software said, in brackets; empty if nothing.
     """
     camera = f"camera {serial}" if serial else "any camera"
     if _MUTE in reason:  # listing would wait for it again, 30 s
@@ -170,28 +164,18 @@ def _hints(*, denied: bool) -> list[str]:
 
 
 def stated(about: Mapping[str, Any], ending: str) -> str:
-    """Return what the camera states under the name with this ending.
-
-    Returns: Empty if it states nothing.
-    """
+    """Return what the camera states under the name with this ending; empty if nothing."""
     return next((str(text) for name, text in about.items() if name.endswith(ending)), "")
 
 
 def link_mbit_s(about: Mapping[str, Any]) -> int | None:
-    """Return the speed of the USB connection. OpenEB states 0 where it is not known.
-
-    Returns: Mbit/s; None if it is not known.
-    """
+    """Return the speed of the USB connection, Mbit/s; None where it is not known: OpenEB then states 0."""
     speed = re.match(r"\d+", stated(about, " Speed"))
     return int(speed[0]) or None if speed is not None else None
 
 
 def vendor_software() -> Any:
-    """Import ``metavision_hal``.
-
-    Returns: The maker's software.
-    Raises CameraSoftwareMissing: If it cannot be imported.
-    """
+    """Import ``metavision_hal``."""
     try:
         return importlib.import_module("metavision_hal")
     except ImportError as error:
@@ -203,10 +187,7 @@ def vendor_software() -> Any:
 
 
 def reason_of(error: Exception) -> str:
-    """Return the line of the maker's message, often framed and titled, that states the cause.
-
-    error: The maker's error.
-    """
+    """Return the line of the maker's message, often framed and titled, that states the cause."""
     lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
     reason = next(
         (line for line in lines if line.startswith("Error")), lines[0] if lines else "no reason given"

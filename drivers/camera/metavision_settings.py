@@ -28,12 +28,7 @@ _CONNECTION: Final = re.compile(
 
 
 def read_biases(device: Any, *, where: str) -> dict[str, int]:
-    """Read the biases.
-
-    Returns: Offsets from the factory value; empty if the camera cannot be asked.
-    Raises CameraSettingRefused: If the camera fails to answer.
-    Raises CameraLost: If the connection has failed.
-    """
+    """Read the biases as offsets from the factory value; empty if the camera cannot be asked."""
     facility = device.get_i_ll_biases()
     if facility is None:
         return {}
@@ -47,11 +42,7 @@ def factory_biases(device: Any, sensor: str, *, where: str) -> dict[str, int]:
 
 
 def bias_ranges(device: Any, *, where: str) -> dict[str, tuple[int, int]]:
-    """Return the lowest and highest value of each bias that the camera has.
-
-    Raises CameraSettingRefused: If the camera fails to answer.
-    Raises CameraLost: If the connection has failed.
-    """
+    """Return the lowest and highest value of each bias that the camera has."""
     facility = device.get_i_ll_biases()
     if facility is None:
         return {}
@@ -62,13 +53,7 @@ def bias_ranges(device: Any, *, where: str) -> dict[str, tuple[int, int]]:
 
 
 def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
-    """Read which on-chip filters are on.
-
-    hal: The module ``metavision_hal``.
-    Returns: The filters that the camera has, and whether each is on.
-    Raises CameraSettingRefused: If the camera fails to answer.
-    Raises CameraLost: If the connection has failed.
-    """
+    """Read which of the on-chip filters that the camera has are on."""
     found = {}
     with _refusal("read its filters", where):
         if (antiflicker := device.get_i_antiflicker_module()) is not None:
@@ -85,11 +70,9 @@ def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
 
 
 def read_monitoring(device: Any, call: str) -> float | None:
-    """Read one number of the monitoring facility.
+    """Read one number of the monitoring facility, by the name and in the unit of its method.
 
-    device: An open HAL device; None if it is closed.
-    call: Name of the facility's method.
-    Returns: In the unit of that method; None if the camera does not measure it, or has failed to.
+    None if the device is closed (None), or the camera does not measure it or has failed to.
     """
     monitoring = device.get_i_monitoring() if device is not None else None
     if monitoring is None:
@@ -104,13 +87,10 @@ def read_monitoring(device: Any, call: str) -> float | None:
 def apply_settings(
     device: Any, hal: Any, settings: CameraSettings, factory: Mapping[str, int], *, where: str
 ) -> CameraSettings:
-    """Change all settings, switch the filters off, and read everything back.
+    """Change all settings, switch the filters off, and read everything back; refuse the settings if it differs.
 
-    hal: The module ``metavision_hal``.
-    factory: Values of the biases that the settings do not name, from `factory_biases`; 0 where it has none.
-    Returns: What was read back; the region of interest is the wanted one, as the HAL cannot read it back.
-    Raises CameraSettingRefused: If the camera does not accept a setting, or another value is read back.
-    Raises CameraLost: If the connection has failed.
+    ``factory`` holds the values of biases that the settings do not name, from `factory_biases`; 0 where it has none.
+    The region of interest returned is the wanted one, as the HAL cannot read it back.
     """
     _set_biases(device, settings, factory, where)
     for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):

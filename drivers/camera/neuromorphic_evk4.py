@@ -47,11 +47,7 @@ _UNKNOWN_KIND: Final = ("unknown maker", "camera with an IMX636")
 
 
 def discover() -> tuple[FoundCamera, ...]:
-    """List the EVK4 that are connected.
-
-    Raises CameraSoftwareMissing: If ``neuromorphic-drivers`` is not installed.
-    Raises CameraError: If the USB devices cannot be listed.
-    """
+    """List the EVK4 that are connected."""
     package = _package()
     try:
         listed = package.list_devices()
@@ -70,13 +66,10 @@ def discover() -> tuple[FoundCamera, ...]:
 
 
 class NeuromorphicEvk4:
-    """An ``EventCamera`` behind ``neuromorphic_drivers``.
+    """An ``EventCamera`` behind ``neuromorphic_drivers``; ``serial`` None accepts any camera.
 
-    device: An open device that provides raw bytes.
-    package: The module ``neuromorphic_drivers``.
-    serial: The serial number that the camera must have; None accepts any.
-    utc_now: Returns the time for the header of a recording.
-    lock: The lock that reserves the camera for this process; ``close`` releases it.
+    ``device`` is open and provides raw bytes; ``utc_now`` is for the header of a recording. ``close`` releases the lock
+    that reserves the camera for this process.
     """
 
     def __init__(
@@ -102,16 +95,11 @@ class NeuromorphicEvk4:
     def open(
         cls, *, serial: str | None = None, clock: Clock, utc_now: Callable[[], datetime]
     ) -> NeuromorphicEvk4:
-        """Open a camera.
+        """Open a camera; ``serial`` None opens the first one found.
 
-        serial: The serial number; None opens the first camera found.
-        utc_now: Returns the time for the header of a recording.
-        Raises CameraSoftwareMissing: If ``neuromorphic-drivers`` is not installed.
-        Raises CameraNotFound: If there is no such camera, or this user may not use it.
-        Raises CameraBusy: If another process of this bench has locked it; with a serial number given, the
-          camera has not been touched.
-        Raises WrongDevice: If another camera answers.
-        Raises CameraSettingRefused: If the camera is connected by USB 2.
+        Raises `CameraNotFound` if there is no such camera, or this user may not use it; `CameraBusy` if another process
+        of this bench has locked it (with a serial number given, the camera has not been touched); `WrongDevice` if
+        another camera answers; `CameraSettingRefused` if the camera is connected by USB 2.
         """
         package = _package()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -149,11 +137,9 @@ class NeuromorphicEvk4:
             ) from error
 
     def identify(self) -> CameraIdentity:
-        """Read the camera's identity.
+        """Read serial number and size from the camera; the package does not read the firmware's version.
 
-        Returns: Serial number and size by the camera; the package does not read the firmware's version.
-        Raises WrongDevice: If the serial number differs from the one given when the camera was opened.
-        Raises CameraLost: If the camera goes away meanwhile.
+        Raises `WrongDevice` if the serial number differs from the one given when the camera was opened.
         """
         try:
             serial, size = str(self._device.serial()), self._device.properties()
@@ -183,14 +169,10 @@ class NeuromorphicEvk4:
         )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set all biases and the trigger input; the rate limiter stays off.
+        """Set all biases (factory values where none is named) and the trigger input; the rate limiter stays off.
 
-        Biases that are not named are set to their factory value.
-
-        Returns: What was sent: the package cannot read it back.
-        Raises CameraSettingRefused: If a bias does not exist or is outside its range, or a region of interest
-          is given.
-        Raises CameraLost: If the camera goes away meanwhile.
+        Returns what was sent: the package cannot read it back. A bias that does not exist or is outside its range, or a
+        region of interest, is refused.
         """
         refuse_roi(settings, self._where)
         biases = {name: settings.biases.get(name, 0) for name in BIASES}
@@ -220,10 +202,7 @@ class NeuromorphicEvk4:
         return {name: (int(bound.minimum), int(bound.maximum)) for name, bound in found.items()}
 
     def filters(self) -> Mapping[str, bool]:
-        """Return the state of the rate controller, the only filter of the package; ``open`` and ``apply`` leave it off.
-
-        Returns: Only "erc", which is off.
-        """
+        """Return the rate controller "erc", the package's only filter: ``open`` and ``apply`` leave it off."""
         return {"erc": False}
 
     def temperature_c(self) -> float | None:
@@ -231,15 +210,10 @@ class NeuromorphicEvk4:
         return self._measured("temperature_celsius")
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Record into a new RAW file; see `EventCamera.record`.
+        """Record into a new RAW file at least ``duration_s`` on the sensor's clock; see `EventCamera.record`.
 
-        path: The file to make; it must not exist.
-        duration_s: The file covers at least this time on the sensor's clock, s.
-        Returns: What is known of the recording. Packets that the computer lost are in ``gaps``. The
-          ``biases`` are empty, because the package cannot read them back.
-        Raises RecordingFailed: If the file cannot be made or written, or the words are malformed; what was
-          recorded before is kept.
-        Raises CameraLost: If the camera goes away meanwhile; what was recorded before is kept.
+        Packets that the computer lost are in ``gaps``. The ``biases`` are empty, because the package cannot read them
+        back. However the recording ends, what was recorded before is kept.
         """
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()

@@ -34,8 +34,6 @@ class RecordingStatistics(StreamStatistics):
 class RawFile:
     r"""A RAW file of EVT3 words.
 
-    Examples
-    --------
     >>> from tempfile import TemporaryDirectory
     >>> words = np.array([0x8001, 0x6002, 0x0005, 0x2803], "<u2")
     >>> with TemporaryDirectory() as folder:
@@ -54,9 +52,7 @@ class RawFile:
     def open(cls, path: Path | str) -> RawFile:
         """Read the header of a file. The file does not stay open.
 
-        Raises NotARecording: If it is no RAW file of EVT3.
-        Raises RecordingCorrupt: If parts of it were never written.
-        Raises RecordingFileError: If it cannot be read.
+        Raises `NotARecording` if it is no RAW file of EVT3, `RecordingCorrupt` if parts of it were never written.
         """
         path = Path(path)
         if path.is_dir():
@@ -98,11 +94,9 @@ class RawFile:
         return self.raw_header.fields.get("serial_number", "")
 
     def words(self, *, piece_words: int = 1 << 16) -> Iterator[Words]:
-        """Read the words as they stand in the file. An odd byte at the end is left out.
+        """Read the words as they stand in the file, (N,) uint16 at a time. An odd byte at the end is left out.
 
-        piece_words: Number of words in a piece; their events then stay in the processor's caches.
-        Yields: (N,) uint16, the next words.
-        Raises RecordingFileError: If the file cannot be read.
+        Events of ``piece_words`` words stay in the processor's caches.
         """
         try:
             with self.path.open("rb") as file:
@@ -113,33 +107,22 @@ class RawFile:
             raise _unreadable(self.path, error) from error
 
     def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Decode events and triggers in the order of the file.
+        """Decode events and triggers in the order of the file, at most ``max_events`` events in a piece.
 
-        max_events: Largest number of events in a piece.
-        Raises RecordingCorrupt: At a malformed word, after the pieces before it.
-        Raises RecordingFileError: If the file cannot be read.
+        A malformed word raises `RecordingCorrupt` after the pieces before it.
         """
         decoder = self._decoder()
         for words in self.words():
             yield from decoder.decode(words, max_events=max_events)
 
     def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
-        """Decode events in the order of the file.
-
-        max_events: Largest number of events in a piece.
-        Yields: The next events, at least one.
-        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
-        """
+        """Decode events in the order of the file, 1 to ``max_events`` in a piece; errors as ``pieces``."""
         for events, _ in self.pieces(max_events=max_events):
             if len(events.t):
                 yield events
 
     def read(self) -> tuple[Events, Triggers]:
-        """Decode all events and triggers, which takes 13 bytes of memory an event.
-
-        Returns: In the order of the file.
-        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
-        """
+        """Decode all events and triggers, which takes 13 bytes of memory an event; errors as ``pieces``."""
         decoder, triggers, n = self._decoder(), [], 0
         events = empty_events(MARGIN + sum(max_event_count(words) for words in self.words()))
         for words in self.words():
@@ -148,19 +131,14 @@ class RawFile:
         return events.part(0, n), join_triggers(triggers)
 
     def triggers(self) -> Triggers:
-        """Decode all trigger edges.
-
-        Returns: In the order of the file.
-        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
-        """
+        """Decode all trigger edges, in the order of the file; errors as ``pieces``."""
         decoder = self._decoder()
         return join_triggers([decoder.tally(words) for words in self.words()])
 
     def counts(self) -> NDArray[np.uint16]:
-        """Count the events of each pixel in one loop, without a list of events.
+        """Count the events of each pixel in one loop, without a list of events; errors as ``pieces``.
 
-        Returns: (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
-        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
+        The result is (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
         """
         image = np.zeros((2, self.height, self.width), np.uint16)
         decoder = self._decoder()
@@ -169,12 +147,10 @@ class RawFile:
         return image
 
     def scan(self, goes_on: Callable[[], object] = lambda: None) -> RecordingStatistics:
-        """Read all words once and sum them up.
+        """Read all words once and sum up counts, times and losses; errors as ``pieces``.
 
-        goes_on: Called after each piece, so that a supervisor sees a long scan go on
-          (`drivers.clock.Clock.monotonic`).
-        Returns: Counts, times and losses.
-        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
+        ``goes_on`` (`drivers.clock.Clock.monotonic`) is called after each piece, so that a supervisor sees a long scan
+        go on.
         """
         decoder = self._decoder()
         for words in self.words():

@@ -3,9 +3,7 @@
 Every maker's reader takes the sensor's size from ``format EVT3;height=720;width=1280``, else from
 ``geometry 1280x720``, else from the sensor that ``system_ID`` stands for.
 
-References
-----------
-Prophesee, "RAW File Format", https://docs.prophesee.ai/stable/data/file_formats/raw.html.
+Source: Prophesee, "RAW File Format", https://docs.prophesee.ai/stable/data/file_formats/raw.html.
 """
 
 from __future__ import annotations
@@ -61,11 +59,10 @@ class RawHeader:
 
 
 def parse_header(start: bytes, *, where: str) -> RawHeader:
-    """Read the header at the start of a file.
+    """Read the header in the first 65536 bytes of a file.
 
-    start: The first 65536 bytes of the file, or all of it.
-    Raises NotARecording: If this is no RAW header, it does not end, it names another encoding than EVT3, or
-      it does not state the size.
+    Raises `NotARecording` if this is no RAW header, it does not end, it names another encoding than EVT3, or it does
+    not state the size.
     """
     if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
         raise NotARecording(
@@ -83,10 +80,9 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
 
 
 def header_fields(start: bytes) -> tuple[dict[str, str], int | None]:
-    """Read the lines ``% key value`` at the start of a file.
+    """Read keys and texts of the lines ``% key value`` in the first 65536 bytes of a file.
 
-    start: The first 65536 bytes of the file, or all of it.
-    Returns: Keys and texts; and the length of the header, bytes, None if it does not end.
+    The second result is the header's length, bytes; None if it does not end.
     """
     fields: dict[str, str] = {}
     at = 0
@@ -168,11 +164,7 @@ def _pixels(width: str, height: str, where: str) -> tuple[int, int]:
 
 
 def render_header(camera: CameraIdentity, recorded_at: datetime) -> bytes:
-    """Write the header of a new recording of an EVK4 or a camera like it.
-
-    recorded_at: Time of the recording, UTC.
-    Returns: The lines; the last is ``% end``.
-    """
+    """Write the header, up to ``% end``, of a new recording, made at a time in UTC by an EVK4 or a camera like it."""
     fields = {
         "camera_integrator_name": camera.maker,
         "date": recorded_at.strftime("%Y-%m-%d %H:%M:%S"),

@@ -38,12 +38,7 @@ _KINDS: Final = (
 
 
 def require_regular(path: Path) -> None:
-    """Refuse what is no ordinary file.
-
-    path: The file; a link to a file is followed.
-    Raises NotARecording: If it is a folder, a pipe, a socket or a device.
-    Raises OSError: If it cannot be found.
-    """
+    """Refuse (`NotARecording`) a folder, a pipe, a socket or a device; a link to a file is followed."""
     mode = path.stat().st_mode
     if stat.S_ISREG(mode):
         return
@@ -54,7 +49,7 @@ def require_regular(path: Path) -> None:
 def require_whole(path: Path) -> None:
     """Refuse a file with holes: parts that its file system has never stored, because they were never written.
 
-    Raises RecordingCorrupt: With the byte at which the first hole begins.
+    The `RecordingCorrupt` names the byte at which the first hole begins.
     """
     if not hasattr(os, "SEEK_HOLE"):  # Windows
         return
@@ -93,11 +88,7 @@ def _holes(descriptor: int, size: int) -> tuple[int, int]:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """Provide a path to write to; at the end of the block the file is renamed to its own name.
-
-    path: The file to make; it must not exist.
-    Raises RecordingFileError: If the file exists, or cannot be written.
-    """
+    """Provide a path to write to; at the end of the block the file is renamed to ``path``, which must not exist."""
     part = path.with_name(f"{path.name}.part")
     try:
         if path.exists():
@@ -115,10 +106,7 @@ def new_file(path: Path) -> Iterator[Path]:
 
 
 def write_error(path: Path, error: OSError) -> RecordingFileError:
-    """Build the error of a file that cannot be written.
-
-    Returns: With the system's reason.
-    """
+    """Build the error of a file that cannot be written, with the system's reason."""
     return RecordingFileError(
         f"The file cannot be written ({error.strerror or error}).",
         where=str(path),
@@ -169,12 +157,10 @@ _REMEDIES: Final = {
 
 
 class RawWriter:
-    """A new file. Used in a ``with`` statement, which syncs and closes it in any case.
+    """A new file that begins with ``header``. Its ``with`` statement syncs and closes it in any case.
 
-    path: The file to make; it must not exist.
-    header: Its first bytes.
-    Raises RecordingFailed: If the file exists, cannot be made, or the disk does not accept the data; what was
-      written stays.
+    Raises `RecordingFailed` if the file exists, cannot be made, or the disk does not accept the data; what was written
+    stays.
     """
 
     def __init__(self, path: Path, header: bytes) -> None:
@@ -191,10 +177,7 @@ class RawWriter:
             raise
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Append all data.
-
-        Raises RecordingFailed: If the disk does not accept all of them.
-        """
+        """Append all data, or raise `RecordingFailed`."""
         rest = memoryview(data)
         try:
             while rest:
@@ -224,10 +207,7 @@ class RawWriter:
 
 
 def check_new(path: Path) -> None:
-    """Check that a file can be made.
-
-    Raises RecordingFailed: If the file exists, or its folder is missing or may not be written.
-    """
+    """Raise `RecordingFailed` if the file exists, or its folder is missing or may not be written."""
     code = 0
     try:
         if path.exists():
@@ -243,19 +223,13 @@ def check_new(path: Path) -> None:
 
 
 def check_space(path: Path) -> None:
-    """Check that the disk of a file is not full.
-
-    Raises RecordingFailed: If less than ``FULL_BYTES`` are free.
-    """
+    """Raise `RecordingFailed` if less than ``FULL_BYTES`` are free on the disk of a file."""
     if shutil.disk_usage(path.parent).free < FULL_BYTES:
         raise recording_write_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
 
 def sync_file(path: Path) -> None:
-    """Sync a file that another program wrote, and its name. A file that does not exist is ignored.
-
-    Raises RecordingFailed: If the disk does not accept it.
-    """
+    """Sync a file that another program wrote, and its name. A file that does not exist is ignored."""
     try:
         if not path.exists():
             return

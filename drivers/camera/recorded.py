@@ -26,11 +26,7 @@ _SILENCE_S: Final = 10.0
 
 
 class RecordedCamera:
-    """An ``EventCamera`` that plays RAW files.
-
-    files: The files, in the order of playing.
-    serial: The serial number that their headers must have; None accepts any.
-    """
+    """An ``EventCamera`` that plays RAW files in the order given; ``serial`` None accepts any in their headers."""
 
     def __init__(self, files: list[RawFile], *, serial: str | None, clock: Clock) -> None:
         self._files = files
@@ -42,13 +38,9 @@ class RecordedCamera:
 
     @classmethod
     def open(cls, path: Path | str, *, serial: str | None = None, clock: Clock) -> RecordedCamera:
-        """Open a RAW file, or all ``*.raw`` of a folder in the order of their names.
+        """Open a RAW file, or all ``*.raw`` of a folder in the order of their names; ``serial`` None accepts any.
 
-        serial: The serial number that the headers must have; None accepts any.
-        Returns: The camera, at its first recording.
-        Raises CameraNotFound: If the folder holds no RAW file.
-        Raises WrongDevice: If a file was recorded by another camera.
-        Raises RecordingFileError: If a file cannot be read, or is no RAW recording of EVT3.
+        Raises `WrongDevice` if a file was recorded by another camera.
         """
         path = Path(path)
         paths = sorted(path.glob("*.raw")) if path.is_dir() else [path]
@@ -63,10 +55,9 @@ class RecordedCamera:
         return camera
 
     def identify(self) -> CameraIdentity:
-        """Return the identity of the camera that recorded the files.
+        """Return the identity of the camera in the header of the first file, with the model "recorded".
 
-        Returns: By the header of the first file; the model is "recorded".
-        Raises WrongDevice: If a file was recorded by another camera.
+        Raises `WrongDevice` if a file was recorded by another camera.
         """
         first = self._files[0]
         wanted = first.serial if self._serial is None else self._serial
@@ -90,10 +81,9 @@ class RecordedCamera:
         )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Accept settings that change nothing.
+        """Accept settings that change nothing: no biases, the wanted state of the trigger input.
 
-        Returns: No biases, and the wanted state of the trigger input.
-        Raises CameraSettingRefused: If a bias is not 0, or a region of interest is given.
+        A bias other than 0, or a region of interest, is refused.
         """
         refuse_roi(settings, self._where)
         if changed := sorted(name for name, value in settings.biases.items() if value):
@@ -105,27 +95,18 @@ class RecordedCamera:
         return CameraSettings({}, settings.trigger_in)
 
     def filters(self) -> Mapping[str, bool]:
-        """Return nothing: a RAW file does not state which filters were on.
-
-        Returns: Empty.
-        """
+        """Return nothing: a RAW file does not state which filters were on."""
         return {}
 
     def temperature_c(self) -> float | None:
-        """Return nothing: a RAW file does not state the temperature.
-
-        Returns: Always.
-        """
+        """Return None: a RAW file does not state the temperature."""
         return None
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Play the next recording into a new RAW file.
+        """Play the next recording into a new RAW file for ``duration_s`` on the sensor's clock.
 
-        path: The file to make; it must not exist.
-        duration_s: Wanted time on the sensor's clock, s.
-        Returns: What is known of the recording; it is not ``complete`` if it is shorter than wanted.
-        Raises RecordingFailed: If all has been played, the file cannot be made or written, or the words are
-          malformed.
+        It is not ``complete`` if it is shorter than wanted. Raises `RecordingFailed` if all has been played, the file
+        cannot be made or written, or the words are malformed.
         """
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()

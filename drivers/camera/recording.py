@@ -34,17 +34,11 @@ class WordSource(Protocol):
         ...
 
     def next_words(self) -> bytes | None:
-        """Wait for the next words, some 10 ms at most.
-
-        Returns: Whole words; None if none came; empty if the stream has ended.
-        """
+        """Wait for the next whole words, some 10 ms at most: None if none came, empty if the stream has ended."""
         ...
 
     def stop(self, *, hurry: bool) -> None:
-        """Stop the stream, without passing the clock.
-
-        hurry: True if something else has failed already: then stopping must be short.
-        """
+        """Stop the stream, without passing the clock; with ``hurry``, when something else failed already, quickly."""
         ...
 
 
@@ -73,11 +67,7 @@ def compile_decoder() -> None:
 
 
 def check_duration(duration_s: float, *, where: str) -> None:
-    """Check that a duration can be recorded.
-
-    duration_s: The duration, s.
-    Raises RecordingFailed: If the duration is not positive and finite.
-    """
+    """Raise `RecordingFailed` if a duration is not positive and finite."""
     if not (math.isfinite(duration_s) and duration_s > 0):
         raise RecordingFailed(
             f"A recording of {duration_s} s is not possible.",
@@ -87,10 +77,7 @@ def check_duration(duration_s: float, *, where: str) -> None:
 
 
 def refuse_roi(settings: CameraSettings, where: str) -> None:
-    """Refuse a region of interest, for drivers that cannot set one.
-
-    Raises CameraSettingRefused: If the settings hold a region of interest.
-    """
+    """Refuse a region of interest, for drivers that cannot set one."""
     if settings.roi is not None:
         raise CameraSettingRefused(
             "This driver cannot set a region of interest.",
@@ -131,16 +118,11 @@ def record_words(
     duration_s: float,
     stop_on: StopConditions,
 ) -> RecordingOutcome:
-    """Write a source's words into a new file until the sensor's clock has covered the duration.
+    """Write a source's words into a new file until the sensor's clock has covered the duration (inf: all words).
 
-    path: The file to make; it must not exist.
-    header: The first bytes of the file.
-    size: Columns and rows of the sensor, px.
-    duration_s: Time to cover on the sensor's clock, at least, s; infinite for all words of the source.
-    stop_on: What may end the recording before.
-    Raises RecordingFailed: If the file cannot be made or written, or the words are malformed; what was
-      recorded before is kept.
-    Raises CameraLost: If the camera goes away or falls silent; what was recorded before is kept.
+    ``header`` holds the first bytes, ``size`` columns and rows of the sensor, px, ``stop_on`` what may end the
+    recording before. Raises `RecordingFailed` if the file cannot be made or written, or the words are malformed,
+    `CameraLost` if the camera goes away or falls silent; what was recorded before is kept.
     """
     decoder = Evt3Decoder(*size, where=stop_on.where)
     with RawWriter(path, header) as file:
@@ -190,7 +172,7 @@ def _write_words(
 def incomplete_recording_error(error: DriverError, path: Path) -> CameraError:
     """Build the error of an interrupted recording: what happened, and which file holds what was recorded before.
 
-    Returns: ``CameraLost`` if the error is one, else ``RecordingFailed``.
+    It is ``CameraLost`` if the error is one, else ``RecordingFailed``.
     """
     kind = CameraLost if isinstance(error, CameraLost) else RecordingFailed
     what = f"{error.what} The recording is incomplete; what was recorded before is in {path}."
@@ -207,12 +189,7 @@ def recording_facts(
     illumination_lux: float | None,
     losses: Sequence[str] = (),
 ) -> RecordingFacts:
-    """Put together what is known of a recording.
-
-    filters: On-chip filters by name, and whether each is on.
-    temperature_c: Temperature of the sensor, deg C; None if it is not measured.
-    illumination_lux: Illumination of the sensor, lx; None if it is not measured.
-    """
+    """Put together what is known of a recording; temperature (deg C) and illumination (lx) are None if not measured."""
     statistics = recorded.statistics
     return RecordingFacts(
         serial=camera.serial,

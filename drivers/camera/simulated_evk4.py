@@ -37,11 +37,7 @@ STOP_S: Final = 5.0
 
 
 class SimulatedEvk4Camera:
-    """An ``EventCamera`` on a socket.
-
-    serial: The serial number that the camera must have; None accepts any.
-    utc_now: Returns the time for the header of a recording.
-    """
+    """An ``EventCamera`` on a socket; ``serial`` None accepts any camera, ``utc_now`` is for a recording's header."""
 
     def __init__(
         self, line: Evk4Line, *, serial: str | None, clock: Clock, utc_now: Callable[[], datetime]
@@ -63,15 +59,10 @@ class SimulatedEvk4Camera:
         utc_now: Callable[[], datetime],
         silence_s: float = SILENCE_S,
     ) -> SimulatedEvk4Camera:
-        """Connect, and check that it is the right camera.
+        """Connect to ``host:port``, and check that it is the right camera; ``serial`` None accepts any.
 
-        address: ``host:port``.
-        serial: The serial number that the camera must have; None accepts any.
-        utc_now: Returns the time for the header of a recording.
-        silence_s: Longest silence before the camera counts as lost, s.
-        Raises CameraNotFound: If nothing listens at the address.
-        Raises WrongDevice: If the camera has another serial number.
-        Raises DriverError: If the peer does not follow the protocol.
+        After ``silence_s`` the camera counts as lost. Raises `CameraNotFound` if nothing listens at the address,
+        `DriverError` if the peer does not follow the protocol.
         """
         line = Evk4Line(address, clock=clock, silence_s=silence_s)
         camera = cls(line, serial=serial, clock=clock, utc_now=utc_now)
@@ -83,11 +74,7 @@ class SimulatedEvk4Camera:
         return camera
 
     def identify(self) -> CameraIdentity:
-        """Read the camera's identity.
-
-        Raises WrongDevice: If the serial number differs from the one given when the camera was opened.
-        Raises ReplyGarbled: If the answer lacks a field, or the camera does not send EVT3.
-        """
+        """Read the camera's identity; refuse another serial number than at opening, a missing field, or no EVT3."""
         answer = self._ask("identify")
         if (encoding := self._value(answer, "format", str)) != "EVT3":
             raise ReplyGarbled(
@@ -113,10 +100,7 @@ class SimulatedEvk4Camera:
         return identity
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set biases and trigger input, and switch all filters off; see `EventCamera.apply`.
-
-        Raises CameraSettingRefused: If a value is refused, or another one is read back.
-        """
+        """Set biases and trigger input, read them back, and switch all filters off; see `EventCamera.apply`."""
         refuse_roi(settings, self._where)
         refuse_unknown_biases(settings, BIASES, self._where)
         for name in BIASES:

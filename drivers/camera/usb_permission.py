@@ -35,10 +35,7 @@ opens as an EVK4 (its ``prophesee_evk4.rs``)."""
 
 
 def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> list[str]:
-    """Return a sentence for each known event camera on USB that this user may not open.
-
-    Returns: What is connected, and what to do; empty on other systems.
-    """
+    """Return what to do for each known event camera on USB that this user may not open; empty on other systems."""
     found = []
     for device, name in _cameras(devices):
         with suppress(OSError, ValueError):
@@ -52,18 +49,12 @@ def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> 
 
 
 def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
-    """Return the kinds of the known event cameras on USB.
-
-    Returns: One entry for each camera; None if the system has no such list.
-    """
+    """Return the kind of each known event camera on USB; None if the system has no such list."""
     return [name for _, name in _cameras(devices)] if devices.is_dir() else None
 
 
 def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
-    """Return a sentence for each known event camera that is not connected by USB 3.
-
-    Returns: What is connected, and what to do; empty on other systems.
-    """
+    """Return what to do for each known event camera that is not connected by USB 3; empty on other systems."""
     found = []
     for device, name in _cameras(devices):
         speed_mbit_s = _speed_mbit_s(device)
@@ -76,10 +67,9 @@ def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
 
 
 def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
-    """Return the speed of the connection of the only known event camera.
+    """Return the speed, Mbit/s, of the only known event camera; None if it is not known, or there are several.
 
-    Returns: Mbit/s; None if it is not known, or if there are several cameras: a USB device states no serial
-      number that belongs to the camera for certain.
+    (A USB device states no serial number that belongs to the camera for certain.)
     """
     cameras = _cameras(devices)
     return _speed_mbit_s(cameras[0][0]) if len(cameras) == 1 else None
@@ -88,18 +78,14 @@ def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
 def only_camera_kind(devices: Path = USB_DEVICES) -> tuple[str, str] | None:
     """Return maker and model of the cameras that neuromorphic-drivers opens as an EVK4.
 
-    Returns: None if none is listed, or if there are several kinds: the package does not say which it has opened.
+    None if none is listed, or if there are several kinds: the package does not say which it has opened.
     """
     kinds = {kind for _, kind in _listed(devices, _KINDS)}
     return kinds.pop() if len(kinds) == 1 else None
 
 
 def check_link(link_mbit_s: int | None, where: str) -> None:
-    """Refuse a camera on USB 2, which loses events at the rates of a measurement.
-
-    link_mbit_s: Speed of its connection, Mbit/s; None if it is not known.
-    Raises CameraSettingRefused: If the connection is known to be too slow.
-    """
+    """Refuse a camera that is known to be on USB 2, which loses events at the rates of a measurement."""
     if link_mbit_s is not None and link_mbit_s < LEAST_MBIT_S:
         raise CameraSettingRefused(
             f"The camera is connected at {link_mbit_s} Mbit/s (USB 2); it would lose events.",

@@ -78,11 +78,9 @@ class Template:
         )
 
     def match(self, line: str, known: Mapping[str, Value]) -> dict[str, Value] | None:
-        """Read the values of a line.
+        """Read the values of a line without its end; None if it does not have this form.
 
-        line: What a device sent, without its end.
-        known: Values of the placeholders without a kind.
-        Returns: Values by name; None if the line does not have this form.
+        ``known`` holds the values of the placeholders without a kind.
         """
         found: dict[str, Value] = {}
         at = 0
@@ -105,16 +103,11 @@ class Template:
 
 
 def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str] | None) -> Template:
-    """Read a template.
+    """Read a template: ``{name}`` stands for a known value, ``{name:kind}`` for a value that is read or sent.
 
-    text: Text with placeholders: ``{name}`` for a known value, ``{name:kind}`` for a value that is read or
-      sent.
-    known: Names that may stand without a kind.
-    readable: Names that may stand with a kind; None for any name.
-    Raises TemplateFault: If a placeholder is unknown, or a reply could be read in two ways.
+    ``known`` and ``readable`` are the names that may stand without and with a kind; ``readable`` None for any. Raises
+    `TemplateFault` if a placeholder is unknown, or a reply could be read in two ways.
 
-    Examples
-    --------
     >>> reply = parse_template("POS={counts:integer} {unit:word}", known=frozenset(), readable=None)
     >>> reply.match("POS=-120 steps", {})
     {'counts': -120.0, 'unit': 'steps'}

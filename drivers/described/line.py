@@ -23,11 +23,7 @@ _SHOWN = 80
 
 
 class DescribedLine(Link):
-    """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else.
-
-    clock, wire_log: See ``drivers.link.Link``.
-    Raises ReplyTimeout, ReplyGarbled: The device does not identify itself.
-    """
+    """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else."""
 
     GARBLED_REMEDY = "Check the cable, the baud rate and the device's description."
     longest_drain_s = 2.0
@@ -54,35 +50,25 @@ class DescribedLine(Link):
     def query(
         self, exchange: Exchange, values: Mapping[str, Value] | None = None, *, tries: int = TRIES
     ) -> dict[str, Value]:
-        """Send a request and read its reply; repeat it when no valid reply comes. For what does no harm twice.
-
-        tries: How often it is sent in all: 1 for what moves something.
-        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
-        """
+        """Send a request that does no harm twice, ``tries`` times in all until its reply is valid; 1 for what moves."""
         return repeat(lambda: self._exchange(exchange, values or {}), tries=tries)
 
     def query_urgent(self, exchange: Exchange) -> None:
         """Send a request at once, without resynchronising, and read its reply: for stopping and switching off.
 
-        Raises DeviceRefused, ReplyTimeout, ReplyGarbled, PortLost: See ``query``. The request is out.
+        Whatever it raises, the request is out.
         """
         self._exchange(exchange, {}, urgent=True)
 
     def switch(self, switch: Switch, values: Mapping[str, Value] | None = None) -> tuple[bool, str]:
-        """Ask for a state.
-
-        Returns: Whether the answer is one of the switch's words, and the answer.
-        """
+        """Ask for a state: return whether the answer is one of the switch's words, and the answer."""
         state = self.query(switch.query, values)["state"]
         if isinstance(state, float):
             return state in {float(word) for word in switch.true_words}, f"{state:g}"
         return state in switch.true_words, state
 
     def send_without_reply(self, exchange: Exchange, values: Mapping[str, Value]) -> str:
-        """Send a request whose reply comes much later; ``poll`` reads it.
-
-        Returns: The request as it was sent, without its end.
-        """
+        """Send a request whose reply comes much later (``poll`` reads it); return it as sent, without its end."""
         request = exchange.send.render(values)
         with self.lock:
             self.bring_into_step()
@@ -90,10 +76,7 @@ class DescribedLine(Link):
         return request
 
     def poll(self, exchange: Exchange, request: str, values: Mapping[str, Value]) -> bool:
-        """Look whether the late reply to a request has come. Does not wait.
-
-        request: What ``send_without_reply`` returned.
-        """
+        """Look, without waiting, whether the late reply to what ``send_without_reply`` returned has come."""
         with self.lock:
             self.receive(0.0)
             line = self.take_line()
@@ -115,11 +98,7 @@ class DescribedLine(Link):
         return list(dict.fromkeys(notice.means for notice in found if notice.means))
 
     def read_serial(self, expected: str) -> str:
-        """Ask for the serial number and compare it with the one in the station file.
-
-        expected: The serial number by the station file; empty to compare nothing.
-        Returns: The serial number; empty if the device has none.
-        """
+        """Ask for the serial number (empty: the device has none); refuse another one than expected, if any is."""
         serial = self._description.serial
         found = str(self.query(serial)["serial"]).strip() if serial is not None else ""
         if expected and found != expected:

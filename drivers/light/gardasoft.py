@@ -47,19 +47,12 @@ class Quantity(NamedTuple):
     half_digit: float  # Half of its last digit, in the same unit
 
     def agrees_with(self, wanted: float) -> bool:
-        """Return whether a wanted value prints like this; the controller may round by 1 part in 100,000 more.
-
-        wanted: The wanted value, in the unit of ``value``.
-        Returns: Whether both are equal within their digits.
-        """
+        """Return whether a wanted value prints like this; the controller may round by 1 part in 100,000 more."""
         return abs(self.value - wanted) <= self.half_digit * 1.001 + 1e-5 * abs(wanted)
 
 
 class RtLine(TextLine):
-    """A line to an RT controller. Every command has a reply, which is at least the prompt ``>``.
-
-    clock, wire_log: See ``drivers.link.Link``.
-    """
+    """A line to an RT controller. Every command has a reply, which is at least the prompt ``>``."""
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         super().__init__(
@@ -74,18 +67,11 @@ class RtLine(TextLine):
         )
 
     def command_urgent(self, command: str) -> None:
-        """Send a command at once, without resynchronising, and wait for its prompt.
-
-        command: The command, without the end of a request.
-        Raises ReplyError: No prompt came.
-        """
+        """Send a command, without its end, at once, without resynchronising, and wait for its prompt."""
         self._query_once(command, PROMPT_S, urgent=True)
 
     def query_fields(self, query: str) -> dict[str, str]:
-        """Ask for settings.
-
-        Raises ReplyError: No valid reply came.
-        """
+        """Ask for settings."""
         text = self.query(query)
         pairs = [part.split(" ", 1) for part in text.split(", ")]
         if not all(len(pair) == 2 and re.fullmatch("[A-Z]{1,2}", pair[0]) for pair in pairs):
@@ -93,11 +79,7 @@ class RtLine(TextLine):
         return dict(pairs)
 
     def parse_quantity(self, fields: dict[str, str], name: str) -> Quantity:
-        """Parse a field as a time or a brightness.
-
-        Returns: The value, in milliseconds or percent.
-        Raises ReplyGarbled: There is no such field, or it is no quantity.
-        """
+        """Parse a field as a time, ms, or a brightness, percent; else raise `ReplyGarbled`."""
         match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])
         if match is None:
             raise self.garbled_reply(f"no quantity {name} in {fields}.")
@@ -105,11 +87,7 @@ class RtLine(TextLine):
         return Quantity(float(match[1]) * factor, 0.5 * 10.0 ** -len(match[2] or "") * factor)
 
     def parse_mode(self, fields: dict[str, str]) -> str:
-        """Parse the mode of a channel.
-
-        Returns: The mode's number: continuous, switched or pulsed.
-        Raises ReplyGarbled: There is no valid mode in the fields.
-        """
+        """Parse the number of a channel's mode: continuous, switched or pulsed; else raise `ReplyGarbled`."""
         mode = fields.get("MD", "")
         if mode not in _MODES:
             raise self.garbled_reply(f"no mode of a channel in {fields}.")
@@ -130,13 +108,9 @@ _DELAY_MS = 0.01
 class GardasoftLight(WatchedLight):
     """A light behind an RT controller.
 
-    model: Model that the controller reports (RT260-20); None when it is not checked. There is no serial
-      number.
-    sync_channel: Channel that is wired to the camera's trigger input; None when there is none.
-    full_percent: Brightness at ``high_v`` = 5 V, in percent of the lamp's rating in the controller.
-    sync_percent: Brightness of the sync channel, in percent of its rating.
-    clock, wire_log: See ``drivers.link.Link``.
-    Raises ReplyError, PortLost: The controller does not answer.
+    The controller reports a model (RT260-20; None: not checked) and no serial number. ``sync_channel`` is wired to the
+    camera's trigger input; None when there is none. ``full_percent`` is the brightness at ``high_v`` = 5 V and
+    ``sync_percent`` that of the sync channel, in percent of their ratings in the controller.
     """
 
     _line: RtLine
@@ -167,10 +141,7 @@ class GardasoftLight(WatchedLight):
             self.identify()
 
     def identify(self) -> LightIdentity:
-        """See `Light.identify`.
-
-        Raises WrongDevice: The model is not the one in the station file.
-        """
+        """See `Light.identify`; the model is compared with the one in the station file."""
         match = IDENTITY.fullmatch(self._line.identity_text)
         assert match is not None
         if self._model is not None and match[1] != self._model:

@@ -5,11 +5,10 @@ nothing. Generators of several makes have different commands:
 
 ``keysight``: 33220A, 33250A and compatible generators, with one channel without a number. (Not the 33120A, which has
 neither levels nor an output switch.) Source: "Agilent 33220A 20 MHz Function/Arbitrary Waveform Generator User's
-Guide", chapter "Remote Interface Reference".
-``numbered``: channels with a number, ``SOUR1:`` and ``OUTP1``: Keysight 33500B, Rigol DG. (Not Tektronix AFG, which has
-a duty cycle for pulses only.) Source: Keysight, "33500B Series: Operating and Service Guide".
-``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``. Source: Siglent, "SDG Series Programming
-Guide".
+Guide", chapter "Remote Interface Reference". ``numbered``: channels with a number, ``SOUR1:`` and ``OUTP1``: Keysight
+33500B, Rigol DG. (Not Tektronix AFG, which has a duty cycle for pulses only.) Source: Keysight, "33500B Series:
+Operating and Service Guide". ``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``. Source: Siglent,
+"SDG Series Programming Guide".
 """
 
 from __future__ import annotations
@@ -69,8 +68,7 @@ class HeaderDialect:
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
         """Return the commands for all settings but the output, in an order in which the generator accepts each.
 
-        present_low_v: Its present low level, in volts: the high level must stay above the low level after
-          every command.
+        The high level must stay above the low level, at present ``present_low_v``, after every command.
         """
         source = self.source
         if wanted.waveform == "steady":
@@ -99,12 +97,10 @@ class HeaderDialect:
         return line.query_number(f"{self.source}VOLT:LOW?")
 
     def query_settings(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
-        """Ask for all settings, in one of two orders.
+        """Ask for all settings, in one of two orders; refuse (`LightFault`) what is no square, sine or steady level.
 
         A reply that is one query late could be taken for an answer twice, but not when the two readings have different
         orders.
-
-        Raises LightFault: The waveform is neither a square, a sine nor a steady level.
         """
         source = self.source
         waveform = _waveform(line.query(f"{source}FUNC?"), line.name)
@@ -240,13 +236,10 @@ _LEVEL_V = 0.002
 
 
 class ScpiLight(WatchedLight):
-    """A light behind an SCPI generator.
+    """A light behind an SCPI generator; ``serial`` as in the answer to ``*IDN?``, None when it is not checked.
 
-    serial: The generator's serial number as in the answer to ``*IDN?``; None when it is not checked.
-    clock, wire_log: See ``drivers.link.Link``.
-    load: Load setting, sent before the levels; "unchanged" for a generator that has no such setting.
-    dialect: Commands of the generator: "keysight", "numbered" or "siglent".
-    Raises ReplyError, PortLost: The generator does not answer.
+    ``load`` is sent before the levels; "unchanged" for a generator without this setting. ``dialect``: "keysight",
+    "numbered" or "siglent".
     """
 
     BAUDRATE = 9600
@@ -277,10 +270,7 @@ class ScpiLight(WatchedLight):
             self.identify()
 
     def identify(self) -> LightIdentity:
-        """See `Light.identify`.
-
-        Raises WrongDevice: The serial number is not the one in the station file.
-        """
+        """See `Light.identify`; the serial number is compared with the one in the station file."""
         identity = LightIdentity(*self._line.identity)
         if self._serial is not None and identity.serial != self._serial:
             raise WrongDevice(
@@ -304,10 +294,7 @@ class ScpiLight(WatchedLight):
         return got
 
     def _read_once(self) -> LightSettings:
-        """Ask for all settings: SCPI has no checksums, and a digit can change on the line.
-
-        Raises LightFault: The waveform is neither a square, a sine nor a steady level.
-        """
+        """Ask for all settings: SCPI has no checksums, and a digit can change on the line."""
         return self._dialect.query_settings(self._line, backwards=next(self._backwards))
 
     def read(self) -> LightSettings:
@@ -368,10 +355,7 @@ class ScpiLight(WatchedLight):
 
 
 def _differences(asked: LightSettings, got: LightSettings) -> list[str]:
-    """Return every setting that reads back differently.
-
-    Of a steady light, only the waveform and the level count.
-    """
+    """Return every setting that reads back differently; of a steady light, only waveform and level count."""
     level_v = _LEVEL_V + _LEVEL_REL * max(abs(asked.high_v), abs(asked.low_v))
     agrees = {
         "waveform": asked.waveform == got.waveform,

@@ -20,12 +20,9 @@ from drivers.wire_log import WireLog
 
 
 class TextLight(WatchedLight):
-    """A light on one controller.
+    """A light on one controller; its serial number is not checked when ``serial`` is empty.
 
-    serial: Serial number of the controller; empty when it is not checked.
-    full_percent: Level at ``high_v`` = 5 V, in percent of the controller's range.
-    clock, wire_log: See ``drivers.link.Link``.
-    Raises ReplyError, PortLost: The controller does not answer as described.
+    ``full_percent`` is the level at ``high_v`` = 5 V, in percent of the controller's range.
     """
 
     _line: DescribedLine
@@ -57,10 +54,7 @@ class TextLight(WatchedLight):
         return description.line.baudrate
 
     def identify(self) -> LightIdentity:
-        """See `Light.identify`.
-
-        Raises WrongDevice: The serial number is not the one in the station file.
-        """
+        """See `Light.identify`; the serial number is compared with the one in the station file."""
         line = self._description.line
         serial = self._line.read_serial(self._serial)
         return LightIdentity(line.maker, line.model, serial, str(self._line.identity.get("firmware", "")))

@@ -57,9 +57,8 @@ class WatchedLight(ABC):
     ) -> Self:
         """Open the port and check who answers. Sets and switches nothing.
 
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        arguments, more: Further arguments of the family's constructor.
-        baudrate: Bits per second; None for the family's own.
+        ``drivers.serial_port.SerialPort`` raises the errors of opening; ``baudrate`` None stands for the family's own;
+        the other arguments are those of the family's constructor.
         """
         construct: Any = cls
         opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
@@ -103,10 +102,7 @@ class WatchedLight(ABC):
     # ------------------------------------------------------------ the same for all
 
     def read(self) -> LightSettings:
-        """See `Light.read`. Reads until two readings agree.
-
-        Raises ReplyGarbled: The readings do not agree.
-        """
+        """See `Light.read`. Reads until two readings agree."""
         return self._agreed(self._read_once, "the settings")
 
     def on(self) -> None:
@@ -118,10 +114,7 @@ class WatchedLight(ABC):
         self._switched_on = True
 
     def off(self) -> None:
-        """See `Light.off`.
-
-        Raises ReplyError, PortLost: The controller does not answer, so its state is unknown.
-        """
+        """See `Light.off`. An error means that the state is unknown."""
         self._switched_on = False
         self._switch_off()
         if self.is_on() and not (self._insist_off() and not self.is_on()):

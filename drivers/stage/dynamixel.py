@@ -49,15 +49,8 @@ class DynamixelAxis(Axis):
 class DynamixelStage(OneLineStage[DynamixelAxis]):
     """A stage of one to three Dynamixel servos. Implements ``drivers.stage.Stage``.
 
-    Open it with ``DynamixelStage.open``; the constructor takes a port that is open already.
-
-    axes: The axes, in the order of the station file.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: Limits, speed or acceleration in the station file do not fit the servo.
-    Raises DeviceRefused: The torque is on in a mode that this driver cannot use, or the servo refuses a
-      setting.
-    Raises ReplyError, PortLost: A servo does not answer.
+    Open it with ``DynamixelStage.open``; the constructor takes a port that is open already. Axes stand in the order of
+    the station file. A servo is refused whose torque is on in a mode that this driver cannot use.
     """
 
     BAUDRATE = 57600
@@ -78,10 +71,7 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
                 self._program(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`. A servo has no serial number; its model and its id stand for it.
-
-        Raises WrongDevice: A model is not the one in the station file, or not one of the X series.
-        """
+        """See `Stage.identify`. A servo has no serial number; its model (of the X series) and its id stand for it."""
         found = []
         for axis in self._axes.values():
             settings = self._bus.read_settings(axis.id)

@@ -110,8 +110,6 @@ _TABLE: Final = tuple(_remainder(byte) for byte in range(256))
 def crc16(data: bytes) -> int:
     """Return the CRC of a packet without its last two bytes.
 
-    Examples
-    --------
     >>> hex(crc16(bytes.fromhex("ff ff fd 00 01 03 00 01")))
     '0x4e19'
     """
@@ -124,8 +122,6 @@ def crc16(data: bytes) -> int:
 def packet(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Return an instruction packet.
 
-    Examples
-    --------
     >>> packet(1, PING).hex(" ")
     'ff ff fd 00 01 03 00 01 19 4e'
     """
@@ -144,11 +140,7 @@ class Packet:
 
 
 def size(head: bytes) -> int:
-    """Return the size of the packet that begins with a header.
-
-    head: The first seven bytes, header included.
-    Returns: Size in bytes; 0 when no servo sends such a packet.
-    """
+    """Return the size, bytes, of the packet whose first seven bytes these are; 0 when no servo sends such a packet."""
     length: int = struct.unpack_from("<H", head, 5)[0]
     return HEAD_SIZE + length if 3 <= length <= _LONGEST else 0
 
@@ -267,10 +259,7 @@ class _Age(NamedTuple):
 
 
 class DynamixelBus(Link):
-    """The servos on one line. Opening sends nothing.
-
-    clock, wire_log: See ``drivers.link.Link``.
-    """
+    """The servos on one line. Opening sends nothing."""
 
     quiet_s = 0.03
 
@@ -290,10 +279,7 @@ class DynamixelBus(Link):
         self.mark_out_of_step()
 
     def take_line(self) -> bytes | None:
-        """Take one unread packet. Bytes before a header are noise, and are thrown away.
-
-        Returns: The packet; None when no complete one is unread.
-        """
+        """Take one unread packet, or None. Bytes before a header are noise, and are thrown away."""
         while True:
             unread = self.unread
             start = unread.find(HEADER)
@@ -318,24 +304,16 @@ class DynamixelBus(Link):
     def write_value(self, servo: int, address: int, data: bytes) -> None:
         """Write a value; repeat it when no status packet comes, which does no harm.
 
-        data: The value. Not a goal while the torque is on: see `move`.
-        Raises ReplyError: No valid status packet came at the last attempt.
+        Not a goal while the torque is on: see `move`.
         """
         repeat(lambda: self._write(servo, address, data))
 
     def move(self, servo: int, goal: int) -> None:
-        """Write a goal, once.
-
-        goal: Target, in counts.
-        Raises ReplyError: No valid status packet came: the axis may be moving.
-        """
+        """Write a goal, counts, once. After a `ReplyError` the axis may be moving."""
         self._write(servo, GOAL, struct.pack("<i", goal))
 
     def reboot(self, servo: int) -> None:
-        """Restart a servo, once, and wait until it answers. Its torque is off then.
-
-        Raises ReplyError: It does not answer.
-        """
+        """Restart a servo, once, and wait until it answers. Its torque is off then."""
         self._exchange(servo, REBOOT, b"", 0)
         for _ in range(_BOOT_POLLS):
             self._clock.sleep(_BOOT_POLL_S)
@@ -347,12 +325,10 @@ class DynamixelBus(Link):
         self.read_state(servo)
 
     def stop_all(self) -> None:
-        """Set the goal of every servo where it can come to rest, and read it back.
+        """Set the goal of every servo where it can come to rest, and read it back; else raise `ReplyError`.
 
         A servo that does not answer does not delay the stop of the others: it is asked again after them. The torque
         stays on, so that no axis falls.
-
-        Raises ReplyError: A servo did not confirm its stop at the last attempt.
         """
         with self.lock:
             left = []

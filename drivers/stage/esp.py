@@ -71,12 +71,8 @@ class EspError:
 
 
 def parse_error(text: str) -> EspError | None:
-    """Parse the answer to ``TB?``.
+    """Parse the answer to ``TB?``; None for any other text.
 
-    Returns: The entry; None for any other text.
-
-    Examples
-    --------
     >>> str(parse_error("213, 5321, AXIS 2 MOTOR NOT ENABLED"))
     'motor off (error 213)'
     """
@@ -115,14 +111,8 @@ class EspAxis(Axis):
 class EspStage(OneLineStage[EspAxis]):
     """A stage of one to three axes on an ESP controller. Implements ``drivers.stage.Stage``.
 
-    Open it with ``EspStage.open``; the constructor takes a port that is open already.
-
-    axes: The axes, in the order of the station file.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: The limits in the station file lie beyond the controller's, or an axis does not
-      count in degrees.
-    Raises ReplyError, PortLost: The controller does not answer.
+    Open it with ``EspStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
+    station file. Limits beyond the controller's, and axes that do not count in degrees, raise `OutsideLimits`.
     """
 
     BAUDRATE = 19200
@@ -152,10 +142,7 @@ class EspStage(OneLineStage[EspAxis]):
                 self._program(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`.
-
-        Raises WrongDevice: A serial number is not the one in the station file.
-        """
+        """See `Stage.identify`; serial numbers are compared with those in the station file."""
         found = []
         for axis in self._axes.values():
             text = self._line.query(f"{axis.number}ID?")

@@ -56,14 +56,9 @@ class GrblAxis(Axis):
 class GrblStage(OneLineStage[GrblAxis]):
     """A stage of one to three axes on a GRBL board. Implements ``drivers.stage.Stage``.
 
-    Open it with ``GrblStage.open``; the constructor takes a port that is open already.
-
-    axes: The axes, in the order of the station file.
-    serial: The name that was given to the board with ``$I=...``; empty when it is not checked.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: Scale or travel in the station file do not fit the board's.
-    Raises ReplyError, PortLost: The board does not answer.
+    Open it with ``GrblStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
+    station file. ``serial`` is the name that was given to the board with ``$I=...``; empty when it is not checked.
+    Scale or travel that do not fit the board's raise `OutsideLimits`.
     """
 
     BAUDRATE = 115200
@@ -89,10 +84,7 @@ class GrblStage(OneLineStage[GrblAxis]):
             self._program()
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`. The board's name counts as its serial number.
-
-        Raises WrongDevice: The name is not the serial number in the station file.
-        """
+        """See `Stage.identify`. The board's name counts as its serial number, which the station file states."""
         version, name = self._board.query_build_info()
         if self._serial and name.upper() != self._serial.upper():  # the board capitalises every line
             raise WrongDevice(

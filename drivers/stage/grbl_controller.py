@@ -88,13 +88,8 @@ class StatusReport:
 
 
 def parse_report(line: bytes, where: str = "") -> StatusReport | None:
-    r"""Parse a status report.
+    r"""Parse a status report; None for another line. Without machine position or known state it is garbled.
 
-    Returns: State and position; None for a line that is no status report.
-    Raises ReplyGarbled: The report has no machine position, or an unknown state.
-
-    Examples
-    --------
     >>> parse_report(b"<Idle|MPos:0.000,-1.500,0.000|FS:0,0>\r\n")
     StatusReport(state='Idle', substate=0, machine_position=(0.0, -1.5, 0.0))
     """
@@ -112,12 +107,8 @@ def parse_report(line: bytes, where: str = "") -> StatusReport | None:
 
 
 def parse_setting(line: bytes) -> tuple[int, float] | None:
-    r"""Parse one line of the answer to ``$$``.
+    r"""Parse one line of the answer to ``$$``: number and value of the setting; None for any other line.
 
-    Returns: Number and value of the setting; None for any other line.
-
-    Examples
-    --------
     >>> parse_setting(b"$100=800.000\r\n")
     (100, 800.0)
     """
@@ -126,12 +117,8 @@ def parse_setting(line: bytes) -> tuple[int, float] | None:
 
 
 def parse_build_info(line: bytes) -> tuple[str, str] | None:
-    r"""Parse the first line of the answer to ``$I``.
+    r"""Parse the first line of the answer to ``$I``: the firmware's version, and the board's name; None for others.
 
-    Returns: Version of the firmware, and the name that was given to the board; None for any other line.
-
-    Examples
-    --------
     >>> parse_build_info(b"[VER:1.1h.20190830:gimbal-7]\r\n")
     ('1.1h.20190830', 'gimbal-7')
     """
@@ -140,12 +127,8 @@ def parse_build_info(line: bytes) -> tuple[str, str] | None:
 
 
 def parse_response(line: bytes) -> int | None:
-    r"""Parse the last line of a reply.
+    r"""Parse the last line of a reply: 0 for ``ok``, the code of an ``error``; None for any other line.
 
-    Returns: 0 for ``ok``, the code of an ``error``; None for any other line.
-
-    Examples
-    --------
     >>> parse_response(b"error:15\r\n")
     15
     """
@@ -156,12 +139,8 @@ def parse_response(line: bytes) -> int | None:
 
 
 def parse_alarm(line: bytes) -> int | None:
-    r"""Parse an alarm.
+    r"""Parse the code of an alarm; None for any other line.
 
-    Returns: Code of the alarm; None for any other line.
-
-    Examples
-    --------
     >>> parse_alarm(b"ALARM:3\r\n")
     3
     """
@@ -180,11 +159,7 @@ def is_informational(line: bytes) -> bool:
 
 
 def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
-    """Return the machine positions of some axes.
-
-    places: Places of the axes in the report: 0 for X, 1 for Y ...
-    Returns: Machine positions, in the board's unit.
-    """
+    """Return the machine positions, in the board's unit, of axes at places in the report: 0 for X, 1 for Y ..."""
     if max(places) >= len(report.machine_position):
         raise ReplyGarbled(
             f"the board reports {len(report.machine_position)} axes only.",
@@ -215,11 +190,8 @@ T = TypeVar("T")
 class GrblController(Link):
     """A GRBL board on one line. Opening asks for a status report; it sets nothing.
 
-    clock, wire_log: See ``drivers.link.Link``.
-    alarms: Codes of the alarms that the board has raised since then, oldest first.
-    needs_reset: Whether the board waits for a reset after a limit: until then it answers nothing, not even
-      ``?``.
-    Raises ReplyError, PortLost: The board does not answer.
+    ``alarms`` are the codes that the board has raised since then, oldest first. ``needs_reset``: the board waits for a
+    reset after a limit; until then it answers nothing, not even ``?``.
     """
 
     quiet_s = 0.1
@@ -242,31 +214,17 @@ class GrblController(Link):
         return repeat(self._query_status_once)
 
     def query(self, line: str) -> list[bytes]:
-        """Send a line that does no harm when it is sent twice; repeat it when no valid reply comes.
-
-        line: The line, without its end.
-        Returns: The lines of the reply before its ``ok``.
-        Raises ReplyError: No valid reply came at the last attempt.
-        """
+        """Send a line (without its end) that does no harm twice, until its reply is valid: its lines before ``ok``."""
         return repeat(lambda: self.command(line))
 
     def command(self, line: str) -> list[bytes]:
-        """Send a line, once.
-
-        line: The line, without its end.
-        Returns: The lines of the reply before its ``ok``.
-        Raises ReplyError: No valid reply came.
-        """
+        """Send a line (without its end), once; return the lines of the reply before its ``ok``."""
         return self._exchange(
             f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader), deadline_s=_REPLY_S
         )
 
     def require_awake(self) -> None:
-        """Refuse an exchange with a board that waits for a reset.
-
-        Raises MoveFailed: The board has stopped at a limit, and answers nothing until it is reset; homing
-          resets it.
-        """
+        """Refuse an exchange (`MoveFailed`) with a board that has stopped at a limit: homing resets it."""
         if self.needs_reset:
             code = self.alarms[-1] if self.alarms else 1
             raise MoveFailed(
@@ -279,7 +237,7 @@ class GrblController(Link):
     def wake(self) -> None:
         """Reset a board that waits for a reset. Its motion has ended and its reference is lost already.
 
-        Raises ReplyTimeout: The board sends no welcome message.
+        Without its welcome message, `ReplyTimeout` is raised.
         """
         restarts = self.restarts
         with self.lock:
@@ -303,7 +261,7 @@ class GrblController(Link):
     def start_homing(self) -> None:
         """Start homing. The board answers nothing until homing has ended.
 
-        Raises ReplyError: The line was out of step and could not be resynchronised; nothing was started.
+        After a `ReplyError` (the line could not be resynchronised) nothing was started.
         """
         with self.lock:
             self.require_awake()
@@ -312,10 +270,7 @@ class GrblController(Link):
             self.mark_out_of_step()
 
     def wait_for_homing(self) -> None:
-        """Wait for the ``ok`` at the end of homing, or for a restart of the board.
-
-        Raises MoveTimeout: Homing has not ended by its deadline.
-        """
+        """Wait for the ``ok`` at the end of homing, or for a restart of the board; `MoveTimeout` at the deadline."""
         end_s = self._clock.monotonic() + motion.LONGEST_HOMING_S
         restarts = self.restarts
         while self._clock.monotonic() < end_s:
@@ -343,18 +298,12 @@ class GrblController(Link):
         self.mark_out_of_step()
 
     def query_settings(self) -> dict[int, float]:
-        """Ask for all settings.
-
-        Returns: Values by the numbers of the settings, in the board's units.
-        """
+        """Ask for all settings: values by number, in the board's units."""
         found = [parse_setting(line) for line in self.query("$$")]
         return dict(setting for setting in found if setting is not None)
 
     def query_build_info(self) -> tuple[str, str]:
-        """Ask for the build information.
-
-        Raises ReplyGarbled: The reply holds no version.
-        """
+        """Ask for the build information."""
         for line in self.query("$I"):
             if (build := parse_build_info(line)) is not None:
                 return build

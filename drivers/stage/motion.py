@@ -21,17 +21,11 @@ POLL_S = 0.02
 
 
 def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
-    """Return the time of a move from rest to rest with a trapezoidal speed profile.
+    """Return the time, s, of a move from rest to rest with a trapezoidal speed profile.
 
-    With d the distance, v the speed and a the acceleration: ``d/v + v/a`` when the speed is reached
-    (d >= v^2/a), ``2 sqrt(d/a)`` when it is not.
+    With d the distance, v the highest speed and a the acceleration and deceleration, in units of one kind: ``d/v +
+    v/a`` when the speed is reached (d >= v^2/a), ``2 sqrt(d/a)`` when it is not.
 
-    speed: Highest speed, in that unit per second.
-    acceleration: Acceleration and deceleration, in that unit per second squared.
-    Returns: Time, in seconds.
-
-    Examples
-    --------
     >>> travel_time_s(10.0, 5.0, 10.0)
     2.5
     >>> travel_time_s(0.1, 5.0, 10.0)
@@ -44,42 +38,28 @@ def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
 
 
 def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
-    """Return the expected time of a move of one axis.
-
-    from_deg, to_deg: Start and target, in degrees.
-    Returns: Time, in seconds.
-    """
+    """Return the expected time of a move of one axis, s."""
     return travel_time_s(to_deg - from_deg, limits.speed_deg_s, limits.acceleration_deg_s2)
 
 
 def longest_move_s(
     limits: Mapping[str, AxisLimits], from_deg: Mapping[str, float], to_deg: Mapping[str, float]
 ) -> float:
-    """Return the expected time of a move in which all axes start together: that of the slowest axis.
+    """Return the expected time, s, of a move in which the axes of ``to_deg`` start together: the slowest one's.
 
-    from_deg, to_deg: Start and target by axis, in degrees; the axes of ``to_deg`` move.
-    Returns: Time, in seconds; 0 when no axis moves.
+    It is 0 when no axis moves.
     """
     return max((move_time_s(limits[axis], from_deg[axis], to_deg[axis]) for axis in to_deg), default=0.0)
 
 
 def deadline_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
-    """Return the longest time that a move may take: the expected time, two more ramps, and a margin.
-
-    from_deg, to_deg: Start and target, in degrees.
-    Returns: Time, in seconds.
-    """
+    """Return the longest time that a move may take, s: the expected time, two more ramps, and a margin."""
     ramp_s = limits.speed_deg_s / limits.acceleration_deg_s2
     return move_time_s(limits, from_deg, to_deg) + 2.0 * ramp_s + DEADLINE_MARGIN_S
 
 
 def check_targets(limits: Mapping[str, AxisLimits], target_deg: Mapping[str, float], where: str) -> None:
-    """Check that all targets lie within the soft limits.
-
-    target_deg: Targets by axis, in degrees.
-    Raises OutsideLimits: A target lies outside its limits, or there is no such axis. The message names every
-      such target.
-    """
+    """Raise `OutsideLimits`, which names every target outside the soft limits, or an axis that does not exist."""
     wrong = []
     for axis, angle in target_deg.items():
         if axis not in limits:
@@ -105,14 +85,11 @@ def check_travel(
     slack: float = 0.0,
     to_deg: Callable[[float], float] = float,
 ) -> None:
-    """Check that the limits in the station file lie within the controller's own.
+    """Check that the limits in the station file lie within the controller's own, else raise `OutsideLimits`.
 
     A driver narrows the controller's limits and never widens them, because they may be those of the mechanics.
-
-    present: Lowest and highest position by the controller; None where it has no limit.
-    slack: How far a limit may exceed the controller's, because of the controller's rounding.
-    to_deg: Returns the angle of a position.
-    Raises OutsideLimits: A limit of the station file lies beyond the controller's.
+    ``present`` holds the lowest and highest position by the controller, None where it has no limit; ``slack`` allows
+    for the controller's rounding; ``to_deg`` returns the angle of a position.
     """
     lowest, highest = present
     if (lowest is not None and wanted[0] < lowest - slack) or (
@@ -143,11 +120,9 @@ class MoveWatch:
     Arrived: two consecutive idle readings, with the position at the target. Failed: two idle readings elsewhere; busy
     past the deadline; busy without progress.
 
-    target_deg: Target, in degrees; None for a search of the reference, which may end anywhere.
-    tolerance_deg: Largest distance from the target at which the axis has arrived, in degrees.
-    now_s: Time at the start of the move, in seconds.
-    allowed_s: Longest time that the move may take, in seconds.
-    patience_s: Longest time in which a busy axis may keep its position, in seconds.
+    ``target_deg`` is None for a search of the reference, which may end anywhere; ``tolerance_deg`` is the largest
+    distance from the target at which the axis has arrived; ``now_s`` the start of the move, ``allowed_s`` its longest
+    time, ``patience_s`` the longest time in which a busy axis may keep its position.
     """
 
     def __init__(
@@ -171,14 +146,7 @@ class MoveWatch:
         self._moved_s = now_s
 
     def update(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
-        """Take one reading of the axis.
-
-        now_s: Time of the reading, in seconds.
-        position_deg: Position, in degrees.
-        busy: Whether the controller calls the axis busy.
-        Returns: Whether the axis has arrived.
-        Raises MoveFailed: The axis stands elsewhere, or makes no progress.
-        """
+        """Take one reading of the axis; return whether it has arrived, or raise `MoveFailed`."""
         self._idle_reads = 0 if busy else self._idle_reads + 1
         if position_deg != self._last_deg:
             self._last_deg = position_deg

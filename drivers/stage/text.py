@@ -49,14 +49,9 @@ class TextAxis(Axis):
 class TextStage(OneLineStage[TextAxis]):
     """A stage of one to three axes on one controller. Implements ``drivers.stage.Stage``.
 
-    Open it with ``TextStage.open``; the constructor takes a port that is open already.
-
-    axes: The axes, in the order of the station file.
-    serial: Serial number of the controller; empty when it is not checked.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: The limits or the scale of the station file contradict the controller's.
-    Raises ReplyError, PortLost: The controller does not answer as described.
+    Open it with ``TextStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
+    station file; ``serial`` is empty when it is not checked. Limits or a scale that contradict the controller's raise
+    `OutsideLimits`.
     """
 
     def __init__(
@@ -90,10 +85,7 @@ class TextStage(OneLineStage[TextAxis]):
         return description.line.baudrate
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`.
-
-        Raises WrongDevice: The serial number is not the one in the station file.
-        """
+        """See `Stage.identify`; the serial number is compared with the one in the station file."""
         line = self._description.line
         serial = self._line.read_serial(self._serial)
         firmware = str(self._line.identity.get("firmware", ""))

@@ -52,14 +52,9 @@ class _Begun:
 class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     """A stage of one to three Thorlabs axes. Implements ``drivers.stage.Stage``.
 
-    Open it with ``ThorlabsStage.open``; the constructor takes ports that are open already.
-
-    ports: The open port of each axis's controller, in the order of ``axes``.
-    axes: The axes, in the order of the station file.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: Speed, acceleration or scale in the station file do not fit the controller.
-    Raises ReplyError, PortLost: A controller does not answer.
+    Open it with ``ThorlabsStage.open``; the constructor takes the open port of each axis's controller, in the order of
+    ``axes``, which is that of the station file. Speed, acceleration or scale that do not fit the controller raise
+    `OutsideLimits`.
     """
 
     PORT: ClassVar = {"baudrate": 115200, "rtscts": True}
@@ -87,10 +82,7 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
                 self._program_speed(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`.
-
-        Raises WrongDevice: A serial number is not the one in the station file.
-        """
+        """See `Stage.identify`; serial numbers are compared with those in the station file."""
         found = []
         for axis in self._axes.values():
             controller = self._lines[axis.name]

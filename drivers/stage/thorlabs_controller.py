@@ -121,10 +121,7 @@ class Information:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of a reply.
-
-        data: The data, 84 bytes.
-        """
+        """Unpack the 84 bytes of a reply's data."""
         serial, model, _, minor, interim, major, *_ = INFORMATION_LAYOUT.unpack(data)
         name = model.split(b"\0")[0].decode("ascii", errors="replace").strip()
         return cls(str(serial), name, f"{major}.{interim}.{minor}")
@@ -138,10 +135,7 @@ class Status:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of a reply.
-
-        data: The data, 6 bytes.
-        """
+        """Unpack the 6 bytes of a reply's data."""
         return cls(STATUS_LAYOUT.unpack(data)[1] & _USED)
 
     @property
@@ -173,8 +167,6 @@ class Status:
 def short(message: int, first: int = 0, second: int = 0) -> bytes:
     """Return a short message.
 
-    Examples
-    --------
     >>> short(HOME, CHANNEL).hex(" ")
     '43 04 01 00 50 01'
     """
@@ -184,8 +176,6 @@ def short(message: int, first: int = 0, second: int = 0) -> bytes:
 def long(message: int, data: bytes) -> bytes:
     """Return a message with data.
 
-    Examples
-    --------
     >>> long(MOVE_TO, POSITION_LAYOUT.pack(CHANNEL, -2)).hex(" ")
     '53 04 06 00 d0 01 01 00 fe ff ff ff'
     """
@@ -193,12 +183,7 @@ def long(message: int, data: bytes) -> bytes:
 
 
 def size(head: bytes, where: str) -> int:
-    """Return the size of the message that begins with a header.
-
-    head: The first six bytes.
-    Returns: Size with the header, in bytes.
-    Raises ReplyGarbled: No controller sends such a header to a computer.
-    """
+    """Return the size, bytes, of the message with these first six bytes; else raise `ReplyGarbled`."""
     _, length, destination, source = struct.unpack("<HHBB", head)
     if destination & ~_LONG not in {0, HOST} or source != UNIT:
         raise _garbled(f"{head.hex(' ')} came, which is not from a controller to this computer.", where)
@@ -215,11 +200,7 @@ def is_unasked(message: bytes) -> bool:
 
 
 def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> bytes:
-    """Check a message, and return its data.
-
-    wanted: Id of the request; the reply's id is the next number.
-    Raises ReplyGarbled: It is no reply to this request.
-    """
+    """Check that a message answers the request ``wanted`` (its id is the next number), and return its data."""
     data = message[HEAD_SIZE:]
     if struct.unpack_from("<H", message)[0] != wanted + 1 or len(data) != layout.size:
         raise _garbled(f"{message[:20].hex(' ')} came, which is no answer to request {wanted:#06x}.", where)
@@ -229,11 +210,7 @@ def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> b
 
 
 def parameter_of(message: bytes, wanted: int, where: str) -> int:
-    """Check a short message, and return its second parameter.
-
-    message, wanted, where: See `data_of`.
-    Raises ReplyGarbled: It is no reply to this request.
-    """
+    """Check a short message as `data_of` does, and return its second parameter."""
     number, channel, value, destination, _ = struct.unpack_from("<HBBBB", message)
     if number != wanted + 1 or destination & _LONG or channel != CHANNEL:
         raise _garbled(f"{message[:20].hex(' ')} came, which is no answer to request {wanted:#06x}.", where)
@@ -241,10 +218,7 @@ def parameter_of(message: bytes, wanted: int, where: str) -> int:
 
 
 def family_of(model: str, where: str) -> Family:
-    """Return the family of a model.
-
-    Raises DeviceRefused: This driver does not know the units of this model.
-    """
+    """Return the family of a model; refuse a model whose units this driver does not know."""
     for beginning, family in FAMILIES.items():
         if model.upper().startswith(beginning):
             return family
@@ -273,11 +247,8 @@ T = TypeVar("T")
 class ThorlabsController(Link):
     """The controller of one axis, on a line of messages. Opening asks for its identity; it sets nothing but silence.
 
-    port: The open port; the protocol needs 115200 baud.
-    clock, wire_log: See ``drivers.link.Link``.
-    homings: How many ends of a homing it has reported.
-    Raises DeviceRefused: This driver does not know the model.
-    Raises ReplyError, PortLost: The controller does not answer.
+    The protocol needs 115200 baud. ``homings`` is how many ends of a homing it has reported. An unknown model is
+    refused.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -296,10 +267,9 @@ class ThorlabsController(Link):
             self._sign_of_life = short(STILL_THERE)
 
     def take_line(self) -> bytes | None:
-        """Take one unread message.
+        """Take one unread message; None when no complete one is unread.
 
-        Returns: The message; None when no complete one is unread.
-        Raises ReplyGarbled: What is unread does not begin with a header. It is thrown away.
+        What does not begin with a header raises `ReplyGarbled` and is thrown away.
         """
         unread = self.unread
         if len(unread) < HEAD_SIZE:
@@ -324,28 +294,19 @@ class ThorlabsController(Link):
         )
 
     def read_position(self) -> int:
-        """Ask once for the position; who needs it sure asks again.
-
-        Returns: Position, in counts.
-        """
+        """Ask once for the position, counts; who needs it sure asks again."""
         return int(
             POSITION_LAYOUT.unpack(self._query(REQUEST_POSITION, POSITION_LAYOUT))[1],
         )
 
     def read_speed(self) -> tuple[int, int]:
-        """Ask for acceleration and speed.
-
-        Returns: Acceleration and speed, in the controller's units.
-        """
+        """Ask for acceleration and speed, in the controller's units."""
         data = self._read_twice(lambda: self._query(REQUEST_SPEED, SPEED_LAYOUT), "the speed")
         _, _, acceleration, speed = SPEED_LAYOUT.unpack(data)
         return int(acceleration), int(speed)
 
     def set_speed(self, acceleration: int, speed: int) -> None:
-        """Set acceleration and speed, and read them back. It does no harm to set them twice.
-
-        acceleration, speed: In the controller's units.
-        """
+        """Set acceleration and speed, in the controller's units, and read them back; twice does no harm."""
         self._set_until_right(
             long(SET_SPEED, SPEED_LAYOUT.pack(CHANNEL, 0, acceleration, speed)),
             self.read_speed,
@@ -369,10 +330,7 @@ class ThorlabsController(Link):
         self._set_until_right(short(SET_ENABLED, CHANNEL, ON), self.is_enabled, True, "the channel")
 
     def move(self, count: int) -> None:
-        """Start a move. The command is sent once, and has no reply.
-
-        count: Target, in counts.
-        """
+        """Start a move to a count. The command is sent once, and has no reply."""
         self._command(long(MOVE_TO, POSITION_LAYOUT.pack(CHANNEL, count)))
 
     def home(self) -> None:
@@ -380,10 +338,9 @@ class ThorlabsController(Link):
         self._command(short(HOME, CHANNEL))
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp down at once, and ask until the axis stands. A stop that shows no effect is sent again.
+        """Ramp down at once, and ask until the axis stands, else raise `ReplyError`.
 
-        ramp_s: Time of the ramp from full speed, in seconds.
-        Raises ReplyError: The axis did not report that it stands.
+        A stop that shows no effect is sent again; ``ramp_s`` is the time of the ramp from full speed.
         """
         with self.lock:
             repeat(lambda: self._stop_once(ramp_s), tries=2)

@@ -449,9 +449,8 @@ class OneLineStage(WatchedStage[A]):
     ) -> Self:
         """Open the port, check who answers, and set limits, speed and acceleration. Moves nothing.
 
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        arguments, more: Further arguments of the family's constructor.
-        baudrate: Bits per second; None for the family's own.
+        ``drivers.serial_port.SerialPort`` raises the errors of opening; ``baudrate`` None stands for the family's own;
+        the other arguments are those of the family's constructor.
         """
         opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
         construct: Any = cls

@@ -39,11 +39,8 @@ S = TypeVar("S", bound=Settings)
 class XimcController(Link):
     """The controller of one axis, on its own line. Opening asks for settings; it sets nothing.
 
-    port: The open port; the protocol needs 115200 baud and two stop bits.
-    clock, wire_log: See ``drivers.link.Link``.
-    division: Microsteps per full step.
-    Raises DeviceRefused: The controller drives no stepper motor, or counts by an encoder.
-    Raises ReplyError, PortLost: The controller does not answer.
+    The protocol needs 115200 baud and two stop bits; ``division`` is microsteps per full step. A controller that drives
+    no stepper motor, or counts by an encoder, is refused.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -75,20 +72,11 @@ class XimcController(Link):
         return kind.unpack(self._query(kind.READ, kind.LAYOUT))
 
     def set(self, command: str, data: bytes) -> None:
-        """Send a setting; repeat it when its echo does not come, which does no harm.
-
-        data: Data of the command, without CRC.
-        Raises ReplyTimeout, ReplyGarbled: No valid echo came at the last attempt.
-        """
+        """Send a setting, data without CRC; repeat it when its echo does not come, which does no harm."""
         repeat(lambda: self.command(command, data))
 
     def command(self, command: str, data: bytes = b"", *, urgent: bool = False) -> None:
-        """Send a command, once, and wait for its echo.
-
-        data: Data of the command, without CRC.
-        urgent: Send at once, without resynchronising.
-        Raises ReplyTimeout, ReplyGarbled: No valid echo came.
-        """
+        """Send a command, data without CRC, once, and wait for its echo; urgent: at once, without resynchronising."""
 
         def read_reply(reader: ReplyReader) -> None:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
@@ -97,17 +85,11 @@ class XimcController(Link):
         self.exchange(request, read_reply, deadline_s=REPLY_S, urgent=urgent)
 
     def move(self, count: int) -> None:
-        """Start a move; the command is sent once.
-
-        Raises ReplyTimeout, ReplyGarbled: No valid echo came: the axis may be moving.
-        """
+        """Start a move; the command is sent once. Without a valid echo the axis may be moving."""
         self.command("move", ximc_protocol.move_data(*self.to_steps(count)))
 
     def stop(self) -> None:
-        """Ramp down at once, without resynchronising; repeat the stop when its echo does not come.
-
-        Raises ReplyError: No echo came at the last attempt.
-        """
+        """Ramp down at once, without resynchronising; repeat the stop when its echo does not come."""
         with self.lock:
             repeat(
                 lambda: self.command("sstp", urgent=True),
@@ -115,17 +97,11 @@ class XimcController(Link):
             )
 
     def to_microsteps(self, steps: int, microsteps: int) -> int:
-        """Return a position in microsteps.
-
-        microsteps: Microsteps beyond the full steps.
-        """
+        """Return a position in microsteps, from full steps and the microsteps beyond them."""
         return steps * self.division + microsteps
 
     def to_steps(self, count: int) -> tuple[int, int]:
-        """Split a position into full steps and microsteps of the same sign.
-
-        Returns: Full steps, and microsteps beyond them.
-        """
+        """Split a position into full steps and microsteps of the same sign."""
         steps, microsteps = divmod(abs(count), self.division)
         return (steps, microsteps) if count >= 0 else (-steps, -microsteps)
 
@@ -212,15 +188,9 @@ class XimcAxis(Axis):
 class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     """A stage of one to three Standa axes. Implements ``drivers.stage.Stage``.
 
-    Open it with ``XimcStage.open``; the constructor takes ports that are open already.
-
-    ports: The open port of each axis's controller, in the order of ``axes``.
-    axes: The axes, in the order of the station file.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: Limits, speed or acceleration in the station file lie beyond the controller's.
-    Raises DeviceRefused: The controller refuses a setting, or does not count the steps of a stepper motor.
-    Raises ReplyError, PortLost: A controller does not answer.
+    Open it with ``XimcStage.open``; the constructor takes the open port of each axis's controller, in the order of
+    ``axes``, which is that of the station file. Limits, speed or acceleration beyond the controller's raise
+    `OutsideLimits`.
     """
 
     PORT: ClassVar = {"baudrate": 115200, "stopbits": 2}
@@ -246,10 +216,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
                 self._program_borders(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`.
-
-        Raises WrongDevice: A serial number is not the one in the station file.
-        """
+        """See `Stage.identify`; serial numbers are compared with those in the station file."""
         found = []
         for axis in self._axes.values():
             controller = self._lines[axis.name]

@@ -68,10 +68,6 @@ _REMAINDERS = [_remainder(byte) for byte in range(256)]
 def crc16(data: bytes) -> int:
     """Return the CRC of the data of a message, a CRC-16/MODBUS: polynomial 0xA001 (reflected), start value 0xFFFF.
 
-    Returns: The CRC, 16 bits.
-
-    Examples
-    --------
     >>> f"{crc16(b'123456789'):04X}"
     '4B37'
     """
@@ -82,12 +78,8 @@ def crc16(data: bytes) -> int:
 
 
 def request(command: str, data: bytes = b"") -> bytes:
-    """Return the bytes of a request.
+    """Return the bytes of a request; data are empty for a command without data.
 
-    data: Data of the command; empty for a command without data.
-
-    Examples
-    --------
     >>> request("gets")
     b'gets'
     """
@@ -95,10 +87,7 @@ def request(command: str, data: bytes = b"") -> bytes:
 
 
 def check_head(command: str, head: bytes, where: str) -> None:
-    """Check that a reply begins with the letters of its command.
-
-    head: The first four bytes of the reply.
-    """
+    """Check that a reply, by its first four bytes, begins with the letters of its command."""
     if head == command.encode("ascii"):
         return
     if head in REFUSALS:
@@ -115,10 +104,7 @@ def check_head(command: str, head: bytes, where: str) -> None:
 
 
 def check_data(command: str, data: bytes, where: str) -> bytes:
-    """Check the CRC of a reply's data.
-
-    Returns: The data without their CRC.
-    """
+    """Check the CRC of a reply's data, and return them without it."""
     body, given = data[:-2], data[-2:]
     if struct.pack("<H", crc16(body)) != given:
         raise ReplyGarbled(f"wrong CRC in the answer to {command}.", where=where, remedy="Check the cable.")
@@ -140,10 +126,7 @@ class Status:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of ``gets``.
-
-        data: The data, without CRC.
-        """
+        """Unpack the data of ``gets``, without CRC."""
         return cls(*cls.LAYOUT.unpack(data))
 
     @property
@@ -182,17 +165,11 @@ class Settings:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of a reply.
-
-        data: The data, without CRC.
-        """
+        """Unpack the data of a reply, without CRC."""
         return cls(*cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
-        """Pack the data of a request.
-
-        Returns: The data, without CRC.
-        """
+        """Pack the data of a request, without CRC."""
         return self.LAYOUT.pack(*vars(self).values())
 
 
@@ -252,9 +229,5 @@ _RESERVED = b"\xcc" * 6
 
 
 def move_data(steps: int, microsteps: int) -> bytes:
-    """Return the data of ``move``.
-
-    microsteps: Microsteps beyond the full steps, of the same sign.
-    Returns: The data, without CRC.
-    """
+    """Return the data of ``move``, without CRC; the microsteps beyond the full steps have the same sign."""
     return _MOVE_LAYOUT.pack(steps, microsteps, _RESERVED)

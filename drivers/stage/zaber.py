@@ -34,10 +34,8 @@ _MARKER_S = 0.5
 class ZaberChain(Link):
     """A chain of devices on one line. Opening sends nothing.
 
-    devices: Addresses of the devices that this driver uses; others in the chain are stopped by ``stop_all``
-      only.
-    clock, wire_log: See ``drivers.link.Link``.
-    unsolicited: The latest 100 alerts and information lines, oldest first.
+    ``devices`` are the addresses that this driver uses; others in the chain are stopped by ``stop_all`` only.
+    ``unsolicited`` holds the latest 100 alerts and information lines, oldest first.
     """
 
     def __init__(
@@ -55,13 +53,9 @@ class ZaberChain(Link):
         )
 
     def command(self, device: int, axis: int, words: str) -> Reply:
-        """Send a command, once: a command that moves something must never be sent twice.
+        """Send a command, such as ``move abs 50000``, once; return the reply that accepts it.
 
-        device: Address of the device; 0 for all.
-        axis: Number of the axis on the device; 0 for the device itself.
-        words: The command with its parameters, such as ``move abs 50000``.
-        Returns: The device's reply, which accepts the command.
-        Raises ReplyTimeout, ReplyGarbled: No valid reply came.
+        A command that moves something must never be sent twice. Device 0 stands for all, axis 0 for the device itself.
         """
         reply = self._ask_once(device, axis, words)
         if not reply.accepted:
@@ -74,40 +68,25 @@ class ZaberChain(Link):
         return reply
 
     def query(self, device: int, axis: int, words: str) -> Reply:
-        """Send a command that does no harm when it is sent twice; repeat it when no valid reply comes.
+        """Send a command that does no harm twice, until its reply is valid; return the reply that accepts it.
 
-        device, axis, words: See ``command``.
-        Returns: The device's reply, which accepts the command.
-        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
+        The arguments are those of ``command``.
         """
         return repeat(lambda: self.command(device, axis, words))
 
     def query_integer(self, device: int, axis: int, words: str) -> int:
-        """Send a query whose answer is one integer.
-
-        device, axis, words: See ``command``.
-        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt, or the answer is no
-          integer.
-        """
+        """Send a query (see ``command``) whose answer is one integer."""
         data = self.query(device, axis, words).data
         return self.parse_integer(data)
 
     def parse_integer(self, data: str) -> int:
-        """Parse the data of a reply as one integer.
-
-        Raises ReplyGarbled: The data are no integer; the line is then out of step.
-        """
+        """Parse the data of a reply as one integer; otherwise the line is out of step."""
         if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
             raise self.garbled_reply(f"{data!r} came instead of an integer.", "Look into the wire log.")
         return int(data)
 
     def query_flags(self, device: int, axis: int) -> tuple[str, ...]:
-        """Ask for all warning flags of an axis.
-
-        device, axis: See ``command``.
-        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt, or the answer is no list
-          of flags.
-        """
+        """Ask for all warning flags of an axis; device and axis as for ``command``."""
         data = self.query(device, axis, "warnings").data
         try:
             return zaber_protocol.parse_flags(data, self.name)
@@ -116,23 +95,16 @@ class ZaberChain(Link):
             raise
 
     def query_setting(self, device: int, axis: int, name: str) -> int | None:
-        """Ask for a setting that is an integer.
-
-        device, axis: See ``command``.
-        name: Name of the setting, such as ``limit.max``.
-        Returns: The value; None when the device refuses the query, because it has no such setting.
-        """
+        """Ask for an integer setting such as ``limit.max``; None when the device refuses: it has no such setting."""
         try:
             return self.query_integer(device, axis, f"get {name}")
         except DeviceRefused:
             return None
 
     def stop_all(self) -> None:
-        """Send one stop to every device on the line, and check that each device of this driver has accepted it.
+        """Send one stop to every device on the line, at once, without resynchronising.
 
-        The stop is sent at once, without resynchronising.
-
-        Raises ReplyError: A device did not accept the stop at the last attempt.
+        A device of this driver that has not accepted it at the last attempt raises `ReplyError`.
         """
         with self.lock:
             repeat(self._stop_once)
@@ -208,11 +180,7 @@ class ZaberAxis(Axis):
 
 
 def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """Check that scale and limits agree with the controller's turn and travel.
-
-    Raises OutsideLimits: The scale gives another number of microsteps a turn, or the limits lie beyond the
-      travel.
-    """
+    """Check that scale and limits agree with the controller's microsteps a turn and travel."""
     turn = _setting(chain, axis, "limit.cycle.dist")
     expected = abs(axis.microsteps_per_deg) * 360.0
     if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
@@ -228,10 +196,8 @@ def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
 def program(chain: ZaberChain, axis: ZaberAxis) -> None:
     """Set limits, speed and acceleration where they differ, and read them back.
 
-    Only settings that differ are sent, because the controller keeps them in non-volatile memory.
-
-    Raises OutsideLimits: Speed or acceleration is below the controller's unit. Its acceleration 0 would mean
-      full speed at once.
+    Only settings that differ are sent, because the controller keeps them in non-volatile memory. Speed or acceleration
+    below the controller's unit is refused: its acceleration 0 would mean full speed at once.
     """
     lowest, highest = _travel(axis)
     scale = abs(axis.microsteps_per_deg)
@@ -275,14 +241,8 @@ __all__ = ["ZaberAxis", "ZaberStage"]
 class ZaberStage(OneLineStage[ZaberAxis]):
     """A stage of one to three Zaber axes. Implements ``drivers.stage.Stage``.
 
-    Open it with ``ZaberStage.open``; the constructor takes a port that is open already.
-
-    axes: The axes, in the order of the station file.
-    clock: Every wait between two requests goes through it.
-    wire_log: Records every byte; None for no record.
-    Raises OutsideLimits: The limits in the station file lie beyond the controller's travel, or the scales
-      differ.
-    Raises ReplyError, PortLost: The controller does not answer.
+    Open it with ``ZaberStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
+    station file. Limits beyond the controller's travel, or other scales, raise `OutsideLimits`.
     """
 
     BAUDRATE = 115200
@@ -303,10 +263,7 @@ class ZaberStage(OneLineStage[ZaberAxis]):
             self._encoders = {axis.name for axis in axes if self._has_encoder(axis)}
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`.
-
-        Raises WrongDevice: A serial number is not the one in the station file.
-        """
+        """See `Stage.identify`; serial numbers are compared with those in the station file."""
         found = []
         for axis in self._axes.values():
             serial = self._chain.query(axis.device, 0, "get system.serial").data

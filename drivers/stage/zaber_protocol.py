@@ -111,13 +111,10 @@ class Unsolicited:
 
 
 def checksum(body: bytes) -> int:
-    """Return the LRC (longitudinal redundancy check) of a message: two's complement of the sum of its bytes.
+    """Return the LRC (longitudinal redundancy check), 0 to 255: two's complement of the sum of the bytes.
 
-    body: All bytes between the first one of the message and the colon.
-    Returns: The LRC, 0 to 255.
+    ``body`` is all bytes between the first one of the message and the colon.
 
-    Examples
-    --------
     >>> f"{checksum(b'1 1 03 home'):02X}"
     '32'
     """
@@ -125,15 +122,8 @@ def checksum(body: bytes) -> int:
 
 
 def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
-    r"""Return the bytes of a request.
+    r"""Return the bytes of a request: device 0 for all, axis 0 for the device, message id 0 to 99, words or none.
 
-    device: Address of the device; 0 for all.
-    axis: Number of the axis; 0 for the device itself.
-    message_id: Message id, 0 to 99.
-    words: The command with its parameters; empty for a request that does nothing.
-
-    Examples
-    --------
     >>> request(1, 1, 5, "move abs 50000")
     b'/1 1 05 move abs 50000:B7\n'
     >>> request(1, 1, 4)
@@ -144,12 +134,8 @@ def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
 
 
 def parse_reply(line: bytes, where: str = "") -> Reply:
-    r"""Parse a reply.
+    r"""Parse a reply, which must have a correct checksum.
 
-    Raises ReplyGarbled: The line is no reply, or its checksum is missing or wrong.
-
-    Examples
-    --------
     >>> parse_reply(b"@01 0 00 OK IDLE WR 0:BE\r\n").flag
     'WR'
     """
@@ -173,10 +159,7 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
 
 
 def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
-    r"""Parse an alert or an information line.
-
-    Returns: Fields of the message; None for any other line.
-    """
+    r"""Parse an alert or an information line; None for any other line."""
     match = _UNSOLICITED.fullmatch(line)
     if match is None:
         return None
@@ -192,8 +175,6 @@ def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
 def parse_flags(data: str, where: str = "") -> tuple[str, ...]:
     """Parse the data of a reply to ``warnings``: a count, then that many flags.
 
-    Examples
-    --------
     >>> parse_flags("02 WR NI")
     ('WR', 'NI')
     """
@@ -208,18 +189,14 @@ def parse_flags(data: str, where: str = "") -> tuple[str, ...]:
 def is_fault(flag: str) -> bool:
     """Return whether an axis with this flag must not be moved, and its last move has failed.
 
-    Returns: True for faults, an unexpected limit and a displacement at rest.
+    True for faults, an unexpected limit and a displacement at rest.
     """
     return flag.startswith("F") or flag in _STOPPING_WARNINGS
 
 
 def is_informational(flag: str) -> bool:
-    """Return whether a flag reports a past event: a note, except manual control.
+    """Return whether a flag reports a past event (a note, except manual control), not a present state.
 
-    Returns: False for a flag that reports a present state.
-
-    Examples
-    --------
     >>> is_informational("NI"), is_informational("NC"), is_informational("WT")
     (True, False, False)
     """
@@ -229,8 +206,6 @@ def is_informational(flag: str) -> bool:
 def describe_flag(flag: str) -> str:
     """Return the meaning of a flag.
 
-    Examples
-    --------
     >>> describe_flag("FS")
     'stalled and stopped (FS)'
     """

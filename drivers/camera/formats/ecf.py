@@ -15,10 +15,8 @@ little-endian throughout:
 
 Times cannot step back: an event that is earlier than its predecessor gets the predecessor's time.
 
-References
-----------
-Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; the layout of a chunk
-is that of the maker's codec, https://github.com/prophesee-ai/hdf5_ecf.
+Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; the layout of
+a chunk is that of the maker's codec, https://github.com/prophesee-ai/hdf5_ecf.
 """
 
 from __future__ import annotations
@@ -44,11 +42,7 @@ _WORST_BYTES: Final = 24
 
 
 def encode(events: Events) -> bytes:
-    """Compress a chunk of events.
-
-    events: The events, 1 to 65535.
-    Raises ValueError: If there are no events or too many, or a column or row needs more than 11 bits.
-    """
+    """Compress a chunk of 1 to 65535 events, whose columns and rows have at most 11 bits; else raise `ValueError`."""
     n = len(events.t)
     if not 0 < n <= MAX_EVENTS:
         raise ValueError(f"a chunk holds 1 to {MAX_EVENTS} events, not {n}")
@@ -71,10 +65,7 @@ def encode(events: Events) -> bytes:
 
 
 def decode(chunk: bytes) -> Events:
-    """Decompress a chunk.
-
-    Raises ValueError: If the chunk ends too early, or its runs do not add up to its number of events.
-    """
+    """Decompress a chunk; raise `ValueError` if it ends too early or its runs do not add up to its number of events."""
     if len(chunk) < _HEAD_BYTES:
         raise ValueError(f"a chunk of {len(chunk)} bytes is shorter than its header")
     info = int.from_bytes(chunk[:4], "little")

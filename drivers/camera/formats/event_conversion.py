@@ -49,12 +49,8 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
 
 
 def kind_of_name(path: Path) -> Kind | None:
-    """Return the kind of file that a name stands for: Metavision writes ``.hdf5``, others ``.h5``.
+    """Return the kind of file that a name stands for, or None: Metavision writes ``.hdf5``, others ``.h5``.
 
-    Returns: The kind; None if the ending is not known.
-
-    Examples
-    --------
     >>> [kind_of_name(Path(name)) for name in ("a.raw", "a.hdf5", "a.h5", "a.npz", "a.csv")]
     ['raw', 'metavision', 'hdf5', 'numpy', None]
     """
@@ -62,15 +58,11 @@ def kind_of_name(path: Path) -> Kind | None:
 
 
 def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], datetime]) -> ExportSummary:
-    """Write the events and triggers of a file as a new file of another kind.
+    """Write the events and triggers of a file as a new file of another kind; the source's contents decide its kind.
 
-    source: The file to read; its contents decide its kind, not its name.
-    target: The file to make; it must not exist, and appears complete or not at all.
-    utc_now: Returns the time for the header of a new RAW file, if the source states none.
-    Raises NotARecording: If the source holds no events, or both files would be RAW.
-    Raises RecordingCorrupt: If the source is damaged.
-    Raises RecordingFileError: If the source cannot be read, the target exists or cannot be written, or EVT3
-      cannot represent the contents.
+    The target must not exist, and appears complete or not at all. ``utc_now`` is for the header of a new RAW file, if
+    the source states no time. Raises `NotARecording` if the source holds no events, or both files would be RAW,
+    `RecordingFileError` also if EVT3 cannot represent the contents.
     """
     if is_evt3(source):
         if kind == "raw":
@@ -94,12 +86,10 @@ def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], dat
 def write_raw(
     found: EventSource, path: Path, *, source: Path, utc_now: Callable[[], datetime]
 ) -> ExportSummary:
-    """Write events as a new RAW file of EVT3. Its header names the source.
+    """Write events as a new RAW file of EVT3, whose header names the source; the path must not exist.
 
-    path: The file to make; it must not exist.
-    utc_now: Returns the time for the header, if the source states none.
-    Raises RecordingFileError: If the file exists or cannot be written, or EVT3 cannot represent the sensor's
-      size, times or triggers.
+    ``utc_now`` is for the header, if the source states no time. Raises `RecordingFileError` also if EVT3 cannot
+    represent the sensor's size, times or triggers.
     """
     if not all(0 < side <= MAX_SIDE_PX for side in (found.width, found.height)):
         raise RecordingFileError(
@@ -143,10 +133,7 @@ def _folder_beside(target: Path) -> TemporaryDirectory[str]:
 
 
 def is_evt3(path: Path) -> bool:
-    """Return whether a file is a RAW recording with EVT3 words, or pretends to be one.
-
-    Returns: False too where it cannot be read.
-    """
+    """Return whether a file is a RAW recording with EVT3 words, or pretends to be one; False if it cannot be read."""
     try:
         require_regular(path)
         with path.open("rb") as file:
@@ -206,8 +193,6 @@ class _S(IntEnum):
 class Evt3Encoder:
     """Encoder of one stream, which is given in pieces whose times continue each other.
 
-    Examples
-    --------
     >>> from drivers.camera.event_arrays import empty_triggers
     >>> event = Events(np.array([4098]), np.array([3], "u2"), np.array([5], "u2"), np.array([1], "u1"))
     >>> [hex(word) for word in Evt3Encoder().words(event, empty_triggers(0))]
@@ -223,12 +208,10 @@ class Evt3Encoder:
         return int(self._state[_S.MOVED])
 
     def words(self, events: Events, triggers: Triggers) -> Words:
-        """Encode the next events and edges, merged by time; edges stand before events of the same microsecond.
+        """Encode the next events and edges, merged by time, as (N,) uint16; edges stand before events of the same us.
 
-        events: Times from 0 to one day, us; columns and rows below 2048 px; polarities 0 or 1.
-        triggers: Times from 0 to one day, us; values 0 or 1; channels 0 to 15.
-        Returns: (N,) uint16, EVT3 words.
-        Raises ValueError: If a value lies outside its range.
+        Values out of range raise `ValueError`: times 0 to one day, columns and rows below 2048 px, polarities and edge
+        values 0 or 1, channels 0 to 15.
         """
         for t in (events.t, triggers.t):
             if len(t) and (t.min() < 0 or t.max() >= MAX_TIME_US):

@@ -10,9 +10,7 @@ Metavision's HDF5 no time may step back. They appear complete or not at all, and
   root, and the header's keys as attributes of ``/header``.
 - NumPy: an ``.npz`` of ``t, x, y, p, trigger_t, trigger_value, trigger_id, size`` (width, height).
 
-References
-----------
-Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html.
+Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html.
 """
 
 from __future__ import annotations
@@ -67,11 +65,7 @@ class ExportSummary:
 
 
 def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
-    """Write a Metavision HDF5 file, with bounded memory.
-
-    path: The file to make; it must not exist.
-    Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
-    """
+    """Write a Metavision HDF5 file, with bounded memory; the path must not exist."""
     triggers: list[Triggers] = []
     with _new_hdf5(path) as file:
         for key, value in _attributes(recording).items():
@@ -93,11 +87,7 @@ def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
 
 
 def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
-    """Write a plain HDF5 file, with bounded memory.
-
-    path: The file to make; it must not exist.
-    Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
-    """
+    """Write a plain HDF5 file, with bounded memory; the path must not exist."""
     triggers: list[Triggers] = []
     n = 0
     with _new_hdf5(path) as file:
@@ -127,11 +117,7 @@ def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
 
 
 def export_numpy(recording: RawFile, path: Path) -> ExportSummary:
-    """Write an ``.npz`` file. All events are in memory meanwhile.
-
-    path: The file to make; it must not exist.
-    Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
-    """
+    """Write an ``.npz`` file; the path must not exist. All events are in memory meanwhile."""
     events, triggers = recording.read()
     with new_file(path) as part, part.open("xb") as file:
         np.savez_compressed(

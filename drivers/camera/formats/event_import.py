@@ -59,13 +59,10 @@ _UNREADABLE: Final = (
 
 @contextmanager
 def open_events(path: Path | str) -> Iterator[EventSource]:
-    """Open a file of events. Its contents decide the format, not its name.
+    """Open a file of events until the end of the block. Its contents decide the format, not its name.
 
-    Yields: The file; its events can be read until the end of the block.
-    Raises NotARecording: If it has none of the formats, lacks a part, keeps data in another file, or an event
-      lies outside the sensor.
-    Raises RecordingCorrupt: If a chunk of events cannot be decompressed.
-    Raises RecordingFileError: If it cannot be read.
+    Raises `NotARecording` if it has none of the formats, lacks a part, keeps data in another file, or an event lies
+    outside the sensor; `RecordingCorrupt` if a chunk cannot be decompressed.
     """
     path = Path(path)
     with ExitStack() as opened:

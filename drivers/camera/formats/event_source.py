@@ -44,9 +44,8 @@ def source_of_stream(
 ) -> EventSource:
     """Read a stream once, to count the events and to collect the edges; it is read again for the events.
 
-    stream: Begins to read the file anew; yields events and edges, in the order of the file.
-    size: Width and height of the sensor, px.
-    Raises ValueError: If it has too many edges.
+    ``stream`` begins to read the file anew, in the order of the file; ``size`` is width and height, px. Too many edges
+    raise `ValueError`.
     """
     count, edges, found = 0, 0, []
     for events, triggers in stream():
@@ -65,10 +64,9 @@ def source_of_stream(
 
 
 def origin_us(pieces: Iterator[Piece]) -> int:
-    """Return the beginning of the second before the first event or edge.
+    """Return the beginning of the second before the first event or edge, us; 0 for a file without events.
 
-    pieces: Events and edges with the file's own times; only the first of them are read.
-    Returns: Time, us; 0 for a file without events.
+    Only the first of the pieces, with the file's own times, are read.
     """
     for events, triggers in pieces:
         times = [int(column.t.min()) for column in (events, triggers) if len(column.t)]
@@ -78,10 +76,7 @@ def origin_us(pieces: Iterator[Piece]) -> int:
 
 
 def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
-    """Refuse arrays that are much larger than the file that holds them.
-
-    Raises ValueError: If the ratio is impossible for recorded events.
-    """
+    """Refuse arrays (`ValueError`) that are much larger than the file that holds them."""
     if stated_bytes > max(SMALL_BYTES, MOST_RATIO * file_bytes):
         raise ValueError(
             f"{what} states {stated_bytes} bytes in {file_bytes}; recorded data cannot be compressed so far"

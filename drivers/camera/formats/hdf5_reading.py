@@ -32,20 +32,12 @@ Decoder = Callable[[bytes], NDArray[Any]]
 
 
 def has_member(group: Any, name: str) -> bool:
-    """Return whether a group has a member of this name. The member need not be readable.
-
-    name: Name without slashes.
-    Returns: Also True for a link.
-    """
+    """Return whether a group has a member of this name (without slashes); it may be a link, and unreadable."""
     return group.get(name, getlink=True) is not None
 
 
 def member(group: Any, path: str) -> Any:
-    """Return a part of a file that lies in the file itself.
-
-    path: Names with slashes between them.
-    Raises ValueError: If it is missing, or a name on the way is a link to another place.
-    """
+    """Return the part of a file at a path with slashes; `ValueError` if it is missing or behind a link elsewhere."""
     here = group
     for name in path.split("/"):
         link = here.get(name, getlink=True) if isinstance(here, h5py.Group) else None
@@ -61,9 +53,8 @@ def member(group: Any, path: str) -> Any:
 def dataset(group: Any, path: str) -> Any:
     """Return an array of a file, after a check that the file itself holds it.
 
-    path: Names with slashes between them.
-    Raises ValueError: If it is missing, no array, kept in another file, compressed by an unknown filter, or
-      larger than the file can hold.
+    Raises `ValueError` if it is missing, no array, kept in another file, compressed by an unknown filter, or larger
+    than the file can hold.
     """
     found = member(group, path)
     if not isinstance(found, h5py.Dataset):
@@ -83,21 +74,16 @@ def dataset(group: Any, path: str) -> Any:
 
 
 def filters(found: Any) -> list[int]:
-    """Return the numbers of an array's compression filters.
-
-    Returns: In the order of writing.
-    """
+    """Return the numbers of an array's compression filters, in the order of writing."""
     creation = found.id.get_create_plist()
     return [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
 
 
 def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
-    """Read an array of one dimension, or of whole rows, piece by piece.
+    """Read an array piece by piece: yield (n, ...) rows of its own type, in order, all of them the whole array.
 
-    found: What `dataset` returned. A chunked one must be chunked along its first dimension only.
-    decode: Decompresses a chunk; None for gzip, shuffle and check sums.
-    Yields: (n, ...) rows in the array's own type, in order; all of them together are the whole array.
-    Raises ValueError: If chunks are missing or damaged. `ChunkDamaged` states the place.
+    A chunked array must be chunked along its first dimension only. ``decode`` decompresses a chunk; None for gzip,
+    shuffle and check sums. Missing or damaged chunks raise `ValueError`; `ChunkDamaged` states the place.
     """
     total = found.shape[0] if found.shape else 0
     if found.chunks is None:
@@ -125,12 +111,7 @@ def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
 
 
 def whole(found: Any, most_bytes: int) -> NDArray[Any]:
-    """Read an array at once.
-
-    found: What `dataset` returned.
-    Returns: The array, in its own shape and type.
-    Raises ValueError: If it is larger, or cannot be read.
-    """
+    """Read an array, in its own shape and type; `ValueError` if it is larger than ``most_bytes`` or cannot be read."""
     if found.nbytes > most_bytes:
         raise ValueError(f"{found.name} has {found.nbytes} bytes; at most {most_bytes} are read")
     if found.chunks is None or not found.shape:
@@ -152,10 +133,7 @@ def whole(found: Any, most_bytes: int) -> NDArray[Any]:
 
 
 def texts(group: Any) -> dict[str, str]:
-    """Return the attributes of a group, as text.
-
-    Raises ValueError: If there are more attributes, or longer ones, than a recording has.
-    """
+    """Return the attributes of a group, as text; `ValueError` if there are more or longer ones than a recording has."""
     names = list(group.attrs)
     if len(names) > _MOST_ATTRIBUTES:
         raise ValueError(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read")
@@ -172,10 +150,7 @@ def texts(group: Any) -> dict[str, str]:
 
 
 class ChunkDamaged(ValueError):
-    """A chunk cannot be decompressed.
-
-    offset: Its first byte in the file.
-    """
+    """A chunk, whose first byte stands at ``offset`` in the file, cannot be decompressed."""
 
     def __init__(self, what: str, offset: int) -> None:
         super().__init__(what)

@@ -39,12 +39,9 @@ _OUT_OF_MEMORY: Final = f"reading it needs more than {MOST_BYTES >> 30} GiB of m
 
 @contextmanager
 def source_of_library(path: Path, kind: str) -> Iterator[EventSource]:
-    """Open a file in a process of its own.
+    """Open a file of kind "npz", "aedat4" or "bag" in a process of its own, until the end of the block.
 
-    kind: "npz", "aedat4" or "bag".
-    Yields: The file. Its events can be read once, until the end of the block.
-    Raises ValueError: If it cannot be read, or needs too much memory or time.
-    Raises CameraSoftwareMissing: If the library is not installed.
+    Its events can be read once. Raises `ValueError` if it cannot be read, or needs too much memory or time.
     """
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "drivers.camera.formats.library_reader", kind, str(path)],

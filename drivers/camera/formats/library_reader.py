@@ -14,9 +14,7 @@ events are written as messages.
 The times of the last two count from 1970; a recording of Starbench begins at 0. The second before the first event
 becomes 0, and stands in the header as ``time_origin_us``.
 
-References
-----------
-event_camera_msgs, https://github.com/ros-event-camera/event_camera_msgs (encodings of EventPacket).
+Source: event_camera_msgs, https://github.com/ros-event-camera/event_camera_msgs (encodings of EventPacket).
 """
 
 from __future__ import annotations
@@ -141,12 +139,7 @@ _FALLING: Final = 2
 
 
 def _from_aedat4(path: Path) -> EventSource:
-    """Open an AEDAT4 file.
-
-    Returns: Its only stream of events, with the edges at the camera's signal input.
-    Raises ValueError: If it has no stream of events or several.
-    Raises CameraSoftwareMissing: If the package ``aedat`` is not installed.
-    """
+    """Open an AEDAT4 file with one stream of events, with the edges at the camera's signal input."""
     streams = _decoder(path).id_to_stream()
     of_events = {number: one for number, one in streams.items() if one.get("type") == "events"}
     if len(of_events) != 1:
@@ -225,10 +218,7 @@ DEFINITIONS: Final = {
 
 
 def is_bag(path: Path, start: bytes) -> bool:
-    """Return whether a path is a bag: a file of ROS 1, or a folder or file of ROS 2.
-
-    start: The file's first bytes; empty for a folder.
-    """
+    """Return whether a path is a bag: a file of ROS 1 by its first bytes, or a folder or file of ROS 2."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
     return start.startswith((MAGIC_1, MAGIC_MCAP)) or (
@@ -237,12 +227,7 @@ def is_bag(path: Path, start: bytes) -> bool:
 
 
 def _from_bag(path: Path) -> EventSource:
-    """Open a bag with one topic of events.
-
-    path: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder.
-    Raises ValueError: If it has no topic of events or several.
-    Raises CameraSoftwareMissing: If the package ``rosbags`` is not installed.
-    """
+    """Open a bag with one topic of events: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder."""
     if path.suffix.lower() in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
         path = path.parent
     topic, size, serial_frame = _bag_facts(path)

@@ -4,10 +4,8 @@ EVT2 has words of 32 bits: type [31:28]; for events (0 OFF, 1 ON) the low 6 bits
 y [10:0]; 8 carries the time's bits 33 to 6; 10 is a trigger edge with time [27:22], channel [12:8] and level [0].
 DAT has 8 bytes an event: time in us as uint32, then x [13:0], y [27:14] and polarity [31:28].
 
-References
-----------
-Prophesee, "EVT 2.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt2.html.
-Prophesee, "DAT File Format", https://docs.prophesee.ai/stable/data/file_formats/dat.html.
+Sources: Prophesee, "EVT 2.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt2.html. Prophesee, "DAT
+File Format", https://docs.prophesee.ai/stable/data/file_formats/dat.html.
 """
 
 from __future__ import annotations
@@ -37,10 +35,9 @@ _SIZES: Final = {"49": (1280, 720), "48": (1280, 720), "42": (1280, 720), "21": 
 
 
 def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
-    """Read the header at the start of a file: keys in small letters, and the length of the header, bytes.
+    """Read the header in a file's first 65536 bytes: keys in small letters, and the header's length, bytes.
 
-    start: The first 65536 bytes of the file, or all of it.
-    Raises ValueError: If the header does not end.
+    A header without an end raises `ValueError`.
     """
     fields, size_bytes = raw_header.header_fields(start)
     if size_bytes is None:
@@ -49,20 +46,13 @@ def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
 
 
 def is_evt2(fields: Mapping[str, str]) -> bool:
-    """Return whether a header announces EVT2.
-
-    fields: The header, as `header_fields` returns it.
-    Returns: True for ``format EVT2`` or ``evt 2.0``.
-    """
+    """Return whether a header announces EVT2: ``format EVT2`` or ``evt 2.0``."""
     encoding = fields.get("format", "").partition(";")[0]
     return encoding == "EVT2" or (not encoding and fields.get("evt") == "2.0")
 
 
 def is_evt2_file(path: Path) -> bool:
-    """Return whether a file is RAW with EVT2 words.
-
-    Returns: False too where it cannot be read; what reads it then says why.
-    """
+    """Return whether a file is RAW with EVT2 words; False where it cannot be read: what reads it then says why."""
     try:
         require_regular(path)
         with path.open("rb") as file:
@@ -72,11 +62,10 @@ def is_evt2_file(path: Path) -> bool:
 
 
 def is_dat(start: bytes) -> bool:
-    """Return whether a file is a DAT file of events.
+    """Return whether a file that starts with these bytes is a DAT file of events.
 
-    start: Its first bytes.
-    Returns: True for the first line that Prophesee's writers give to these files, and for a header that
-      states a version and a size but no encoding of RAW, as faery writes it.
+    It is, by the first line that Prophesee's writers give to these files, or by a header that states a version and a
+    size but no encoding of RAW, as faery writes it.
     """
     if start.startswith(b"% Data file containing"):
         return True
@@ -86,20 +75,17 @@ def is_dat(start: bytes) -> bool:
 
 
 def from_evt2(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
-    """Open a RAW file of EVT2 words.
+    """Open a RAW file of EVT2 words, the first at byte ``begin``.
 
-    fields, begin: Its header, and the offset of its first word, bytes.
-    Raises ValueError: If its size is not stated or impossible, or it has an event before its first time.
+    Raises `ValueError` if its size is not stated or impossible, or it has an event before its first time.
     """
     return source_of_stream(lambda: _evt2_pieces(path, begin), _size(fields), _kept(fields))
 
 
 def from_dat(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
-    """Open a DAT file of CD events.
+    """Open a DAT file of CD events, from byte ``begin``, without trigger edges: DAT files of events hold none.
 
-    fields, begin: Its header, and the offset of the byte after it.
-    Returns: The file; DAT files of events hold no trigger edges.
-    Raises ValueError: If it holds other events, or its size is not stated or impossible.
+    Raises `ValueError` if it holds other events, or its size is not stated or impossible.
     """
     with path.open("rb") as file:
         file.seek(begin)
