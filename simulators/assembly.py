@@ -55,11 +55,7 @@ class Stage:
 
 
 def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Build a stage.
-
-    kind: A key of `simulators.config.STAGE_KINDS`; the configuration has checked it.
-    axes: Its axes, in the order of their addresses.
-    """
+    """Build a stage of a kind in `simulators.config.STAGE_KINDS`; its axes in the order of their addresses."""
     return _MAKERS[kind](axes, clock, publish)
 
 

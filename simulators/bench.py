@@ -91,10 +91,8 @@ class Pulse:
 class Bench:
     """A gimbal, a light and two cameras in one world; they answer inside a ``with`` block.
 
-    config: Devices and world; None for the defaults.
-    truth_path: Path of the truth file. It is written again when somebody changes lens or mount.
-    hands: Hands at the camera's lens and mount.
-    Raises SimulatorError: If a port or the truth file cannot be created.
+    ``hands`` are those at the camera's lens and mount. The truth file is written again when somebody changes lens or
+    mount.
     """
 
     def __init__(self, folder: Path, config: BenchConfig | None = None, seed: int = 1) -> None:
@@ -256,10 +254,7 @@ def _execute(bench: Bench, line: str) -> dict[str, Any]:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the bench until it is told to stop.
-
-    Returns: Exit status: 0, or 2 if the bench cannot start; one line on standard error then gives the reason.
-    """
+    """Run the bench until it is told to stop; return 0, or 2 if it cannot start: standard error has the reason."""
     arguments = _arguments(words)
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -100,10 +100,10 @@ class BenchConfig:
     paced: bool = True  # Whether bytes are delayed as by the line's baud rate
 
     def truth_for(self, seed: int) -> Truth:
-        """Return the truth of a bench.
+        """Return the truth of a bench, with the backlash of the axes.
 
-        Returns: With the mounting drawn from the seed, if the configuration asks for that; with this seed for
-          the gimbal's errors, unless they have their own; and with the backlash of the axes.
+        The mounting is drawn from the seed if the configuration asks for that; the gimbal's errors, unless they have
+        their own seed.
         """
         gimbal, axes = self.truth.gimbal, self.axes
         pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in AXES)
@@ -123,18 +123,14 @@ _MOUNTING_DEG = (0.0, 0.0, 10.0)
 
 
 def bench_config(given: Mapping[str, Any]) -> BenchConfig:
-    """Read a configuration.
+    """Read a configuration; `ConfigError` names a key that is unknown or whose value is not valid.
 
-    given: Sections ``camera``, ``collimator``, ``target``, ``reticle``, ``optics``, ``noise``, ``thermal``,
-      ``mount``, ``gimbal`` and ``screen`` (see `truth`); ``stage``, a mapping of the axes pan, tilt and roll
-      in the order of their addresses, with an optional ``kind``; ``light``; ``faults``, a list of fault
-      orders (see `faults`) that are carried out from the start; and the values ``camera_serial``,
-      ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by the line's
-      baud rate). All are optional. ``rehearsal`` is read by `rehearsed_world` and ignored here.
-    Raises ConfigError: If a key is unknown or its value is not valid; the error names the key.
+    All sections are optional: those of `truth`; ``stage``, a mapping of the axes pan, tilt and roll in the order of
+    their addresses, with an optional ``kind``; ``light``; ``faults``, a list of fault orders (see `faults`) that are
+    carried out from the start; and the values ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and
+    ``paced`` (whether bytes are delayed as by the line's baud rate). ``rehearsal`` is read by `rehearsed_world` and
+    ignored here.
 
-    Examples
-    --------
     >>> bench_config({"stage": {"pan": {"limit_deg": 170}}}).axes["pan"].limit_deg
     170.0
     """

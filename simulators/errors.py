@@ -11,8 +11,7 @@ from __future__ import annotations
 class SimulatorError(Exception):
     """Base class of the simulators' errors.
 
-    where: Key, file or port; empty if there is none.
-    remedy: What to do about it, as a sentence; empty if there is nothing to add.
+    ``where`` is a key, file or port; ``remedy`` a sentence that says what to do; both may be empty.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:

@@ -31,10 +31,7 @@ from simulators.ports.serial_device import SerialDevice
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the line until it is told to stop.
-
-    Returns: Exit status: 0, or 2 if the line cannot start; one line on standard error then gives the reason.
-    """
+    """Run the line until it is told to stop; return 0, or 2 if it cannot start: standard error has the reason."""
     parser = argparse.ArgumentParser(
         prog="simulators.fault_line", description="Faults in front of a serial device."
     )

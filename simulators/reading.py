@@ -52,10 +52,7 @@ def keys_of(section: type) -> list[str]:
 
 
 def read_section(kind: type[_Kind], given: object, where: str, over: _Kind | None = None) -> _Kind:
-    """Read a section; see `read`.
-
-    over: Section whose values hold where no key is given; None: the defaults.
-    """
+    """Read a section (see `read`); the values of ``over``, or the defaults, hold where no key is given."""
     if over is None or not isinstance(given, Mapping):
         section: _Kind = read(kind, given, where)
         return section
@@ -65,10 +62,7 @@ def read_section(kind: type[_Kind], given: object, where: str, over: _Kind | Non
 
 
 def read(kind: Any, given: object, where: str) -> Any:
-    """Read a value of a type.
-
-    Raises ConfigError: The value is not valid; the error names the key that is given first.
-    """
+    """Read a value of a type; `ConfigError` names the invalid key that is given first."""
     try:
         return _adapter(kind).validate_python(given)
     except ValidationError as error:

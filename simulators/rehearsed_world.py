@@ -65,11 +65,9 @@ class RehearsedView:
 
 
 class RehearsedWorld:
-    """A simulated bench without its devices.
+    """A simulated bench without its devices; of devices and pixels, only serial numbers are used.
 
-    config: The simulation's configuration; of devices and pixels, only serial numbers are used.
-    Raises ConfigError: If a key is unknown or its value is not valid, or there is a board; the error names
-      the key.
+    `ConfigError` names a key that is unknown or not valid; there must be no board.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -101,7 +99,7 @@ class RehearsedWorld:
     def truth_record(self, on_s: float) -> dict[str, Any]:
         """Return the truth at a time as plain numbers, as ``truth.json`` of a simulated bench holds it.
 
-        Returns: Sections, each a dict by parameter; focal lengths are those of the lens's focus.
+        Sections are dicts by parameter; focal lengths are those of the lens's focus.
         """
         return truth_record(self.truth(on_s))
 

@@ -37,11 +37,10 @@ class VirtualCapture:
 
 
 class VirtualCamera:
-    """A simulated camera in its scene.
+    """A simulated camera in its scene, by a ``simulation`` section as of a station file.
 
-    section: As the ``simulation`` section of a station file.
-    seed: Seed of the gimbal's errors, of the mounting if the section does not state it, and of the camera's
-      pixels.
+    The seed is that of the gimbal's errors, of the mounting if the section does not state it, and of the camera's
+    pixels.
     """
 
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
@@ -51,10 +50,7 @@ class VirtualCamera:
         self._last: dict[str, float] = {}
 
     def truth(self) -> dict[str, Any]:
-        """Return the true parameters by part, as the simulated bench writes them.
-
-        Returns: ``camera``, ``collimator`` and others.
-        """
+        """Return the true parameters by part (``camera``, ``collimator`` ...), as the simulated bench writes them."""
         return truth_record(self._truth)
 
     def board_corners_px(self) -> NDArray[np.float64]:
@@ -66,7 +62,7 @@ class VirtualCamera:
     ) -> VirtualCapture:
         """Turn the camera and record whole periods of the light.
 
-        angles_deg: Readings of the axes, degrees; the loads stand behind the play of their gears.
+        ``angles_deg`` are readings of the axes; the loads stand behind the play of their gears.
         """
         for axis, angle in angles_deg.items():
             moved = angle - self._last.get(axis, 0.0)
@@ -98,12 +94,9 @@ class VirtualCamera:
     ) -> VirtualCapture:
         """Record a board that moves before the camera under a steady light; a moving camera sees the same.
 
-        The picture changes in steps. The events that a step causes are spread evenly over the time of the step, so it
-        should move the picture by about one pixel.
-
-        board_at: Returns position, mm, and turn, degrees, of the board at a time in us, as the section
-          ``screen`` has them.
-        frame_us: Length of a step, us.
+        The picture changes in steps of ``frame_us``. The events that a step causes are spread evenly over the time of
+        the step, so it should move the picture by about one pixel. ``board_at`` returns position, mm, and turn,
+        degrees, of the board at a time in us, as the section ``screen`` has them.
         """
         camera, light = self._truth.camera, _STEADY_LIGHT
         sensor = Sensor(

@@ -26,10 +26,7 @@ from simulators.world.world import World
 
 
 class Refusal(Exception):
-    """A refused command.
-
-    code: Error code of the protocol, e.g. ``bad_value``.
-    """
+    """A refused command; ``code`` is an error code of the protocol, e.g. ``bad_value``."""
 
     def __init__(self, code: str, message: str) -> None:
         self.code = code
@@ -37,10 +34,7 @@ class Refusal(Exception):
 
 
 def parse_request(payload: bytes) -> dict[str, Any]:
-    """Parse the payload of a request.
-
-    Raises Refusal: ``bad_request``: the payload is not JSON, or not a JSON object.
-    """
+    """Parse the payload of a request; refuse (``bad_request``) what is not a JSON object."""
     try:
         request = json.loads(payload)
     except (ValueError, RecursionError) as error:
@@ -51,21 +45,14 @@ def parse_request(payload: bytes) -> dict[str, Any]:
 
 
 def read_name(what: str, name: object, known: Mapping[str, Any]) -> str:
-    """Check that a request names something that exists.
-
-    what: Kind of the name: ``command``, ``bias`` or ``filter``.
-    Raises Refusal: ``unknown_command``, ``unknown_bias`` or ``unknown_filter``.
-    """
+    """Check that a request names a known ``command``, ``bias`` or ``filter``; else refuse (``unknown_command`` ...)."""
     if not isinstance(name, str) or name not in known:
         raise Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
     return name
 
 
 def read_enabled(request: Mapping[str, Any]) -> bool:
-    """Read ``enabled`` from a request.
-
-    Raises Refusal: ``bad_value``: ``enabled`` is missing or not a boolean.
-    """
+    """Read ``enabled`` from a request; refuse (``bad_value``) what is not a boolean."""
     enabled = request.get("enabled")
     if not isinstance(enabled, bool):
         raise Refusal("bad_value", f'"enabled" is true or false, not {enabled!r}.')
@@ -73,10 +60,7 @@ def read_enabled(request: Mapping[str, Any]) -> bool:
 
 
 def read_frames(request: Mapping[str, Any]) -> int | None:
-    """Read from a stop request how many frames the host has kept.
-
-    Raises Refusal: ``bad_value``: ``frames`` is not a whole number from 0 on.
-    """
+    """Read how many frames the host has kept, a whole number from 0 on; refuse (``bad_value``) anything else."""
     frames = request.get("frames")
     if frames is not None and (isinstance(frames, bool) or not isinstance(frames, int) or frames < 0):
         raise Refusal("bad_value", f"A number of frames is a whole one, not {frames!r}.")
@@ -102,7 +86,7 @@ class _HostGone(Exception):
 class SimulatedEvk4:
     """The simulated camera; it accepts one host at a time.
 
-    paced: Whether the stream arrives at the sensor's own rate; False sends it as fast as it is computed.
+    A paced stream arrives at the sensor's own rate; otherwise as fast as it is computed.
     """
 
     def __init__(

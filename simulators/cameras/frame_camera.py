@@ -58,8 +58,8 @@ class PictureMaker:
     def connection_seed(self) -> np.random.SeedSequence:
         """Return the seed for a connection that begins now.
 
-        Returns: Function of the bench's seed, the resting pose, the light, and the number of earlier
-          connections with the same pose and light.
+        It is a function of the bench's seed, the resting pose, the light, and the number of earlier connections with
+        the same pose and light.
         """
         now_s = self._world.now_s()
         key = json.dumps(
@@ -76,10 +76,7 @@ class PictureMaker:
         return np.random.SeedSequence([self._world.seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])
 
     def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Expose one picture, beginning now.
-
-        Returns: ``(height, width) uint8``, grey values.
-        """
+        """Expose one picture, beginning now: ``(height, width) uint8`` grey values."""
         begin_s = self._world.now_s()
         light = self._world.light(begin_s)
         electrons = FULL_LIGHT_ELECTRONS * mean_brightness(light, begin_s, EXPOSURE_S) * self._scene(begin_s)
@@ -150,10 +147,7 @@ class SimulatedFrameCamera:
         self._listener.close()
 
     def inject_fault(self, fault: str) -> None:
-        """Set the fault that lasts from now on; it replaces an earlier one.
-
-        fault: One of `FRAME_CAMERA_FAULTS`; ``mend`` clears the fault.
-        """
+        """Set one of `FRAME_CAMERA_FAULTS`, which replaces an earlier one from now on; ``mend`` clears it."""
         self._fault = "" if fault == "mend" else fault
 
     def _listen(self) -> None:
@@ -181,10 +175,7 @@ class SimulatedFrameCamera:
             self._send(link, b"FRAME\n" + self._last)
 
     def _send(self, link: socket.socket, data: bytes) -> None:
-        """Send all bytes, however slowly the host reads them.
-
-        Raises OSError if the host has closed the connection or the camera is closed.
-        """
+        """Send all bytes, however slowly the host reads them; OSError if host or camera has closed the connection."""
         rest = memoryview(data)
         while rest:
             if self._closing.is_set() or self._fault == "unplug":

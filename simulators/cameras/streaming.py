@@ -69,10 +69,7 @@ class StreamFaults:
             self._faults.clear()
 
     def apply(self, frame: bytes) -> bytes:
-        """Apply the faults that are due to the next frame.
-
-        Returns: What the host receives; empty if nothing arrives.
-        """
+        """Apply the faults that are due to the next frame; empty if nothing arrives at the host."""
         with self._lock:
             due = self._due()
         for fault in due:
@@ -116,10 +113,7 @@ INTERVAL_S: Final = 0.5
 
 
 class KeepAlive:
-    """Watches computations of any number of threads.
-
-    notify: Called by a separate thread every ``INTERVAL_S`` while one computation lasts.
-    """
+    """Watches computations of any number of threads; its own calls ``notify`` every ``INTERVAL_S`` while one lasts."""
 
     def __init__(self, notify: Callable[[], None]) -> None:
         self._notify = notify
@@ -140,10 +134,7 @@ class KeepAlive:
 
     @contextmanager
     def computing(self) -> Iterator[None]:
-        """Mark the ``with`` block as one computation of this thread.
-
-        Yields: Nothing; the computation ends with the block.
-        """
+        """Mark the ``with`` block as one computation of this thread."""
         thread = threading.get_ident()
         with self._lock:
             self._started_s[thread] = time.monotonic()
@@ -164,12 +155,10 @@ class KeepAlive:
 class TimeBase:
     """State of the sensor's clock.
 
-    The host discards frames that arrive after its stop command. Their number depends on chance. The clock
-    therefore stands at the end of the last frame that the host kept, so that the next stream begins at the same
-    time in every equal run.
+    The host discards frames that arrive after its stop command. Their number depends on chance. The clock therefore
+    stands at the end of the last frame that the host kept, so that the next stream begins at the same time in every
+    equal run.
 
-    Examples
-    --------
     >>> clock = TimeBase()
     >>> clock.start(0)
     >>> clock.advance(2000, sent=True), clock.advance(4000, sent=True)
@@ -201,7 +190,7 @@ class TimeBase:
     def stop(self, frames: int) -> bool:
         """Set the clock to the end of the last frame that the host kept.
 
-        Returns: False if fewer frames were sent; the clock then stays as it is.
+        If fewer frames were sent, the result is False and the clock stays as it is.
         """
         if frames >= len(self._sent_us):
             return False

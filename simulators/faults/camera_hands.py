@@ -24,21 +24,14 @@ HAND_DEVICES: Final = ("mount", "lens", "board")
 
 
 class CameraHands:
-    """Hands of a person at the camera and the board.
-
-    changed: Called after each change.
-    """
+    """Hands of a person at the camera and the board; ``changed`` is called after each change."""
 
     def __init__(self, world: World, changed: Callable[[], None]) -> None:
         self._world = world
         self._changed = changed
 
     def action(self, order: FaultOrder) -> Callable[[], None]:
-        """Return the call that carries out an order.
-
-        order: Order for one of `HAND_DEVICES`.
-        Returns: Changes the setup at once.
-        """
+        """Return the call that carries out an order for one of `HAND_DEVICES`; it changes the setup at once."""
         start = self._world.truth
         if order.device == "board":
             change = _at_board(order, start)
@@ -54,8 +47,8 @@ class CameraHands:
     def seen(self) -> dict[str, Any]:
         """Return what can be read from lens and mount now.
 
-        Returns: ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and
-          ``shift_mm``; with a board also ``placement``, its number.
+        These are ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and
+        ``shift_mm``; with a board also ``placement``, its number.
         """
         setup = self._world.camera_setup(self._world.now_s())
         truth = with_setup(self._world.truth, setup)

@@ -169,10 +169,7 @@ class FaultOrder:
 
 
 def faults_of(device: str) -> Mapping[str, Fault]:
-    """Return the faults of a device.
-
-    device: Name of the device, e.g. ``pan`` or ``light``.
-    """
+    """Return the faults of a device, e.g. ``pan`` or ``light``."""
     by_device: dict[str, Mapping[str, Fault]] = {
         **dict.fromkeys(("pan", "tilt", "roll"), AXIS_FAULTS),
         **dict.fromkeys(("gimbal", "gimbal-pan", "gimbal-tilt", "gimbal-roll"), LINE_FAULTS),
@@ -193,8 +190,6 @@ def faults_of(device: str) -> Mapping[str, Fault]:
 def fault_order_from_text(text: str) -> FaultOrder:
     """Read an order from text.
 
-    Examples
-    --------
     >>> fault_order_from_text("pan stall share=0.3").parameters
     {'share': 0.3, 'skip': 0}
     """
@@ -215,11 +210,7 @@ def fault_order_from_text(text: str) -> FaultOrder:
 
 
 def fault_order(given: Mapping[str, Any]) -> FaultOrder:
-    """Check an order.
-
-    given: The order as a mapping; values may be text.
-    Raises ConfigError: If a key is missing or unknown, or a value is invalid; ``where`` names the key.
-    """
+    """Check an order, given as a mapping whose values may be text; `ConfigError` names the key in ``where``."""
     for key in ("device", "fault"):
         if not isinstance(given.get(key), str):
             raise ConfigError(
@@ -266,18 +257,17 @@ def print_answer(content: Mapping[str, Any]) -> None:
 def allow_background() -> None:
     """Let a background process of a terminal run on without orders.
 
-    Otherwise the terminal would stop it when it reads its standard input. Call this function
-    from the main thread, before orders are read.
+    Otherwise the terminal would stop it when it reads its standard input. Call this function from the main thread,
+    before orders are read.
     """
     if hasattr(signal, "SIGTTIN"):
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
 
 
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
-    """Read orders until standard input ends.
+    """Read orders until standard input ends; ``carry_out`` does them and returns what was done.
 
-    carry_out: Carries out one order and returns what was done. If it raises SimulatorError or ValueError, the
-      answer is the error's text.
+    If it raises SimulatorError or ValueError, the answer is the error's text.
     """
     waiting = b""
     while heard := _read():

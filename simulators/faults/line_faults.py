@@ -30,8 +30,6 @@ _XIMC_ANSWER: Final = re.compile(rb"([a-z0-9]{4})(.+)..", re.DOTALL)
 def wrong_checksum(reply: bytes) -> bytes:
     r"""Replace the checksum by a wrong one.
 
-    Examples
-    --------
     >>> wrong_checksum(b"@01 0 00 OK IDLE WR 0:BE\r\n")
     b'@01 0 00 OK IDLE WR 0:41\r\n'
     """
@@ -47,8 +45,6 @@ def wrong_checksum(reply: bytes) -> bytes:
 def missing_checksum(reply: bytes) -> bytes:
     r"""Remove the checksum.
 
-    Examples
-    --------
     >>> missing_checksum(b"@01 0 00 OK IDLE WR 0:BE\r\n")
     b'@01 0 00 OK IDLE WR 0\r\n'
     """
@@ -60,8 +56,6 @@ def missing_checksum(reply: bytes) -> bytes:
 def wrong_id(reply: bytes) -> bytes:
     r"""Replace the message id, or the id of the servo, by the next one, with a correct checksum; XIMC has no ids.
 
-    Examples
-    --------
     >>> wrong_id(b"@01 0 00 OK IDLE WR 0:BE\r\n")
     b'@01 0 01 OK IDLE WR 0:BD\r\n'
     """
@@ -279,10 +273,7 @@ class FaultLine:
 
 
 class SerialBridge:
-    """A real device behind a port, as the far end of a line.
-
-    Raises SimulatorError: If the port cannot be opened.
-    """
+    """A real device behind a port, as the far end of a line; a port that cannot be opened raises `SimulatorError`."""
 
     def __init__(self, port: str, baud: int) -> None:
         try:

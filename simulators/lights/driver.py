@@ -95,11 +95,10 @@ class Lamp:
         )
 
     def inject_fault(self, kind: str, factor: float = 0.5) -> None:
-        """Inject a fault that lasts until `clear_faults`.
+        """Inject one of `LAMP_FAULTS` that lasts until `clear_faults`.
 
-        kind: One of `LAMP_FAULTS`.
-        factor: Factor of brightness, frequency or duty cycle; number of periods; or share of a period. Faults
-          without a factor ignore it.
+        The factor is one of brightness, frequency or duty cycle, a number of periods, or a share of a period; some
+        ignore it.
         """
         if kind not in LAMP_FAULTS:
             raise SimulatorError(
@@ -121,9 +120,8 @@ class Lamp:
 class LightDriver(ABC):
     """A driver of the bench's light, as a dialect of a serial line.
 
-    drive: Called with the new state of the light whenever it changes.
-    ends, ignored: Byte at the end of a message, and bytes that are dropped.
-    longest: Length of the input buffer, bytes.
+    ``drive`` is called with the new state of the light whenever it changes. ``ends`` are the bytes that end a message,
+    ``ignored`` those that are dropped; ``longest`` is the length of the input buffer, bytes.
     """
 
     def __init__(
@@ -149,9 +147,9 @@ class LightDriver(ABC):
 
     @abstractmethod
     def clip(self, most_v: float | None) -> None:
-        """Limit levels that are set from now on; None restores the normal limit.
+        """Limit levels that are set from now on, V; None restores the normal limit.
 
-        most_v: Drive voltage, V; for a light without volts, `FULL_DRIVE_V` is 100 %.
+        For a light without volts, `FULL_DRIVE_V` is 100 %.
         """
 
     @abstractmethod

@@ -61,10 +61,7 @@ class Output:
 
 
 class GardasoftRt(LightDriver):
-    """The controller; output 1 drives the light.
-
-    version: Answer to ``VR``.
-    """
+    """The controller; output 1 drives the light, ``version`` is the answer to ``VR``."""
 
     def __init__(
         self,
@@ -110,10 +107,7 @@ class GardasoftRt(LightDriver):
         self._max_percent = _MAX_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
     def trip(self, event: int = OVER_TEMPERATURE) -> None:
-        """Let a protection switch the light off.
-
-        The controller sends the event if events are enabled; in any case it keeps the event for ``GR``.
-        """
+        """Let a protection switch the light off; the event is kept for ``GR``, and sent if events are enabled."""
         self._tripped = True
         self._event = f"Evt1,{event};"
         if self._events_enabled:

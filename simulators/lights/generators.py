@@ -86,7 +86,7 @@ class Settings:
 class Generator(LightDriver):
     """A function generator with one output, without its command language.
 
-    most_v: Largest level into an open circuit, V, for values that are set from now on.
+    ``most_v`` is the largest level into an open circuit, V, for values that are set from now on.
     """
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None], baud: int) -> None:

@@ -36,10 +36,7 @@ class _Refused(Exception):
 
 
 class MicrocontrollerLight(LightDriver):
-    """The light.
-
-    serial: Answer to ``SERIAL?``.
-    """
+    """The light; ``serial`` is the answer to ``SERIAL?``."""
 
     def __init__(
         self,

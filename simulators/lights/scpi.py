@@ -35,10 +35,7 @@ _ERRORS = {
 
 
 class ScpiError(Exception):
-    """An error of a command.
-
-    code: Error number of SCPI-99, e.g. -113 for an undefined header.
-    """
+    """An error of a command; ``code`` is one of SCPI-99, e.g. -113 for an undefined header."""
 
     def __init__(self, code: int, detail: str = "") -> None:
         self.code = code
@@ -64,10 +61,7 @@ class ErrorQueue:
             self._errors[-1] = ScpiError(-350)
 
     def next(self) -> str:
-        """Remove the oldest error.
-
-        Returns: Number and text, as an instrument prints them; ``+0,"No error"`` if the queue is empty.
-        """
+        """Remove the oldest error: number and text, as an instrument prints them; ``+0,"No error"`` if none."""
         error = self._errors.pop(0) if self._errors else ScpiError(0)
         return f'{error.code:+d},"{error.text}"'
 
@@ -87,8 +81,6 @@ class Unit(NamedTuple):
 def units(message: str) -> Iterator[Unit]:
     """Split a message at its semicolons; a header without a leading colon continues the path of the one before.
 
-    Examples
-    --------
     >>> [unit.header for unit in units("VOLT:HIGH 5;LOW 0;:FREQ 60;*OPC?")]
     ['VOLT:HIGH', 'VOLT:LOW', 'FREQ', '*OPC']
     """
@@ -108,11 +100,8 @@ def units(message: str) -> Iterator[Unit]:
 def header_pattern(specification: str) -> re.Pattern[str]:
     """Compile a header from the notation of instrument manuals.
 
-    specification: Header: capitals are the short form, brackets enclose optional nodes, # stands for an
-      optional channel number 1.
+    Capitals are the short form, brackets enclose optional nodes, # stands for an optional channel number 1.
 
-    Examples
-    --------
     >>> pattern = header_pattern("[:SOURce#]:FREQuency[:CW]")
     >>> [bool(pattern.fullmatch(header)) for header in ("FREQ", "SOURCE1:FREQUENCY:CW", "FREQU")]
     [True, True, False]
@@ -140,19 +129,13 @@ class CommandTree:
         self._entries: list[_Entry] = []
 
     def add(self, specification: str, setter: Setter | None, getter: Getter | None) -> None:
-        """Register a header as a command, a query, or both.
-
-        specification: Header, as `header_pattern` takes it.
-        """
+        """Register a header, as `header_pattern` takes it, as a command, a query, or both."""
         self._entries.append(_Entry(header_pattern(specification), setter, getter))
 
     def answer(self, message: str) -> str | None:
-        """Execute a message and return its answer.
+        """Execute a message; return the answers of all queries, separated by semicolons, or None.
 
-        Errors go to the queue. A command error (-1xx) ends the message; an
-        execution error (-2xx) does not.
-
-        Returns: Answers of all queries, separated by semicolons; None if there are none.
+        Errors go to the queue. A command error (-1xx) ends the message; an execution error (-2xx) does not.
         """
         answers: list[str] = []
         for unit in units(message):
@@ -178,10 +161,7 @@ class CommandTree:
 
 
 def only_argument(arguments: Sequence[str]) -> str:
-    """Return the only argument.
-
-    Raises ScpiError: -109 without an argument, -108 with several.
-    """
+    """Return the only argument; `ScpiError` -109 without an argument, -108 with several."""
     if not arguments:
         raise ScpiError(-109)
     if len(arguments) > 1:
@@ -190,21 +170,14 @@ def only_argument(arguments: Sequence[str]) -> str:
 
 
 def expect_no_arguments(arguments: Sequence[str]) -> None:
-    """Check that a command has no arguments.
-
-    Raises ScpiError: -108 if there are any.
-    """
+    """Check that a command has no arguments; `ScpiError` -108 if there are any."""
     if arguments:
         raise ScpiError(-108)
 
 
 def number(word: str, unit_factors: dict[str, float]) -> float:
-    """Read a number with an optional unit.
+    """Read a number with an optional unit; `ScpiError` -104 for no number, -131 for an unknown unit.
 
-    Raises ScpiError: -104 for no number, -131 for an unknown unit.
-
-    Examples
-    --------
     >>> number("1.5 kHz", {"HZ": 1.0, "KHZ": 1e3})
     1500.0
     """
@@ -225,12 +198,8 @@ def boolean(word: str) -> bool:
 
 
 def choice(word: str, choices: Sequence[str]) -> str:
-    """Read one of several words, in short or long form.
+    """Read one of several words, in short or long form; `ScpiError` -224 if the word is none of them.
 
-    Raises ScpiError: -224 if the word is none of them.
-
-    Examples
-    --------
     >>> choice("square", ["SINusoid", "SQUare"])
     'SQU'
     """

@@ -74,13 +74,11 @@ class BoardBlur(NamedTuple):
 
 
 def plane_blur(truth: Truth, seen_px: FloatArray, rotation: FloatArray, position: FloatArray) -> BoardBlur:
-    """Return the diameter of the blur over the image of a flat board.
+    """Return the diameter of the blur over the image of a flat board, whose outline is at (N, 2) points, px.
 
-    Own derivation: the point of the plane n . X = n . t that a ray (x, y, 1) meets has the reciprocal depth
-    n . (x, y, 1) / n . t. The lens's distortion is left out, as it changes depths by little.
-
-    seen_px: (N, 2), image points of the board's outline.
-    rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+    Own derivation: the point of the plane n . X = n . t that a ray (x, y, 1) meets has the reciprocal depth n . (x, y,
+    1) / n . t. The lens's distortion is left out, as it changes depths by little. Rotation R, (3, 3), and position t,
+    (3,) mm: X_cam = R P + t.
     """
     normal = rotation[:, 2]
     distance = float(normal @ position)
@@ -107,13 +105,11 @@ def plane_blur(truth: Truth, seen_px: FloatArray, rotation: FloatArray, position
 
 
 def spread_unevenly(image: NDArray[np.float32], blur: BoardBlur) -> NDArray[np.float32]:
-    """Return an image whose points are spread over discs of different diameters, without its border.
+    """Return an image whose points are spread over discs of different diameters, without its border; at least 0.
 
     Own rule: the light of a point is divided between two diameters that are at most about `STEP_PX` apart, linearly in
-    their squares: the second moment of the blur is then exact.
-
-    image: (height + 2 n, width + 2 n) float32, n = ``reach_px`` of the largest diameter.
-    Returns: At least 0; the given image without a blur.
+    their squares: the second moment of the blur is then exact. The image is (height + 2 n, width + 2 n) float32, n =
+    ``reach_px`` of the largest diameter; it is returned as given without a blur.
     """
     margin = reach_px(blur.largest_px)
     if blur.map_px is None or margin == 0:
@@ -150,11 +146,7 @@ class PlacedBoard(NamedTuple):
     position: FloatArray
 
     def depth_mm(self, points: FloatArray) -> FloatArray:
-        """Return the depth of points of the board.
-
-        points: (..., 2), points of the board, mm.
-        Returns: Distance from the plane of the lens, mm.
-        """
+        """Return the distance of points of the board, (..., 2) mm, from the plane of the lens, mm."""
         return np.asarray(points @ self.rotation[2, :2] + self.position[2])
 
     def projection(self, truth: Truth) -> Projection:
@@ -164,12 +156,10 @@ class PlacedBoard(NamedTuple):
 
 
 def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[PlacedBoard, ...]:
-    """Return the boards in front of the camera: one, or two.
+    """Return the one or two boards in front of the camera; the first is that of the placement.
 
     Own derivation: with the rotation G of the camera from its axes at zero angles, the board's own rotation B, its
     middle at p and m on the board, R = G B and t = G (p - B m).
-
-    Returns: The first one is that of the placement.
     """
     at_zero = optics.pose_rotation({}, truth.optics, truth.gimbal)
     turned = optics.true_rotation(angles_deg, truth) @ at_zero.T
@@ -185,11 +175,9 @@ def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Placed
 
 
 def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
-    """Return the true image points of the board.
+    """Return the true image points of the board, px, in the order of `points_mm`; nan behind the camera.
 
     Projection: Hartley and Zisserman (2004), section 6.1.
-
-    Returns: Image points, px, in the order of `points_mm`; nan behind the camera.
     """
     placed = placed_boards(truth, angles_deg)[0]
     on_board = points_mm(truth.board, truth.target)
@@ -197,20 +185,15 @@ def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
 
 
 def moved_px(before: Truth, after: Truth, angles_deg: Mapping[Any, float]) -> float:
-    """Return how far the points of the board have moved in the image.
-
-    Returns: Largest distance, px; infinite if a point comes from behind the camera.
-    """
+    """Return how far the points of the board have moved at most, px; infinite if one comes from behind the camera."""
     distance = np.linalg.norm(points(after, angles_deg) - points(before, angles_deg), axis=1)
     return float(np.nan_to_num(distance, nan=np.inf).max())
 
 
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Return the share of the full light that reaches each pixel.
+    """Return the share of the full light that reaches each pixel, without the brightness of the lens's aperture.
 
     Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
-
-    Returns: Without the brightness of the lens's aperture.
     """
     board, camera = truth.board, truth.camera
     image = np.zeros((camera.height, camera.width), np.float32)
@@ -285,17 +268,14 @@ class ImageOfLight(NamedTuple):
 
 
 def has_many_lights(truth: Truth) -> bool:
-    """Return whether the board is more than one light.
-
-    Returns: True for blinking dots, and for a screen that is drawn line by line.
-    """
+    """Return whether the board is more than one light: blinking dots, or a screen that is drawn line by line."""
     return truth.board.blinks or (truth.board.own_clock and truth.board.scan > 0.0)
 
 
 def images_of_lights(truth: Truth, angles_deg: Mapping[Any, float]) -> list[ImageOfLight]:
-    """Return the images of all lights of the board, or of both boards.
+    """Return the images of all lights in view of the board, or of both boards.
 
-    Returns: Only those in view. A pixel belongs to one light at most: to that of the nearer dot.
+    A pixel belongs to one light at most: to that of the nearer dot.
     """
     flickers = is_flickering(truth.board, view_of(truth.board, truth.target))
     boards = placed_boards(truth, angles_deg)

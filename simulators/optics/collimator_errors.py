@@ -57,16 +57,12 @@ RIM_OUTWARDS: Final = 1.6
 
 
 def field_coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: int) -> FloatArray:
-    """Return the coefficients of the displacement field in a pose.
+    """Return the coefficients, mm, of the displacement field in a pose, for ``displacement_field``.
 
-    Zernike polynomials: Noll (1976). Random functions: Shinozuka and Deodatis (1991). The field at the rim is this
-    project's own.
-
-    rms: Root mean square displacement over the disc and over poses, mm.
-    rim_rms: Root mean square displacement of the rim's field at the disc's edge, in x and in y, mm.
-    Returns: Coefficients in mm, for ``displacement_field``. First those of u^p v^q, p outermost, with
-      coordinates from the disc's centre in its radii. Then those of the rim: 1, cos phi, sin phi, cos 2 phi,
-      ...
+    First those of u^p v^q, p outermost, with coordinates from the disc's centre in its radii. Then those of the rim: 1,
+    cos phi, sin phi, cos 2 phi, ... ``rms`` is the root mean square displacement over the disc and over poses, mm,
+    ``rim_rms`` that of the rim's field at the disc's edge, in x and in y. Zernike polynomials: Noll (1976). Random
+    functions: Shinozuka and Deodatis (1991). The field at the rim is this project's own.
     """
     polynomials, sigmas = _zernike()
     around = 2 * RIM_HARMONICS + 1
@@ -147,13 +143,11 @@ def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
 
 
 def displacement_field(u: FloatArray, v: FloatArray, coefficients: FloatArray) -> tuple[Any, Any]:
-    """Return the displacement at points of the disc.
+    """Return the displacement at points of the disc, two arrays of one shape (...,) from its centre in its radii.
 
     Own model: sum c_pq u^p v^q, and beyond rho = `RIM_FROM` also ((rho - `RIM_FROM`) / (1 - `RIM_FROM`))^`RIM_POWER`
-    times a Fourier series of the angle.
-
-    u, v: Points relative to the disc's centre, in its radii, two arrays of one shape (...,).
-    coefficients: (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, or (0, 2) for no displacement.
+    times a Fourier series of the angle. Coefficients: (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, or (0, 2) for no
+    displacement.
     """
     if coefficients.shape[0] == 0:
         return 0.0, 0.0
@@ -249,14 +243,12 @@ NO_ABERRATIONS: Final = Aberrations(
 
 
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
-    """Return the disc of light in a pose.
+    """Return the disc of light in a pose: centre, mean radius and edge, mm.
 
     The disc moves in proportion to the camera's turn, unless the camera's pupil stands on the turning point. A random
     part is added, as on a mount that is moved by hand. The edge departs from a circle by the rms of the truth, with 2
     to 5 periods around it. Own model: the centre lies at (x, y) + offset + walk * tangents + wander * random function,
     and the radius is r tan(half angle) (1 + breathing * random function).
-
-    Returns: Centre, mean radius and edge, mm.
     """
     along = _axis(rotation)
     x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
@@ -281,12 +273,10 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
 
 
 def relative_radius(cosine: FloatArray, sine: FloatArray, edge: FloatArray) -> FloatArray:
-    """Return the radius of the disc in some directions, relative to the mean radius; at least 0.1.
+    """Return the radius of the disc in some directions from X, relative to the mean radius; at least 0.1.
 
-    Own model: the Fourier series 1 + sum over m >= 2 of a_m cos(m phi) + b_m sin(m phi).
-
-    cosine, sine: Of the directions' angles from X.
-    edge: (2 M,) float64, as in ``Disc``.
+    Own model: the Fourier series 1 + sum over m >= 2 of a_m cos(m phi) + b_m sin(m phi). ``edge`` is (2 M,), as in
+    ``Disc``.
     """
     wide, c, s = np.ones_like(cosine), cosine, sine
     for m in range(edge.size // 2):
@@ -296,10 +286,7 @@ def relative_radius(cosine: FloatArray, sine: FloatArray, edge: FloatArray) -> F
 
 
 def radius_fraction(x_mm: FloatArray, y_mm: FloatArray, disc: Disc) -> FloatArray:
-    """Return the distances of target points from the disc's centre, as fractions of the radius in that direction.
-
-    Own definition: the distance divided by the radius in that direction.
-    """
+    """Return the distances of target points from the disc's centre, as fractions of the radius in that direction."""
     x, y = x_mm - disc.x, y_mm - disc.y
     away = np.sqrt(x * x + y * y)
     if disc.edge.size == 0:
@@ -358,11 +345,9 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
 
 
 def displacement(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[FloatArray, FloatArray]:
-    """Return the apparent displacements of reticle points; the module's docstring has the equation.
+    """Return the apparent displacements of reticle points, given by two arrays (...,), mm; equation in the head.
 
     Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
-
-    x_mm, y_mm: True positions on the target plane, two arrays of one shape (...,).
     """
     larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
     x_mm, y_mm = x_mm + larger_x, y_mm + larger_y

@@ -38,12 +38,9 @@ def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[n
 def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: float, weight: float) -> None:
     """Add an edge from (x0, y0) to (x1, y1), in cells from the upper left corner of the grid.
 
-    Source: the accumulation buffer of Levien (2016).
-
-    steps: (rows, columns + 1) float32: differences along a row, changed in place. Parts of the edge outside
-      are cut off.
-    weight: Value that a cell gains if it lies wholly inside a ring that runs from +x to +y (clockwise as
-      seen).
+    Source: the accumulation buffer of Levien (2016). ``steps``, (rows, columns + 1) float32, are differences along a
+    row, changed in place; parts of the edge outside are cut off. A cell gains ``weight`` if it lies wholly inside a
+    ring that runs from +x to +y (clockwise as seen).
     """
     rows, columns = steps.shape[0], steps.shape[1] - 1
     if y0 == y1 or (x0 >= columns and x1 >= columns):
@@ -62,10 +59,7 @@ def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: fl
 
 @njit(**INNER)
 def _add_span(steps: NDArray[np.float32], left: float, right: float, height: float) -> None:
-    """Add the part of an edge that lies in one row, between two abscissae.
-
-    Source: the accumulation buffer of Levien (2016).
-    """
+    """Add the part of an edge that lies in one row, between two abscissae (Levien 2016)."""
     last = steps.shape[0] - 1
     cell = int(min(max(left, 0.0), float(last)))
     covered, area = 0.0, _area_left_of(float(cell), left, right)  # of the cell to the left; left of this cell
@@ -90,11 +84,9 @@ def _area_left_of(x: float, left: float, right: float) -> float:
 def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
     """Return the weights that join cells to a pixel: the pixel's own area convolved with a Gaussian point spread.
 
-    Own derivation: a cell at x has the weight Phi((x + 1/2) / s) - Phi((x - 1/2) / s), in pixels, where s^2 is sigma^2
-    minus 1/12 of the cell's squared width.
-
-    Returns: Weights of the pixel's cells and of n cells to either side; they sum to 1. The width of a cell
-      counts as part of the point spread.
+    The weights of the pixel's cells and of n cells to either side sum to 1; the width of a cell counts as part of the
+    point spread. Own derivation: a cell at x has the weight Phi((x + 1/2) / s) - Phi((x - 1/2) / s), in pixels, where
+    s^2 is sigma^2 minus 1/12 of the cell's squared width.
     """
     sigma = math.sqrt(max(sigma_px**2 - 1.0 / (12.0 * cells**2), 1e-12))
     beside = math.ceil(REACH_SIGMAS * sigma_px * cells)
@@ -120,13 +112,9 @@ def join_cells(
     """Join cells to pixels: light times covered area, after the point spread.
 
     Own model: light times (shade 0 + shade 1 times covered area), summed with the kernel's weights along rows and
-    columns.
-
-    steps: (rows, columns + 1) float32, filled by ``add_edge`` for a picture with a margin of ``margin``
-      pixels all around.
-    light: (height + 2 margin + 1, width + 2 margin + 1) float32 brightness at the corners of pixels; linear
-      between.
-    kernel: (cells + 2 n,) float64, weights of ``spread_kernel``.
+    columns. ``steps``, (rows, columns + 1) float32, come from ``add_edge`` for a picture with ``margin`` pixels all
+    around. ``light``, (height + 2 margin + 1, width + 2 margin + 1) float32, is the brightness at the corners of
+    pixels; linear between. ``kernel``: (cells + 2 n,) float64, weights of ``spread_kernel``.
     """
     height, width = steps.shape[0] // cells - 2 * margin, (steps.shape[1] - 1) // cells - 2 * margin
     before = margin * cells - (kernel.size - cells) // 2  # cells of the margin beyond the kernel's reach
@@ -196,13 +184,10 @@ class Cells(NamedTuple):
 def plane_to_image(
     x_mm: FloatArray, y_mm: FloatArray, projection: Projection
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the image points of points of the plane.
+    """Return the image points u and v, px, of points of the plane, two arrays (...,); NaN for one behind the camera.
 
     X_cam = R (P + displacement - c): spherical motion of arXiv:2512.16092, eq. 2, if c is the collimator's centre.
     Projection: Hartley and Zisserman (2004), section 6.1.
-
-    x_mm, y_mm: Two arrays of one shape (...,).
-    Returns: u and v, px; NaN for a point that does not lie in front of the camera.
     """
     dx, dy = displacement(x_mm, y_mm, projection.aberrations)
     x, y, z = x_mm + dx - projection.centre[0], y_mm + dy - projection.centre[1], -projection.centre[2]
@@ -216,19 +201,14 @@ def plane_to_image(
 
 
 def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
-    """Return the image points of points of the plane.
-
-    points_mm: (N, 2) float64, points of the plane.
-    """
+    """Return the image points of points of the plane, (N, 2) mm."""
     return np.stack(plane_to_image(points_mm[:, 0], points_mm[:, 1], projection), axis=1)
 
 
 def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
-    """Return the points of the plane that rays meet.
+    """Return the points of the plane that rays meet, (rows, columns, 2) undistorted normalised coordinates.
 
     Own derivation: a ray d = [x y 1] meets the plane at c + s R^T d, with s such that Z = 0.
-
-    rays: (rows, columns, 2) undistorted normalised coordinates.
     """
     r, c = projection.rotation, projection.centre
     xn, yn = rays[..., 0], rays[..., 1]
@@ -248,12 +228,11 @@ def draw(
     cells: Cells,
     steps: NDArray[np.float32],
 ) -> None:
-    """Add the areas of polygons to a picture.
+    """Add the areas of polygons, (N, corners, 2) mm, clockwise as seen, to a picture; corners may repeat.
 
-    polygons_mm: (N, corners, 2), clockwise as seen; corners may repeat. Each is smaller than the image.
-    rays: (rows, columns, 2), from ``lens.ray_grid``. A polygon is left out if none of its corners lies within
-      the angle of these rays from the optical axis: the lens polynomial is not valid there.
-    steps: (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
+    Each polygon is smaller than the image, and left out if none of its corners lies within the angle of the rays,
+    (rows, columns, 2) from ``lens.ray_grid``, from the optical axis: the lens polynomial is not valid there. ``steps``:
+    (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
     """
     reach = float(np.linalg.norm(rays, axis=-1).max())
     shown = polygons_mm[_within(polygons_mm, projection, reach).any(axis=1)]
@@ -263,10 +242,7 @@ def draw(
 
 
 def _within(points_mm: FloatArray, projection: Projection, reach: float) -> NDArray[np.bool_]:
-    """Return which points lie in front of the camera and at most at that tangent from its optical axis.
-
-    points_mm: (..., 2), points of the plane.
-    """
+    """Return which points, (..., 2) mm, lie before the camera and at most at that tangent from its optical axis."""
     seen = np.concatenate([points_mm, np.zeros((*points_mm.shape[:-1], 1))], axis=-1) - projection.centre
     depth = seen @ projection.rotation[2]
     return np.asarray((depth > 0.0) & ((seen * seen).sum(axis=-1) < (1.0 + reach * reach) * depth * depth))
@@ -275,12 +251,9 @@ def _within(points_mm: FloatArray, projection: Projection, reach: float) -> NDAr
 def _chords(
     a: FloatArray, b: FloatArray, projection: Projection, cells: Cells
 ) -> tuple[FloatArray, FloatArray]:
-    """Return begin and end of the chords that replace edges from a to b in the image, one edge after the other.
+    """Return begin and end, (M, 2) cells, of the chords that replace edges from a to b, (N, 2) mm, in the image.
 
     Own rule: n chords of a curve lie about 1 / n^2 of the distance of a single chord from it.
-
-    a, b: (N, 2), points of the plane, mm.
-    Returns: Two arrays (M, 2), in cells.
     """
     first, last, middle = (image_points(points, projection) for points in (a, b, 0.5 * (a + b)))
     off = np.hypot(*(middle - 0.5 * (first + last)).T)

@@ -83,13 +83,11 @@ def lens_of(camera: CameraTruth) -> Lens:
 
 
 def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return distorted normalised coordinates.
+    """Return distorted normalised coordinates of undistorted ones x/z and y/z, two arrays of one shape (...,).
 
     Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
-    and Brandt 2006, radial part, as in OpenCV): with theta = atan r, the point lies at
-    theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
-
-    xn, yn: Undistorted normalised coordinates x/z and y/z, two arrays of one shape (...,).
+    and Brandt 2006, radial part, as in OpenCV): with theta = atan r, the point lies at theta (1 + k1 theta^2 + k2
+    theta^4 + k3 theta^6 + k4 theta^8).
     """
     r2 = xn * xn + yn * yn
     if lens.fisheye:
@@ -105,13 +103,9 @@ def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, Flo
 
 
 def image_point(x: FloatArray, y: FloatArray, z: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return the image points of points in the camera's frame.
+    """Return image points u and v, px, of points in the camera's frame, three arrays (...,); NaN behind it.
 
-    Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: Brown (1971), or Kannala and Brandt
-    (2006), as in `distort`.
-
-    x, y, z: Three arrays of one shape (...,).
-    Returns: u and v, px; NaN for a point that does not lie in front of the camera.
+    Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: as in `distort`.
     """
     z = np.where(z > 0.0, z, np.nan)
     xd, yd = distort(x / z, y / z, lens)
@@ -119,15 +113,10 @@ def image_point(x: FloatArray, y: FloatArray, z: FloatArray, lens: Lens) -> tupl
 
 
 def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[FloatArray, FloatArray]:
-    """Return undistorted normalised coordinates of distorted ones, to 1e-13.
+    """Return undistorted normalised coordinates of distorted ones, two arrays of one shape (...,), to 1e-13.
 
-    The pinhole model is inverted by fixed-point iteration, the fisheye by Newton's method. Own derivation: x <- x +
-    (x_d - distort(x)) for the pinhole model.
-
-    xd, yd: Distorted normalised coordinates, two arrays of one shape (...,).
-    Returns: Undistorted normalised coordinates x/z and y/z.
-    Raises ConfigError: If the distortion cannot be inverted there: the radial polynomial decreases inside the
-      image.
+    The pinhole model is inverted by fixed-point iteration, x <- x + (x_d - distort(x)) (own derivation), the fisheye by
+    Newton's method. Where the radial polynomial decreases inside the image, `ConfigError` is raised.
     """
     lens = lens_of(camera)
     if lens.fisheye:
@@ -176,14 +165,11 @@ def _not_invertible() -> ConfigError:
 
 @lru_cache(maxsize=8)
 def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
-    """Return rays through points of the image that are about `GRID_PX` apart.
+    """Return rays (undistorted normalised coordinates) through points of the image about `GRID_PX` apart.
 
-    Own derivation: the inverse of `image_point`, ((u - cx) / fx, (v - cy) / fy) without distortion.
-
-    margin_px: How far the grid extends beyond the image's border.
-    Returns: Undistorted normalised coordinates. The grid divides the image evenly, from the outer edges of
-      its outermost pixels (or of the margin's).
-    Raises ConfigError: If the distortion cannot be inverted there; ``undistort`` raises it.
+    Own derivation: the inverse of `image_point`, ((u - cx) / fx, (v - cy) / fy) without distortion; errors as
+    `undistort`. The grid divides the image evenly, from the outer edges of its outermost pixels or, beyond the border,
+    of the margin's.
     """
     u, v = (
         np.linspace(-0.5 - margin_px, size - 0.5 + margin_px, math.ceil((size + 2 * margin_px) / GRID_PX) + 1)
@@ -227,12 +213,10 @@ def focus_of(truth: Truth) -> Focus:
 
 
 def pattern_vergence_per_m(truth: Truth) -> float:
-    """Return the reciprocal of the distance at which the pattern behind the collimator appears.
+    """Return the reciprocal of the pattern's distance behind the collimator, 1 / m; 0 at infinity.
 
-    Own derivation: a shift t of the camera moves the pattern by -defocus t on the target, which is the angle
-    defocus t / r; a point at the distance s moves by t / s.
-
-    Returns: 1 / m; 0 at infinity, negative for converging light.
+    It is negative for converging light. Own derivation: a shift t of the camera moves the pattern by -defocus t on the
+    target, which is the angle defocus t / r; a point at the distance s moves by t / s.
     """
     return truth.collimator.defocus / truth.collimator.r * 1e3
 
@@ -240,9 +224,7 @@ def pattern_vergence_per_m(truth: Truth) -> float:
 def camera_of(truth: Truth) -> CameraTruth:
     """Return the camera with the focal lengths of the present focus: the lens breathes.
 
-    Source: Hecht, Optics, section 5.2; the head of the module has the equation.
-
-    Returns: The same object if the lens is focused as delivered.
+    It is the same object if the lens is focused as delivered. Source: Hecht, Optics, section 5.2; equation in the head.
     """
     stretch = focus_of(truth).stretch
     if stretch == 1.0:
@@ -251,23 +233,15 @@ def camera_of(truth: Truth) -> CameraTruth:
 
 
 def blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
-    """Return the diameter of the disc over which the light of a point is spread.
-
-    Source: circle of confusion, Potmesil and Chakravarty (1981).
-
-    vergence_per_m: Reciprocal of the point's distance; None: that of the pattern behind the collimator.
-    """
+    """Return the diameter of the disc over which the light of a point is spread; see `signed_blur_px`."""
     return abs(signed_blur_px(truth, vergence_per_m))
 
 
 def signed_blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
-    """Return the diameter of the disc of light, with a sign.
+    """Return the diameter of the disc of light, px; positive if the lens is focused nearer than the point.
 
-    Source: circle of confusion, Potmesil and Chakravarty (1981).
-
-    vergence_per_m: Reciprocal of the point's distance; None: that of the pattern behind the collimator.
-    Returns: Diameter, px; positive if the lens is focused nearer than the point. It is linear in the
-      vergence.
+    It is linear in the vergence, the reciprocal of the point's distance (None: that of the pattern behind the
+    collimator). Source: circle of confusion, Potmesil and Chakravarty (1981).
     """
     if truth.lens.focus_distance_m is None:
         return 0.0
@@ -287,21 +261,16 @@ def brightness(truth: Truth) -> float:
 
 
 def reach_px(diameter_px: float) -> int:
-    """Return how far outside the image a scene must be known to blur it.
-
-    Returns: Pixels; 0 without a blur.
-    """
+    """Return how far outside the image, px, a scene must be known to blur it; 0 without a blur."""
     return math.ceil(0.5 * diameter_px) + 1 if diameter_px >= SHARP_PX else 0
 
 
 def spread_over_disc(image: NDArray[np.float32], diameter_px: float) -> NDArray[np.float32]:
-    """Return an image whose points are spread evenly over discs, without its border.
+    """Return an image whose points are spread evenly over discs, without its border; at least 0.
 
-    The transfer function of an even disc is 2 J1(pi b q) / (pi b q) at the spatial frequency q (Goodman,
-    Introduction to Fourier Optics, chapter 2). So no disc is drawn into pixels, and the time does not depend on b.
-
-    image: (height + 2 n, width + 2 n) float32, n = `reach_px` of the diameter.
-    Returns: At least 0; the given image without a blur.
+    The transfer function of an even disc is 2 J1(pi b q) / (pi b q) at the spatial frequency q (Goodman, Introduction
+    to Fourier Optics, chapter 2). So no disc is drawn into pixels, and the time does not depend on b. The image is
+    (height + 2 n, width + 2 n) float32, n = `reach_px` of the diameter; it is returned as given without a blur.
     """
     margin = reach_px(diameter_px)
     if margin == 0:
@@ -318,10 +287,7 @@ class Spectrum(NamedTuple):
 
     @classmethod
     def of(cls, image: NDArray[np.float32]) -> Spectrum:
-        """Return the spectrum of an image.
-
-        image: (rows, columns) float32.
-        """
+        """Return the spectrum of an image, (rows, columns) float32."""
         height, width = image.shape
         rows, columns = (int(fft.next_fast_len(n + SEAM_PX, real=True)) for n in image.shape)
         padded = np.empty((rows, columns), np.float32)
@@ -334,12 +300,9 @@ class Spectrum(NamedTuple):
 
 
 def blurred_spectrum(spectrum: Spectrum, diameter_px: float, margin_px: int) -> NDArray[np.float32]:
-    """Return the image of a spectrum, spread over discs, without a margin.
+    """Return the image of a spectrum, spread as by `spread_over_disc`, without a margin; at least 0.
 
-    Source: see `spread_over_disc`.
-
-    margin_px: Pixels that are removed on each side; at least half a diameter.
-    Returns: At least 0.
+    ``margin_px`` pixels are removed on each side; at least half a diameter.
     """
     (rows, columns), (height, width) = spectrum.size, spectrum.image_size
     transfer = _disc_transfer(rows, columns, round(diameter_px, 6))
@@ -361,11 +324,10 @@ def _disc_transfer(rows: int, columns: int, diameter_px: float) -> NDArray[np.fl
 
 
 def ring_deg(truth: Truth) -> float:
-    """Return where the focus ring stands.
+    """Return where the focus ring stands, in degrees from infinity: `RING_SPAN_DEG` at the near stop.
 
-    Own model: a thread that moves the lens evenly with the turn, so the angle is proportional to v - f.
-
-    Returns: Degrees from infinity; `RING_SPAN_DEG` at the near stop, negative beyond infinity.
+    It is negative beyond infinity. Own model: a thread that moves the lens evenly with the turn, so the angle is
+    proportional to v - f.
     """
     focus = focus_of(truth)
     return _ring_deg(focus.focal_mm, focus.distance_m)
@@ -391,11 +353,10 @@ def with_ring_at(truth: Truth, angle_deg: float) -> LensTruth:
 
 
 def truth_record(truth: Truth) -> dict[str, Any]:
-    """Return all parameters as plain numbers: the content of ``truth.json``.
+    """Return all parameters as plain numbers, as ``Truth.to_dict``: the content of ``truth.json``.
 
-    Returns: As ``Truth.to_dict``; ``fx`` and ``fy`` of the camera are those of the present focus. Section
-      ``lens`` holds focus, aperture, blur and the law; ``placed`` of section ``board`` is where the board
-      stands.
+    ``fx`` and ``fy`` of the camera are those of the present focus. Section ``lens`` holds focus, aperture, blur and the
+    law; ``placed`` of section ``board`` is where the board stands.
     """
     record, focus = replace(truth, camera=camera_of(truth)).to_dict(), focus_of(truth)
     record["lens"] = {

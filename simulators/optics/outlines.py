@@ -24,10 +24,9 @@ CORNERS = 4
 
 
 def black_polygons(target: StarTarget) -> FloatArray:
-    """Return the outlines of everything that is printed black.
+    """Return the outlines of everything that is printed black, mm: convex polygons that do not overlap.
 
-    Returns: Convex polygons that do not overlap, mm, each clockwise as seen (from +X to +Y). The first corner
-      of a star's segment is the star's centre.
+    Each is clockwise as seen (from +X to +Y). The first corner of a star's segment is the star's centre.
     """
     nodes = target.positions_mm(target.ids)
     stars = nodes[:, None, None, :] + target.pitch_mm * _black_segments(target.segments)[None]
@@ -74,10 +73,7 @@ _RING: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def points_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
-    """Return the points that a detector finds.
-
-    Returns: Inner corners, centres of circles or dots, row by row, or stars by id, mm.
-    """
+    """Return the points that a detector finds, mm: inner corners, centres of circles or dots by row, stars by id."""
     if board.kind == "stars":
         return np.asarray(target.positions_mm(target.ids), np.float64)
     row, column = np.mgrid[: board.rows, : board.columns].astype(np.float64)
@@ -87,10 +83,7 @@ def points_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
 
 
 def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
-    """Return the point of the board that a placement puts somewhere.
-
-    Returns: Middle of the points; of a star target the centre of its tag, mm.
-    """
+    """Return the point that a placement puts somewhere, mm: middle of the points, of a star target that of its tag."""
     if board.kind == "stars":
         return np.array([*target.tag_centre_mm, 0.0])
     points = points_mm(board, target)
@@ -98,10 +91,9 @@ def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
 
 
 def bright_areas(board: BoardTruth, target: StarTarget, *, pixels: bool) -> tuple[FloatArray, ...]:
-    """Return the rings from which the board's light comes.
+    """Return the rings, mm, from which the board's light comes; kept, so do not change them.
 
-    pixels: Whether the pixels of a screen are drawn one by one.
-    Returns: Rings, mm; kept, so do not change them.
+    ``pixels``: the pixels of a screen are drawn one by one.
     """
     key = (board.kind, board.columns, board.rows, board.pitch_mm, board.surface, board.dot_mm)
     return _areas(*key, board.margin_mm, board.pixel_mm if pixels else 0.0, board.fill, target)

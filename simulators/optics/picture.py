@@ -63,23 +63,17 @@ def pose_rotation(
 ) -> FloatArray:
     """Return the rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0 without errors.
 
-    Rotations about the axes: Diebel (2006). ``gimbal`` has the equation with errors.
-
-    angles_deg: "pan" about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing =
-      0.
-    optics: Holds the mounting rotation R0.
-    gimbal: Errors between these angles and the direction in which the camera points.
+    "pan" is about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing = 0. ``optics`` holds
+    the mounting rotation R0, ``gimbal`` the errors and their equation. Rotations: Diebel (2006).
     """
     return gimbal_rotation(angles_deg, gimbal) @ rotation_matrix(np.radians(optics.mounting_deg))
 
 
 def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
-    """Return the true rotation camera <- target when the axes read certain angles.
+    """Return the true rotation camera <- target when the loads of the axes stand at certain angles; missing = 0.
 
-    All simulated cameras and the rehearsed world use this function. Rotations: Diebel (2006).
-
-    angles_deg: Angles of the loads by axis, "pan", "tilt" and "roll", degrees; missing = 0. With backlash
-      they differ from the readings; see ``gimbal.load_angles_deg``.
+    With backlash they differ from the readings; see ``gimbal.load_angles_deg``. All simulated cameras and the rehearsed
+    world use this function. Rotations: Diebel (2006).
     """
     rotation = pose_rotation(angles_deg, truth.optics, truth.gimbal)
     if truth.mount.turn_deg == (0.0, 0.0, 0.0):
@@ -89,11 +83,9 @@ def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
 
 
 def beam_of(truth: Truth) -> CollimatorTruth:
-    """Return the collimator as the shifted camera sees it: the disc of light moves against the camera.
+    """Return the collimator as the shifted camera sees it; the same object if the camera is not shifted.
 
     Own definition: the entrance pupil moves by ``mount.shift_mm``, and the disc of light by the opposite amount.
-
-    Returns: The same object if the camera is not shifted.
     """
     x, y = truth.mount.shift_mm
     if x == y == 0.0:
@@ -114,11 +106,9 @@ def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
 
 
 def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatArray:
-    """Return the image points of target points.
+    """Return the image points of target points, (N, 2) mm.
 
     Spherical motion: arXiv:2512.16092, eq. 2. Projection: Hartley and Zisserman (2004), section 6.1.
-
-    points_mm: (N, 2), points of the target plane.
     """
     return np.asarray(
         image_points(np.ascontiguousarray(points_mm, np.float64), projection_of(truth, rotation))
@@ -128,14 +118,10 @@ def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatA
 def star_centres(
     truth: Truth, rotation: FloatArray, *, clearance: float = 0.0, border_px: float = 0.0
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the true image points of the stars that are visible in a pose.
+    """Return ids, (N,) int64, increasing, and true image points, (N, 2), of the stars that are visible in a pose.
 
-    Own rule of visibility; projection as in `project`.
-
-    clearance: A star is visible if it lies at least that many squares inside the bright part of the disc ...
-    border_px: ... and at least that far inside the image's edge.
-    Returns: (N,) int64, increasing.
-    Returns: (N, 2) float64, pixel centres at integers.
+    Pixel centres are at integers. Own rule: a star is visible if it lies at least ``clearance`` squares inside the
+    bright part of the disc and ``border_px`` inside the image's edge; projection as in `project`.
     """
     ids = truth.target.ids
     positions = np.asarray(truth.target.positions_mm(ids), np.float64)
@@ -161,11 +147,10 @@ class Light(NamedTuple):
 
 
 def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Return the share of the full light that reaches each pixel in a pose.
+    """Return the share of the full light, about 0 to 1, that reaches each pixel in a pose.
 
-    Own model of the image; the head of the module describes it. The areas are exact (Levien, 2016).
-
-    Returns: About 0 to 1: printed brightness x disc x illumination, after the point spread.
+    It is printed brightness x disc x illumination, after the point spread: own model, described in the head. The areas
+    are exact (Levien, 2016).
     """
     optics, camera, disc = truth.optics, camera_of(truth), disc_of(beam_of(truth), rotation)
     blur = blur_px(truth)

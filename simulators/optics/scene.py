@@ -28,10 +28,9 @@ FloatArray = NDArray[np.float64]
 
 
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Return the share of the full light that reaches each pixel in a pose.
+    """Return the share of the full light that reaches each pixel, about 0 to 1 at the lens's brightness as delivered.
 
-    Returns: About 0 to 1 at the brightness of the lens as delivered.
-    Raises SimulationMisuse: If a screen is not wholly in front of the camera.
+    A screen that is not wholly in front of the camera raises `SimulationMisuse`.
     """
     if truth.board.present:
         image = board_scene.picture(truth, angles_deg, subsamples=subsamples)
@@ -45,9 +44,9 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 
 
 def still_picture(truth: Truth, angles_deg: Mapping[Any, float]) -> NDArray[np.float32]:
-    """Return the picture of a camera that stands still; the last two are kept, as one pose is recorded often.
+    """Return the `picture` of a camera that stands still, shared: do not change it.
 
-    Returns: As `picture`; the array may be shared, so do not change it.
+    The last two are kept, as one pose is recorded often.
     """
     return _kept_picture(truth, tuple(sorted(angles_deg.items())))
 

@@ -52,10 +52,7 @@ def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
 
 @njit(forceinline=True, **INNER)
 def between(table: NDArray[np.float32], j: Any, f: Any) -> Any:
-    """Interpolate between the entries j and j + 1 of a table.
-
-    table: (N,) float32.
-    """
+    """Interpolate between the entries j and j + 1 of a table, (N,) float32."""
     return table[j] + f * (table[j + _NEXT] - table[j])
 
 
@@ -146,8 +143,8 @@ def near_crossing(
     it. With ``exact_crossing`` the two halves of a crossing are two short loops over many pixels: a processor then
     waits for the memory of several pixels at once.
 
-    Returns: Phase of the crossing on its branch, us; ln u there; the earliest phase that it may have, us;
-      what is to be added to it, us (inf = it never crosses); and its polarity (1.0 = ON).
+    Returns phase of the crossing on its branch, us; ln u there; the earliest phase that it may have, us; what is to be
+    added to it, us (inf = it never crosses); and its polarity (1.0 = ON).
     """
     j = np.uint32(np.int32(max(level, _ZERO)))
     f = level - np.float32(j)
@@ -177,11 +174,7 @@ def near_crossing(
 def exact_crossing(
     d: Drive, level: Any, near: Any, target: Any, earliest: Any, shift: Any, bent: bool
 ) -> Any:
-    """Return the phase of a pixel's next crossing.
-
-    near, target, earliest, shift: From ``near_crossing``.
-    Returns: Phase of the crossing, us; may exceed a period; inf = none.
-    """
+    """Return the phase of a pixel's next crossing, us, from ``near_crossing``; may exceed a period; inf = none."""
     cross = near
     if not bent:
         j = np.uint32(np.int32(max(level, _ZERO)))
@@ -194,9 +187,6 @@ def exact_crossing(
 def smooth_crossing(
     d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
 ) -> tuple[Any, Any]:
-    """Return phase and polarity of a pixel's next crossing.
-
-    Returns: Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
-    """
+    """Return phase, us (may exceed a period, inf = none), and polarity (1.0 = ON) of a pixel's next crossing."""
     near, target, earliest, shift, is_on = near_crossing(d, level, on_at, off_at, phase, bent)
     return exact_crossing(d, level, near, target, earliest, shift, bent), is_on

@@ -61,12 +61,8 @@ class PixelSettings:
 
     @classmethod
     def from_biases(cls, biases: Mapping[str, int]) -> PixelSettings:
-        """Return the settings for a set of biases.
+        """Return the settings for a set of biases: offsets from the factory value, by name; missing = 0.
 
-        biases: Offsets from the factory value, by name; missing = 0.
-
-        Examples
-        --------
         >>> PixelSettings.from_biases({"bias_diff_on": 140}).threshold_on > 3 * PixelSettings().threshold_on
         True
         """

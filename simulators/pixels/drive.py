@@ -78,10 +78,7 @@ class Drive(NamedTuple):
 
 
 def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
-    """Return the light as the pixels respond to it.
-
-    Returns: With tables where there is no closed form.
-    """
+    """Return the light as the pixels respond to it, with tables where there is no closed form."""
     period = light.period_us
     plain = settings.follower_us == 0.0 and settings.high_pass_hz == 0.0
     closed = light.high == light.low or (light.waveform == "square" and plain)
@@ -170,17 +167,13 @@ def fill_curves(
     ambient: float,
     bin_q: NDArray[np.float64],
 ) -> None:
-    """Tabulate the periodic steady state of ln u for each light.
+    """Tabulate the periodic steady state of ln u for each light in ``curves``, (levels, bins + 1) at the bins' edges.
 
     It solves du/dt = (1 - I u) / q; see ``photoreceptor``. Within a step, the time constant is that of the step's
     middle, and the limit 1 / I goes linearly from begin to end (a first-order hold). This is exact for a square light,
-    and of second order in the step's length for a smooth one; it stays accurate however short q is.
-
-    curves: (levels, bins + 1) float64, filled in: ln u at the bins' edges.
-    lights: (levels,) float64, light of each level.
-    wave: (3, steps) float64, w at the begin, in the middle and at the end of each step, with a whole number
-      of steps per bin.
-    bin_q: (bins,) float64, length of each bin in units of q.
+    and of second order in the step's length for a smooth one; it stays accurate however short q is. ``lights`` is
+    (levels,); ``wave``, (3, steps), w at the begin, in the middle and at the end of each step, with a whole number of
+    steps per bin; ``bin_q``, (bins,), the length of each bin in units of q; all float64.
     """
     bins, steps = bin_q.size, wave.shape[1] // bin_q.size
     for j in range(lights.size):
@@ -209,10 +202,8 @@ def fill_curves(
 def low_pass(curves: NDArray[np.float64], bin_tau: NDArray[np.float64]) -> None:
     """Apply a first-order low-pass to each curve, in place, in its periodic steady state.
 
-    Exact for a curve that is linear within a bin (first-order hold).
-
-    curves: (levels, bins + 1) float64, values at the bins' edges, changed in place.
-    bin_tau: (bins,) float64, length of each bin in time constants.
+    Exact for a curve that is linear within a bin (first-order hold). ``curves``, (levels, bins + 1) float64, are values
+    at the bins' edges; ``bin_tau``, (bins,) float64, is the length of each bin in time constants.
     """
     bins = bin_tau.size
     for j in range(curves.shape[0]):
@@ -242,10 +233,8 @@ def fill_when(
 ) -> None:
     """Find the extremes of each curve, and the phases at which it crosses heights between them; see ``Drive``.
 
-    curves: (levels, bins + 1) float64, ln u at the bins' edges.
-    turns: (N_TURNS, levels) float32, filled in.
-    when: (2, levels, WHEN_STEPS + 2) float32, filled in, us.
-    grid: (bins + 1,) float64, phases of the bins' edges, us.
+    ``curves``, (levels, bins + 1) float64, hold ln u at the bins' edges, whose phases, us, are ``grid``, (bins + 1,)
+    float64. Filled in: ``turns``, (N_TURNS, levels) float32, and ``when``, (2, levels, WHEN_STEPS + 2) float32, us.
     """
     bins = curves.shape[1] - 1
     period = grid[bins]
@@ -277,10 +266,9 @@ def fill_when(
 
 @njit(**INNER)
 def crossing_bin(curve: NDArray[np.float64], first: int, last: int, target: float, off: bool) -> float:
-    """Return where a curve crosses a target, found by bisection on the branch between two bins.
+    """Return where a curve, (bins + 1,) float64, crosses a target, by bisection on the branch between two bins.
 
-    curve: (bins + 1,) float64, values at the bins' edges.
-    first, last: Bins between which the curve is monotone; the last may exceed one period.
+    Between them the curve is monotone; the last may exceed one period.
     """
     bins = curve.size - 1
     low, high = first, last

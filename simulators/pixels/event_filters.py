@@ -38,10 +38,7 @@ _LONG_AGO: Final = -(1 << 40)
 
 
 class EventFilters:
-    """The enabled filters of a sensor.
-
-    enabled: Whether each filter is on, by name; missing = off.
-    """
+    """The enabled filters of a sensor, by name; missing = off."""
 
     def __init__(self, width: int, height: int, enabled: Mapping[str, bool]) -> None:
         self._enabled = [name for name in FILTERS if enabled.get(name, False)]
@@ -65,11 +62,9 @@ class EventFilters:
         self._erc = np.array([_LONG_AGO, 0], np.int64)  # window, events in it
 
     def apply(self, events: Events) -> tuple[Events, NDArray[np.int64]]:
-        """Pass a slice of events through the filters.
+        """Pass a slice of events, in order of time, through the filters, after the previous slice.
 
-        events: Events in order of time, after those of the previous slice.
-        Returns: Times, us, of the events that entered the rate controller, which counts them even if it is
-          off.
+        Also returns the times, us, of the events that entered the rate controller, which counts them even if it is off.
         """
         for name in self._enabled:
             if name == "erc":

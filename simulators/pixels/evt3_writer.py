@@ -56,11 +56,7 @@ _N_STATE: Final = 9
 
 
 class Evt3Writer:
-    """Encoder of a stream in slices; the stream continues from slice to slice.
-
-    start_us: Sensor time at which the stream starts; a multiple of 16.
-    Raises SimulationMisuse: If the start is not a multiple of 16.
-    """
+    """Encoder of a stream in slices, which continues from slice to slice; it starts at a multiple of 16 us."""
 
     def __init__(self, start_us: int = 0, *, width: int = 1280, height: int = 720) -> None:
         if start_us % TICK_US:
@@ -88,15 +84,12 @@ class Evt3Writer:
     ) -> NDArray[np.uint16]:
         """Return the words of a slice, from the end of the previous one to ``until_us`` (exclusive).
 
-        The words do not depend on how the stream is cut into slices.
-
-        t, x, y, p: Events of the slice, four (N,) arrays: int64 us, uint16 px, uint16 px, uint8 (1 = ON). t
-          does not decrease; events of one time, row and polarity are in order of x.
-        trigger_t, trigger_value: Edges of the trigger input in the slice, two (M,) arrays: int64 us in order
-          of time, and uint8 (1 = rising), to which twice the number of the channel is added.
-        entered_t: (K,) int64 us, times of the events that entered the rate controller; None: those of the
-          slice.
-        Raises SimulationMisuse: If an event lies outside the slice or the sensor.
+        The words do not depend on how the stream is cut into slices. Events outside slice or sensor raise
+        `SimulationMisuse`. ``t, x, y, p`` are four (N,) arrays: int64 us, uint16 px, uint16 px, uint8 (1 = ON); t does
+        not decrease, and events of one time, row and polarity are in order of x. ``trigger_t, trigger_value`` are edges
+        of the trigger input, two (M,) arrays: int64 us in order of time, and uint8 (1 = rising), to which twice the
+        number of the channel is added. ``entered_t``, (K,) int64 us, are the events that entered the rate controller;
+        None: those of the slice.
         """
         none_t, none_value = np.empty(0, np.int64), np.empty(0, np.uint8)
         edges = (

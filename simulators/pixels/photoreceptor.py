@@ -56,12 +56,7 @@ _TINY: Final = np.float32(1e-30)
 
 @njit(**INNER)
 def period_start(drive: Drive, epoch: float, t: float) -> float:
-    """Return the start of the light's period that contains a time.
-
-    epoch: Sensor time of the epoch, us.
-    t: Time, us after the epoch.
-    Returns: Start of the period, us after the epoch.
-    """
+    """Return the start of the light's period that contains the time t; both in us after the epoch, itself in us."""
     first = drive.start_us - epoch
     return first + floor((t - first) / drive.period_us) * drive.period_us
 
@@ -70,7 +65,7 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 def stored_light(drive: Drive, light: float) -> float:
     """Return the number by which a pixel's light is stored.
 
-    Returns: The share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
+    It is the share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
     """
     if drive.kind == SQUARE:
         return light
@@ -82,11 +77,7 @@ def stored_light(drive: Drive, light: float) -> float:
 
 @njit(forceinline=True, **INNER)
 def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
-    """Return U_RISE and U_FALL of a pixel.
-
-    placed: Stored light of the pixel, from ``stored_light``.
-    Returns: U_RISE and U_FALL, as in a batch.
-    """
+    """Return U_RISE and U_FALL, as in a batch, of a pixel with a light from ``stored_light``."""
     if d.kind != SQUARE:
         return placed, _ZERO
     return _steady_square(d, placed)
@@ -113,10 +104,7 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
 
 @njit(forceinline=True, **INNER)
 def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
-    """Return the first crossing of one pixel at or after a phase.
-
-    Returns: Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
-    """
+    """Return one pixel's first crossing at or after a phase: us (may exceed a period, inf = none); 1.0 = ON."""
     if d.kind != SQUARE:
         return smooth_crossing(d, u_rise, on_at, off_at, phase, d.kind == BENT)
     return _square_crossing(d, light, u_rise, u_fall, on_at, off_at, phase)

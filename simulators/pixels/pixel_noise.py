@@ -67,10 +67,7 @@ def reset_errors(
     values: NDArray[np.float32],
     n: int,
 ) -> None:
-    """Multiply n values by the next factors of ``reset_error``.
-
-    values: (N,) float32, the first n are changed in place.
-    """
+    """Multiply the first n of (N,) float32 values, in place, by the next factors of ``reset_error``."""
     if spread == 0.0:
         return
     spread32 = np.float32(spread)
@@ -85,10 +82,7 @@ def reset_errors(
 def earlier_reset_error(
     normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64], back: int
 ) -> Any:
-    """Return a factor that ``reset_error`` or ``reset_errors`` drew before.
-
-    back: 1 for the last factor drawn, 2 for the one before it, ...
-    """
+    """Return a factor that ``reset_error`` or ``reset_errors`` drew before; ``back`` is 1 for the last one."""
     if spread == 0.0:
         return np.float32(1.0)
     bits = _bits(random[KEY], random[COUNTER] + np.uint64(1) - np.uint64(back))
@@ -106,13 +100,9 @@ def draw_arrivals(
 ) -> None:
     """Draw the next background and hot-pixel events of all pixels together: a Poisson process.
 
-    Exponential waiting times for the sensor as a whole; the pixel by Walker's alias method (Walker 1977).
-
-    alias: (pixels,) uint64, Walker's alias table of the pixels' rates, from ``fill_alias``.
-    rate_us: Rate of all pixels together, events per us.
-    after: Time of the last event drawn, us.
-    times: (N,) float64, filled in: times, us.
-    where: (N,) int64, filled in: pixel number times 2, plus 1 if ON.
+    Exponential waiting times at the rate of all pixels (events per us) from the last event drawn (us); the pixel by
+    Walker's alias method (Walker 1977), from ``fill_alias``, (pixels,) uint64. Filled in, each (N,): ``times``, float64
+    us, and ``where``, int64, pixel number times 2, plus 1 if ON.
     """
     n = np.uint64(alias.size)
     key, count = random[KEY], random[COUNTER]
@@ -138,8 +128,8 @@ def draw_arrivals(
 def fill_alias(scaled: NDArray[np.float64], alias: NDArray[np.uint64]) -> None:
     """Fill Walker's alias table (Walker 1977), by Vose's algorithm (Vose 1991).
 
-    scaled: (N,) float64, rates scaled to a mean of 1; used up.
-    alias: (N,) uint64, filled in: share of 2^32 in the low half, the other pixel in the high half.
+    ``scaled``, (N,) float64, are rates scaled to a mean of 1; used up. ``alias``, (N,) uint64, gets the share of 2^32
+    in the low half, the other pixel in the high half.
     """
     n = scaled.size
     small, large = np.empty(n, np.int32), np.empty(n, np.int32)

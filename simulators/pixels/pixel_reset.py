@@ -42,10 +42,7 @@ _GAIN: Final = np.float32(1.0 / 65536.0)
 
 @njit(forceinline=True, **INNER)
 def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
-    """Return the levels at which a pixel fires.
-
-    gains: Its ON and OFF gain in one uint32; see ``sensor_state.ON_BITS``.
-    """
+    """Return the levels at which a pixel fires; ``gains`` are ON and OFF in one uint32 (``sensor_state.ON_BITS``)."""
     on = np.float32(np.int32(gains & np.uint32(0xFFFF))) * _GAIN
     off = np.float32(np.int32(gains >> np.uint32(ON_BITS))) * _GAIN
     return u * on, u / off
@@ -114,10 +111,7 @@ def reset_pixel(
     start: float,
     random: NDArray[np.uint64],
 ) -> None:
-    """Set one pixel's new reference at a phase, and its next crossing: ``reset_row`` for a single pixel.
-
-    phase: Phase of the reset, us.
-    """
+    """Set one pixel's new reference at a phase, us, and its next crossing: ``reset_row`` for a single pixel."""
     light = px.cell[r, c, STORED_LIGHT]
     u_rise, u_fall = pr.steady_state(drive, light)
     error = reset_error(ro.normals, ro.reset_noise, random)
@@ -137,11 +131,9 @@ def reset_pixel(
 def reset_at_once(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
-    """Reset the listed pixels of a row that are read at the moment of their request, under a square light: in double.
+    """Reset the listed pixels of a row that are read at the moment t of their request, under a square light: in double.
 
-    They are one pixel, unless several are alike.
-
-    t: Time of request and read, us after the epoch.
+    They are one pixel, unless several are alike; t is in us after the epoch.
     """
     for k in range(n):
         c = np.int64(px.column[k])
@@ -161,9 +153,9 @@ def reset_at_once(
 def reset_row(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
-    """Set the new references of the listed pixels of a row, at the end of the dead time, and their next crossings.
+    """Set the listed pixels' new references at the end of the dead time after the read at t, and their next crossings.
 
-    t: Time at which the row is read, us after the epoch.
+    t is in us after the epoch.
     """
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
@@ -192,10 +184,7 @@ def reset_row(
 
 @njit(**JIT)
 def set_picture(px: Pixels, drive: Drive, picture: NDArray[np.float32]) -> None:
-    """Store a picture as the light of the pixels.
-
-    picture: (rows, width) float32, share of the light's drive that reaches each pixel.
-    """
+    """Store a picture, (rows, width) float32 shares of the light's drive, as the light of the pixels."""
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
             px.cell[r, c, STORED_LIGHT] = pr.stored_light(drive, picture[r, c])
@@ -225,11 +214,9 @@ def apply_change(
     state: NDArray[np.float64],
     random: NDArray[np.uint64],
 ) -> None:
-    """Apply a new light or a new picture at t: references stay, and next crossings are computed again.
+    """Apply a new light or picture at t, us after the epoch: references stay, crossings are computed again.
 
     A pixel that the change itself carries beyond its threshold requests at a random time within the step.
-
-    t: Time of the change, us after the epoch.
     """
     batch = px.batch
     start = period_start(drive, state[EPOCH], t)

@@ -58,11 +58,7 @@ EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], N
 
 @njit(**JIT)
 def draw_noise(px: Pixels, ro: Readout, after: float, random: NDArray[np.uint64]) -> None:
-    """Draw the next background and hot-pixel events.
-
-    px: Pixels; ``noise_t`` and ``noise_at`` are filled in.
-    after: Time of the last event drawn, us after the epoch.
-    """
+    """Draw the next background and hot-pixel events into ``noise_t`` and ``noise_at``, ``after`` us after the epoch."""
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
 
 
@@ -234,10 +230,9 @@ def read_rows(
     width: int,
     out: EventArrays,
 ) -> int:
-    """Run the sensor's loop up to a time, or until the output is nearly full.
+    """Run the sensor's loop to before ``until``, us after the epoch, or until the output is nearly full.
 
-    until: End, us after the epoch, exclusive.
-    out: t (int64, sensor time), x, y (uint16), p (uint8): arrays of equal length, filled from the start.
+    ``out`` is filled from the start: t (int64, sensor time), x, y (uint16), p (uint8), arrays of equal length.
     """
     room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])

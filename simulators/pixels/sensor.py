@@ -43,9 +43,9 @@ THINNEST_THRESHOLD: Final = 0.2
 def make_pixels(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
 ) -> Pixels:
-    """Return pixels with the thresholds of a camera; padding pixels, up to whole blocks, never request.
+    """Return pixels with the thresholds of a camera, without light and without requests.
 
-    Returns: Without light and without requests.
+    Padding pixels, up to whole blocks, never request.
     """
     blocks = -(-width // BLOCK)
     shape = (height, blocks * BLOCK)
@@ -192,12 +192,10 @@ class Sensor:
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
     ) -> None:
-        """Start under a picture and a light.
+        """Start under a picture and a light, whose phase at ``at_us`` is given in periods.
 
         The pixels run through two periods of the light before that, at most 100 ms. They then begin in the state of a
         sensor that has seen the light for long.
-
-        phase: Phase of the light at ``at_us``, in periods.
         """
         warmup_us = min(2.0 * light.period_us, 1e5) if light.high > light.low else 1000.0
         begin_us = at_us - warmup_us
@@ -328,11 +326,9 @@ def simulate(
     seed: int = 0,
     link: Link | None = None,
 ) -> Events:
-    """Return the events of a still picture under a flickering light, from time 0 to ``duration_us``.
+    """Return the events of a still picture under a flickering light, from 0 to before ``duration_us``.
 
-    duration_us: End, exclusive.
-    phase: Phase of the light at time 0, in periods.
-    noise, settings, camera_seed, seed, link: As ``Sensor`` takes them.
+    ``phase`` is that of the light at time 0, in periods; the other arguments are as ``Sensor`` takes them.
     """
     height, width = picture.shape
     sensor = Sensor(

@@ -112,10 +112,7 @@ def update_row(px: Pixels, r: int) -> None:
 
 @njit(forceinline=True, **INNER)
 def retime(px: Pixels, r: int, c: int, before: float) -> None:
-    """Update the minima after the request of one pixel was moved.
-
-    before: Time of its request before the move, us after the epoch.
-    """
+    """Update the minima after the request of one pixel was moved from ``before``, us after the epoch."""
     b = c // BLOCK
     old = px.block_min[r, b]
     new = px.t_next[r, c]
@@ -143,10 +140,7 @@ def update_minima(px: Pixels) -> None:
 
 @njit(forceinline=True, **INNER)
 def row_at(px: Pixels, oldest: float) -> int:
-    """Return the first row whose earliest request is the earliest of all.
-
-    oldest: Time of the earliest request, us after the epoch.
-    """
+    """Return the first row whose earliest request is the earliest of all, at ``oldest`` us after the epoch."""
     g = _first_equal(px.group_min, oldest)
     return g * GROUP + _first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
 

@@ -3,11 +3,10 @@
 This module connects the world, the scene, the pixels and the words, in frames of 2 ms of sensor time. It uses no
 socket.
 
-The content of a stream is a function of the seed, the resting pose, the settings of light and camera, and the number
-of earlier streams with exactly these; where they are simulated, also of the camera's temperature, and of the mount's
-drift and shift. It does not depend on the moment of the request. For this, the sensor starts up to one period of the
-light after the request, when the light has the phase that was drawn from the seed; the light thus remains one physical
-clock.
+The content of a stream is a function of the seed, the resting pose, the settings of light and camera, and the number of
+earlier streams with exactly these; where they are simulated, also of the camera's temperature, and of the mount's drift
+and shift. It does not depend on the moment of the request. For this, the sensor starts up to one period of the light
+after the request, when the light has the phase that was drawn from the seed; the light thus remains one physical clock.
 
 The sensor's clock continues from stream to stream. A stream begins at a multiple of 102.4 ms, so that its words are the
 same at any time, except for the upper part of the clock.
@@ -56,10 +55,7 @@ class Window(Sensor):
         return self._pixels.gains[:, : self.width, sensor_state.GAINS]
 
     def take_gains(self, gains: NDArray[np.uint32]) -> None:
-        """Take the thresholds of other pixels.
-
-        gains: (height, width) uint32, as stored.
-        """
+        """Take the thresholds of other pixels, (height, width) uint32, as stored."""
         self._pixels.gains[:, : self.width, sensor_state.GAINS] = gains
 
 
@@ -71,10 +67,7 @@ class Part(NamedTuple):
 
 
 class ManyLightsSensor:
-    """A sensor in front of many lights, in place of `Sensor`.
-
-    parts: The lights in view and their sensors, from `begin` on.
-    """
+    """A sensor in front of many lights, in place of `Sensor`; ``parts`` are those in view, from `begin` on."""
 
     def __init__(
         self,
@@ -106,8 +99,7 @@ class ManyLightsSensor:
     ) -> None:
         """Start under a picture and a light; see `Sensor.begin`.
 
-        light: Light of the board as a whole; it drives the lines of a screen. Dots have lights of their own.
-        phase: Its phase at ``at_us``, in periods.
+        The light of the board as a whole drives the lines of a screen. Dots have lights of their own.
         """
         self._now_us = at_us
         self._whole.begin(np.zeros_like(picture), _STEADY, 0.0, at_us=at_us)
@@ -125,10 +117,7 @@ class ManyLightsSensor:
         self._truth, self._angles = truth, dict(angles_deg)
 
     def run(self, until_us: float) -> Events:
-        """Return the events up to a time; see `Sensor.run`.
-
-        Returns: In order of time.
-        """
+        """Return the events up to a time, in order; see `Sensor.run`."""
         found = [self._whole.run(until_us)]
         for light, sensor in self.parts:
             events = sensor.run(until_us)
@@ -221,12 +210,10 @@ VIEW_LASTS_S: Final = 5.0
 
 
 class SensorStream:
-    """A stream in progress.
+    """A stream in progress; ``preview`` for a live picture.
 
-    repeats: Number of earlier streams with the same pose and settings, by ``stream_key``; this stream is
-      added to it.
-    clock_us: State of the sensor's clock, us, not wrapped.
-    preview: Whether the stream is for a live picture.
+    ``repeats`` counts earlier streams with the same pose and settings, by ``stream_key``; this stream is added to it.
+    ``clock_us`` is the sensor's clock, not wrapped.
     """
 
     def __init__(
@@ -275,11 +262,9 @@ class SensorStream:
         self._sensor.begin(self._picture(moving=False), self._light, phase)
 
     def go_on(self, camera: CameraState, clock_us: int) -> bool:
-        """Begin the next preview with the sensor as it stands.
+        """Begin the next preview with the sensor as it stands, at a state of its clock that is not wrapped.
 
-        clock_us: State of the sensor's clock, us, not wrapped.
-        Returns: False if light, settings or clock are others than at the end of this stream: a new one is
-          needed.
+        False if light, settings or clock are others than at the end of this stream: a new one is needed.
         """
         asked_s = self._world.now_s()
         if camera != self._camera or self._world.light(asked_s) != self._light or clock_us > self.clock_us:
@@ -317,10 +302,7 @@ class SensorStream:
         return self.start_s + self._now_us * 1e-6
 
     def next_frame(self) -> bytes:
-        """Compute the next 2 ms of sensor time.
-
-        Returns: EVT3 words, little-endian.
-        """
+        """Compute the next 2 ms of sensor time, as EVT3 words, little-endian."""
         end_us = self._now_us + FRAME_US
         self._follow_world()
         events, entered_t = self._filters.apply(self._sensor.run(end_us))
@@ -406,11 +388,7 @@ class SensorStream:
 def sync_edges(
     light: LightState, period_starts_us: float, first_us: int, end_us: int
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Return the edges of the light's sync line with first_us <= t < end_us.
-
-    Returns: Times, us, rounded down.
-    Returns: Level after each edge.
-    """
+    """Return edges of the light's sync line, first_us <= t < end_us: times, us, rounded down, and levels after them."""
     period = light.period_us
     k = np.arange(
         math.floor((first_us - period_starts_us) / period) - 1, (end_us - period_starts_us) / period + 1

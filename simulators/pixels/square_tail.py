@@ -34,7 +34,7 @@ TIME_STEP_US: Final = 4.0 / 1024.0
 def tail_width(d: Drive) -> float:
     """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``.
 
-    Returns: Relative distance; 0 if the light is not square.
+    It is 0 if the light is not square.
     """
     return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
 
@@ -49,10 +49,7 @@ def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
 
 @njit(**INNER_KERNEL)
 def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any:
-    """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light.
-
-    Returns: The smallest distance, at most 1.
-    """
+    """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light; return the smallest, at most 1."""
     for k in range(n):
         batch[pr.LIMIT_DISTANCE, k] = limit_distance(
             drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k]
@@ -84,10 +81,7 @@ def level(d: Drive, light: float, phase: float) -> float:
 
 @njit(**INNER)
 def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
-    """Return the first crossing at or after a phase.
-
-    Returns: Phase of the crossing in us (inf = none), and whether it is ON.
-    """
+    """Return the first crossing at or after a phase: its phase, us (inf = none), and whether it is ON."""
     u_rise, u_fall = _steady(d, light)
     bright, dark = 1.0 / (d.ambient + light * d.w_high), 1.0 / (d.ambient + light * d.w_low)
     can_on, can_off = u_fall <= on_at, u_rise >= off_at
@@ -105,12 +99,10 @@ def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) 
 
 @njit(**INNER)
 def request_time(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
-    """Return when u met a target, more exactly than float32 stores a request's time.
+    """Return when u met a target, more exactly than float32 stores a request's time t, us after the epoch.
 
     On a steep slope the target determines the moment better than the stored time does. The light that the pixel
     receives at the end of its dead time sets the next reference.
-
-    t: Stored time of the request, us after the epoch.
     """
     begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)
     u_rise, u_fall = _steady(d, light)
@@ -125,21 +117,13 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
 
 @njit(forceinline=True, **INNER)
 def lower_digits(u: float, u32: Any) -> Any:
-    """Return the digits of u that its float32 value lacks, to be stored beside it.
-
-    u32: The same, rounded to float32.
-    Returns: Digits in bits 1 to 7; bit 0 is free.
-    """
+    """Return the digits of u that its float32 value lacks, to be stored beside it: bits 1 to 7; bit 0 is free."""
     steps = floor((u / np.float64(u32) - 1.0) * (63.0 * 16777216.0) + 64.5)
     return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
 
 
 @njit(forceinline=True, **INNER)
 def join_digits(u32: Any, digits: Any) -> float:
-    """Return a reference with its lower digits.
-
-    u32: Reference in float32.
-    digits: From ``lower_digits``; 0 in bits 1 to 7 if none were stored.
-    """
+    """Return a float32 reference with its digits from ``lower_digits``; 0 in bits 1 to 7 if none were stored."""
     steps = np.int64(digits >> np.uint8(1))
     return np.float64(u32) * (1.0 + ((steps - 64) / (63.0 * 16777216.0) if steps else 0.0))

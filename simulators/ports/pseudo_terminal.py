@@ -24,10 +24,7 @@ _BAUD_BY_CODE = {
 
 
 class PseudoTerminal:
-    """The device's end of a serial line.
-
-    link: Path of the symlink to the client's end, as in ``/dev/serial/by-id``.
-    """
+    """The device's end of a serial line; ``link`` is a symlink to the client's end, as in ``/dev/serial/by-id``."""
 
     def __init__(self, link: Path) -> None:
         self.link = link

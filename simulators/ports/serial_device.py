@@ -86,11 +86,7 @@ class Port(Protocol):
 
 
 class SerialDevice:
-    """A device that answers on a port until it is closed.
-
-    port: The device's end of the line.
-    paced: Whether bytes take the time that they need at the baud rate.
-    """
+    """A device that answers on its end of a line until it is closed; paced: bytes take their time at the baud rate."""
 
     def __init__(self, port: Port, dialect: Dialect, *, paced: bool = True) -> None:
         self._port = port

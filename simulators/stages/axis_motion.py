@@ -3,9 +3,8 @@
 The module covers the reference sensor, the end stops and the faults of a motion. It depends neither on a protocol
 nor on the wall clock: the caller passes all times in. The controllers' dialects build on it.
 
-Three positions are kept apart, because faults show in their differences. The *counter* is what the controller
-believes. The *motor* is the position of the shaft, which an encoder on the shaft reads. The *angle* is where the
-load points.
+Three positions are kept apart, because faults show in their differences. The *counter* is what the controller believes.
+The *motor* is the position of the shaft, which an encoder on the shaft reads. The *angle* is where the load points.
 """
 
 from __future__ import annotations
@@ -79,15 +78,11 @@ class MotionEvent(NamedTuple):
 
 
 class Axis:
-    """One axis.
+    """One axis. Times are in seconds, on the caller's clock; positions are motor counts from the load's true zero.
 
-    Commands take the time at which they arrive; queries take the time that they ask about. Times are in seconds,
-    on the caller's clock.
-
-    publish: Called with each new trajectory of the load; this is how the world learns where the axis points.
-    commanded: Trajectory that the controller commands, motor counts from the true zero of the load.
-    motor: Trajectory of the shaft, in the same counts.
-    stuck_busy: Whether the controller keeps reporting busy.
+    Commands take the time at which they arrive; queries take the time that they ask about. ``publish`` is called with
+    each new trajectory of the load; this is how the world learns where the axis points. ``commanded`` is the trajectory
+    that the controller commands, ``motor`` that of the shaft. ``stuck_busy``: the controller keeps reporting busy.
     """
 
     def __init__(
@@ -136,10 +131,7 @@ class Axis:
         return t_s < self.commanded.end_s
 
     def reports_busy(self, t_s: float) -> bool:
-        """Return what the controller reports: the truth, unless a fault of reporting is set.
-
-        Returns: The reported state. Each false "idle" is reported once.
-        """
+        """Return what the controller reports: the truth, unless a fault is set; each false "idle" is reported once."""
         busy = self.busy(t_s)
         if busy and self._false_idle_replies > 0:
             self._false_idle_replies -= 1
@@ -152,10 +144,7 @@ class Axis:
         return self._referenced
 
     def take_event(self, t_s: float) -> MotionEvent | None:
-        """Return, once, the event that the controller must have noticed by now.
-
-        Returns: The event; None if there is none.
-        """
+        """Return, once, the event that the controller must have noticed by now; None if there is none."""
         event = self._event
         if event is None or t_s < event.t_s:
             return None
@@ -188,10 +177,9 @@ class Axis:
     def home(
         self, t_s: float, speed: float, slow: float, acceleration: float, *, set_counter: bool = True
     ) -> None:
-        """Find the reference sensor: run past it at full speed, then return to it slowly from below.
+        """Find the reference sensor: run past it at full speed, then return to it slowly from below (both counts/s).
 
-        speed, slow: Speed of the first and of the second part, counts/s.
-        set_counter: Whether homing sets counter and encoder to 0 at the sensor.
+        ``set_counter``: homing sets counter and encoder to 0 at the sensor.
         """
         self._finish_homing(t_s)
         self._referenced = False

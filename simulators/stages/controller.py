@@ -14,10 +14,7 @@ from simulators.stages.axis_motion import Axis, MotionEvent
 
 
 class Unit(ABC):
-    """Something with power that moves axes.
-
-    boot_s: Time without answers after a restart, s.
-    """
+    """Something with power that moves axes; for ``boot_s`` after a restart it gives no answers."""
 
     def __init__(self, axes: Iterable[Axis], now_s: float, boot_s: float = 0.0) -> None:
         self._moved = tuple(axes)
@@ -69,7 +66,7 @@ class Unit(ABC):
 class Controller(Unit):
     """A controller with a line of its own, as a dialect of that line.
 
-    byte_timeout_s: After this silence, s, the beginning of a message is dropped.
+    After a silence of ``byte_timeout_s`` the beginning of a message is dropped.
     """
 
     def __init__(

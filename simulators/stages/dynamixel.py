@@ -50,10 +50,7 @@ class AccessError(Exception):
 
 
 class RangeError(Exception):
-    """A value out of range.
-
-    by_setting: Whether a setting of the servo limits it.
-    """
+    """A value out of range; ``by_setting``: a setting of the servo limits it."""
 
     def __init__(self, *, by_setting: bool = False) -> None:
         super().__init__()
@@ -200,10 +197,9 @@ class DynamixelServo(Unit):
 
     # ------------------------------------------------------------------ writing
     def write(self, first: int, data: bytes, t_s: float) -> None:
-        """Write whole fields; all of them are checked before one is changed.
+        """Write whole fields from an address on; all of them are checked before one is changed.
 
-        first: Address of the first byte.
-        Raises AccessError: An address is read-only, or cannot be written while the torque is on.
+        An address that is read-only, or cannot be written while the torque is on, raises `AccessError`.
         """
         values: list[tuple[int, int]] = []
         at = first
@@ -280,7 +276,7 @@ class DynamixelServo(Unit):
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the servo by one of another model, fresh from power-up: servos have no serial number.
 
-        serial: Model number, if it is that of a servo; else that of an XM430-W350.
+        ``serial`` is a model number; if it is not that of a servo, an XM430-W350 comes.
         """
         known = serial.isdigit() and 1000 <= int(serial) < 2000
         self._model_number = int(serial) if known else 1020
@@ -288,10 +284,7 @@ class DynamixelServo(Unit):
 
 
 class DynamixelBus:
-    """The servos on one line, as a dialect.
-
-    publish: Called with the id of a servo and each new trajectory of it.
-    """
+    """The servos on one line, as a dialect; ``publish`` is called with an id and each new trajectory of that servo."""
 
     def __init__(
         self,
@@ -435,9 +428,6 @@ class DynamixelBus:
 
     # ------------------------------------------------------------------ events outside the protocol
     def cut_power(self, t_s: float, *, restored: bool = False) -> None:
-        """Cut the power of the bus, or restore it; nothing happens if it was never cut.
-
-        restored: Whether the power comes back.
-        """
+        """Cut the power of the bus, or restore it; nothing happens if it was never cut."""
         for servo in self.servos.values():
             servo.emergency_stop(t_s, released=restored)

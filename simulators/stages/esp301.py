@@ -55,10 +55,7 @@ _AXIS_ERROR_TEXTS: Final = {
 
 
 class EspError(Exception):
-    """A refused command.
-
-    number: Number of a controller error or of an axis error, depending on where it is raised.
-    """
+    """A refused command: number of a controller error or of an axis error, depending on where it is raised."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -66,10 +63,7 @@ class EspError(Exception):
 
 
 def error_text(number: int) -> str:
-    """Return the text of an error, as ``TB?`` answers it.
-
-    number: Number of a controller error, or axis * 100 + number of an axis error.
-    """
+    """Return the text that ``TB?`` answers for a controller error, or axis * 100 + number of an axis error."""
     return _AXIS_ERROR_TEXTS[number % 100] if number >= 100 else _ERROR_TEXTS[number]
 
 
@@ -113,10 +107,7 @@ class EspAxis(AxisOfController):
 
 
 class EspController(Controller):
-    """The controller.
-
-    models: Its axes, from number 1.
-    """
+    """The controller; ``models`` are its axes, from number 1."""
 
     def __init__(
         self,

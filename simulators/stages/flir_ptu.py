@@ -81,10 +81,7 @@ class PtuAxis(AxisOfController):
 
 
 class PtuController(Controller):
-    """The unit.
-
-    serial: Answer to ``VS``.
-    """
+    """The unit; ``serial`` is the answer to ``VS``."""
 
     def __init__(
         self,

@@ -178,12 +178,10 @@ class _Pause(NamedTuple):
 
 
 class GrblController(SystemCommands, Unit):
-    """The controller.
+    """The controller of axes by letter: X, Y and Z in this order.
 
-    models: Its axes by letter: X, Y and Z in this order.
-    pull_off_deg: Distance from the switch at which homing ends, degrees.
-    name: Name that a user has given it by ``$I=``.
-    settings: Values of the ``$`` settings, by number.
+    Homing ends ``pull_off_deg`` from the switch; ``name`` is what a user has given by ``$I=``; ``settings`` are the
+    values of the ``$`` settings, by number.
     """
 
     baud = 115_200

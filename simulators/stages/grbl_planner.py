@@ -36,10 +36,7 @@ _GROUPS: Final = {
 
 
 class GcodeError(Exception):
-    """A refused block.
-
-    number: Error number of GRBL 1.1.
-    """
+    """A refused block, with an error number of GRBL 1.1."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -61,8 +58,6 @@ class Block:
 def strip_line(line: str) -> str:
     """Return a line as the firmware keeps it: without blanks, comments and ``/``, in capitals.
 
-    Examples
-    --------
     >>> strip_line("g0 (fast) x-1 ; and back"), strip_line("$ i"), strip_line("G1 (not closed")
     ('G0X-1', '$I', 'G1')
     """
@@ -70,15 +65,11 @@ def strip_line(line: str) -> str:
 
 
 def parse_block(line: str, axes: str = "XYZ") -> Block:
-    """Parse a block.
+    """Parse a block, with or without comments and blanks.
 
-    line: The block, with or without comments and blanks.
-    Raises GcodeError: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of
-      one group, 23 code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time
-      missing.
+    `GcodeError`: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of one group, 23
+    code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time missing.
 
-    Examples
-    --------
     >>> parse_block("G90 g1 X-1.5 F600").targets
     {'X': -1.5}
     """
@@ -162,11 +153,9 @@ class GrblAxisModel:
 
 
 def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
-    """Return the factory settings of a board with these axes.
+    """Return the factory settings by number, in rising order, of a board with the axes X, Y and Z in this order.
 
-    models: Axes by letter: X, Y and Z in this order.
-    pull_off_deg: Distance from the switch at which homing ends, degrees.
-    Returns: Values by number, in rising order.
+    Homing ends ``pull_off_deg`` from the switch.
     """
     settings = {
         0: 10.0,
@@ -199,13 +188,8 @@ def format_setting(number: int, value: float) -> str:
 
 
 def parse_setting(command: str) -> tuple[int, float]:
-    """Parse the change of a setting.
+    """Parse a setting's change, after its ``$``, without blanks; `GcodeError` 2 bad number, 3 not a setting.
 
-    command: The line after its ``$``, without blanks.
-    Raises GcodeError: 2 bad number, 3 not a setting.
-
-    Examples
-    --------
     >>> parse_setting("110=2400.5")
     (110, 2400.5)
     """
@@ -230,11 +214,9 @@ class Motion(NamedTuple):
 
 
 class Planner:
-    """The axes of a controller and their queue of motions.
+    """The axes of a controller, by letter X, Y and Z in this order, and their queue of motions.
 
-    models: Axes by letter: X, Y and Z in this order.
-    settings: Settings of the controller, by number; they may change while all axes rest.
-    held: Whether a feed hold is in force.
+    ``settings``, by number, may change while all axes rest. ``held``: a feed hold is in force.
     """
 
     def __init__(
@@ -264,17 +246,11 @@ class Planner:
         return any(axis.busy(now) and not axis.reports_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
-        """Return whether nothing moves and the queue is empty.
-
-        Returns: False during a hold too.
-        """
+        """Return whether nothing moves and the queue is empty; False during a hold too."""
         return not self._queue and not self.held and not self.moving(now)
 
     def position(self, now: float) -> list[float]:
-        """Return the machine position of three axes.
-
-        Returns: Units; 0 for missing axes.
-        """
+        """Return the machine position of three axes, units; 0 for missing axes."""
         found = [axis.counter(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return found + [0.0] * (3 - len(found))
 
@@ -341,10 +317,7 @@ class Planner:
             axis.home(now, seek, feed, self._setting(ACCELERATION, letter) * scale, set_counter=False)
 
     def homed(self, now: float) -> bool:
-        """Set the counters after homing.
-
-        Returns: False if a switch was not found.
-        """
+        """Set the counters after homing; False if a switch was not found."""
         for letter, axis in self.axes.items():
             axis.set_counter(-self._settings[PULL_OFF] * self._steps(letter), now)
         return all(axis.referenced(now) for axis in self.axes.values())

@@ -60,10 +60,7 @@ class AptModel:
         return not self.name.startswith("K10CR")
 
     def speed_units(self) -> tuple[float, float]:
-        """Return the scales of the ramp settings.
-
-        Returns: Units for one count/s, and for one count/s^2.
-        """
+        """Return the scales of the ramp settings: units for one count/s, and for one count/s^2."""
         if self.servo:
             return _SERVO_PERIOD_S * 65_536.0, _SERVO_PERIOD_S**2 * 65_536.0
         return 53.68, 1.0 / 90.9

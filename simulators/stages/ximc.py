@@ -59,10 +59,7 @@ _IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02
 
 
 class ErrorReply(Exception):
-    """An error answer.
-
-    letters: ``errc`` (unknown command), ``errd`` (wrong CRC) or ``errv`` (wrong value).
-    """
+    """An error answer: ``errc`` (unknown command), ``errd`` (wrong CRC) or ``errv`` (wrong value)."""
 
     def __init__(self, letters: bytes) -> None:
         self.letters = letters
@@ -72,8 +69,6 @@ class ErrorReply(Exception):
 def crc16(data: bytes) -> int:
     """Return the cyclic redundancy check with polynomial 0xA001 (reflected) and start value 0xFFFF.
 
-    Examples
-    --------
     >>> hex(crc16(b"123456789"))
     '0x4b37'
     """
@@ -86,10 +81,7 @@ def crc16(data: bytes) -> int:
 
 
 def data_length(letters: bytes) -> int:
-    """Return the number of bytes after the letters of a command.
-
-    Returns: Length of the data, CRC included; 0 for a command without data.
-    """
+    """Return the number of bytes after the letters of a command, CRC included; 0 for a command without data."""
     name = letters.decode("latin-1")
     if name in {"move", "movr"}:
         return 14
@@ -108,8 +100,6 @@ def to_counts(steps: int, fraction: int) -> int:
 def to_steps(counts: int) -> tuple[int, int]:
     """Split a position into whole steps and 1/256 steps, both with the same sign.
 
-    Examples
-    --------
     >>> to_steps(-257)
     (-1, -1)
     """

@@ -151,11 +151,9 @@ class ZaberController(Unit):
 
     # ------------------------------------------------------------------ commands
     def execute(self, axis: int, words: list[str], t_s: float) -> str:
-        """Execute a command.
+        """Execute a command of an axis, 0 for the controller and all its axes; without words, read the status only.
 
-        axis: Addressed axis; 0 for the controller and all its axes.
-        words: Words of the command; empty to read the status only.
-        Raises CommandRejected: If the reply is a rejection.
+        `CommandRejected` stands for a reply that is a rejection.
         """
         if axis > 1:
             raise CommandRejected("BADAXIS")
@@ -388,8 +386,6 @@ class Request(NamedTuple):
 def checksum(body: str) -> str:
     """Return the longitudinal redundancy check (LRC) of a message.
 
-    Examples
-    --------
     >>> checksum("1 1 03 home")
     '32'
     """
@@ -397,12 +393,8 @@ def checksum(body: str) -> str:
 
 
 def parse_request(line: bytes) -> Request | None:
-    """Parse a line.
+    """Parse a line; None if a controller does not answer it: noise, or a wrong checksum.
 
-    Returns: None if a controller does not answer the line: noise, or a wrong checksum.
-
-    Examples
-    --------
     >>> parse_request(b"/1 1 05 move abs 50000:B7")
     Request(device=1, axis=1, message_id='05', words=['move', 'abs', '50000'])
     >>> parse_request(b"/1 1 05 move abs 50001:B7") is None
@@ -424,10 +416,7 @@ def parse_request(line: bytes) -> Request | None:
 
 
 class ZaberChain:
-    """Controllers on one line, as a dialect of it.
-
-    controllers: Controllers in the order of their addresses, from 1.
-    """
+    """Controllers on one line, as a dialect of it, in the order of their addresses, from 1."""
 
     def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:
         self.controllers = tuple(controllers)

@@ -252,11 +252,7 @@ def view_of(board: BoardTruth, target: StarTarget) -> View:
 
 
 def check_placements(board: BoardTruth, target: StarTarget) -> None:
-    """Check that the board can stand where it shall.
-
-    Raises ConfigError: If a placement of the script reaches behind the camera, or the board does not fit into
-      the picture where it is to be placed at random.
-    """
+    """Check that the board stands wholly before the camera, and fits into the picture where it is placed at random."""
     view = view_of(board, target)
     if not board.present:
         return
@@ -281,10 +277,7 @@ def check_placements(board: BoardTruth, target: StarTarget) -> None:
 
 
 def placement(board: BoardTruth, view: View) -> Placement:
-    """Return the present placement as the script has it, or as it was drawn.
-
-    Returns: Without the scatter and the shaking of the hand.
-    """
+    """Return the present placement as the script has it, or as drawn, without the hand's scatter and shaking."""
     number = board.state.number
     if board.placements:
         return board.placements[(number - 1) % len(board.placements)]
@@ -310,18 +303,12 @@ def pose(board: BoardTruth, view: View) -> BoardPose:
 
 
 def is_flickering(board: BoardTruth, view: View) -> bool:
-    """Return whether the board's light flickers.
-
-    Returns: False if the placement or a person says so.
-    """
+    """Return whether the board's light flickers, which the placement or a person may deny."""
     return board.state.flicker and placement(board, view).flicker
 
 
 def second_mm(board: BoardTruth, view: View) -> FloatArray | None:
-    """Return where a second board lies from the first one.
-
-    Returns: In the camera's axes at zero angles; None if there is one board.
-    """
+    """Return where a second board lies from the first one, in the camera's axes at zero angles; None if it is alone."""
     given = board.state.second_mm or placement(board, view).second_mm
     return None if given is None else np.asarray(given, np.float64)
 
@@ -329,8 +316,8 @@ def second_mm(board: BoardTruth, view: View) -> FloatArray | None:
 def placement_record(board: BoardTruth, view: View) -> dict[str, Any]:
     """Return the present placement as plain numbers, for ``truth.json``.
 
-    Returns: ``number``, ``position_mm`` and ``turn_deg`` with the hand's scatter but without its shaking,
-      ``flicker`` and ``second_mm``.
+    These are ``number``, ``position_mm`` and ``turn_deg`` with the hand's scatter but without its shaking, ``flicker``
+    and ``second_mm``.
     """
     rotation, middle = pose(board, view)
     second = second_mm(board, view)
@@ -355,10 +342,7 @@ class HandShake:
         self._phases = rng.random((6, _WAVES))
 
     def at(self, t_s: float) -> tuple[float, float, float, float, float, float]:
-        """Return the displacement at a time.
-
-        Returns: Three mm and three degrees, as `BoardTruth.shake`.
-        """
+        """Return the displacement at a time: three mm and three degrees, as `BoardTruth.shake`."""
         waves = np.sin(2.0 * math.pi * (self._hz * t_s + self._phases)).sum(axis=1) * math.sqrt(2.0 / _WAVES)
         x, y, z, a, b, c = (self._rms * waves).tolist()
         return x, y, z, a, b, c

@@ -27,8 +27,6 @@ STEP_C: Final = 0.01
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
     """Return the temperature of the camera at a time after it was switched on.
 
-    Examples
-    --------
     >>> temperature_c(ThermalTruth(warm_up_min=10.0), 600.0)
     34.88
     """
@@ -40,10 +38,7 @@ def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
 
 
 def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
-    """Return the truth at a temperature.
-
-    Returns: With focal lengths of that temperature; the same object if they are unchanged.
-    """
+    """Return the truth with the focal lengths of a temperature; the same object if they are unchanged."""
     stretch = 1.0 + 1e-6 * truth.thermal.focal_ppm_per_c * (at_c - REFERENCE_C)
     if stretch == 1.0:
         return truth
@@ -52,10 +47,7 @@ def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
 
 
 def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
-    """Return the lamp's light at a temperature, relative to that at the reference temperature.
-
-    Returns: At least 0; 1 at the reference temperature.
-    """
+    """Return the lamp's light at a temperature, at least 0; 1 at the reference temperature."""
     return max(0.0, 1.0 + 1e-2 * thermal.lamp_percent_per_c * (at_c - REFERENCE_C))
 
 
@@ -92,12 +84,10 @@ def moved_angles_deg(
     phases: tuple[float, float],
     t_s: float,
 ) -> dict[_Axis, float]:
-    """Return the angles at which the camera really points.
+    """Return the angles at which the camera really points, with drift and vibration added.
 
-    start_drift_arcsec: Drift of pan and tilt at the recording's start, arc seconds, from
-      ``drift_since_on_arcsec``.
-    phases: Phases of the vibration about pan and tilt at the recording's start, in periods.
-    Returns: Angles by name, degrees, with drift and vibration added.
+    The drift of pan and tilt at the recording's start comes from ``drift_since_on_arcsec``; the phases are those of the
+    vibration about pan and tilt at that start, in periods.
     """
     angles = dict(angles_deg)
     pan, tilt = (name for name in angles if name in {"pan", "tilt"})

@@ -98,9 +98,9 @@ class GimbalTruth(Section):
     seed: Count = 0  # Seed of the phases, the wobble and the readings' errors; 0: the bench's seed
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all errors as plain numbers, with the random numbers and the law: a section of ``truth.json``.
+        """Return all errors by name (``scale`` and ``backlash_deg`` by axis), the random numbers and the law.
 
-        Returns: Errors by name; ``scale`` and ``backlash_deg`` by axis.
+        It is a section of ``truth.json``.
         """
         return {
             "wobble_deg": self.wobble_deg,
@@ -155,15 +155,10 @@ def drawn_errors(seed: int) -> tuple[DrawnErrors, DrawnErrors, DrawnErrors]:
 
 
 def true_angles_deg(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> tuple[float, float, float]:
-    """Return the true angles of the axes.
+    """Return the true pan, tilt and roll, degrees, of loads that are read at these angles; missing = 0.
 
     Own model; the head of the module has the equation.
 
-    angles_deg: Angles of the loads as read: "pan", "tilt" and "roll", degrees; missing = 0.
-    Returns: Pan, tilt and roll, degrees.
-
-    Examples
-    --------
     >>> round(true_angles_deg({"pan": 6.0}, GimbalTruth(scale=(0.001, 0.0, 0.0)))[0], 9)
     6.006
     """
@@ -200,13 +195,10 @@ def _knot(seed: int, axis: int, knot: int) -> float:
 
 
 def gimbal_rotation(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> FloatArray:
-    """Return the rotation of the camera by the gimbal: R R0^T of the head of the module.
+    """Return the rotation of the camera by the gimbal: R R0^T of the head; Rz(roll) Rx(tilt) Ry(pan) without errors.
 
-    Rotations about the axes: Diebel (2006). Errors: own model.
-
-    angles_deg: Angles of the loads as read: "pan" about y, "tilt" about x and "roll" about z, degrees;
-      missing = 0.
-    Returns: Rz(roll) Rx(tilt) Ry(pan) if there are no errors.
+    Angles of the loads as read: "pan" about y, "tilt" about x and "roll" about z; missing = 0. Rotations about the
+    axes: Diebel (2006). Errors: own model.
     """
     pan, tilt, roll = (math.radians(angle) for angle in true_angles_deg(angles_deg, gimbal))
     skew = math.radians(gimbal.nonorthogonality_deg)
@@ -238,12 +230,7 @@ def _wobble(angles_deg: Mapping[Any, float], axis: int, gimbal: GimbalTruth) -> 
 
 
 def rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float] | list[float]) -> FloatArray:
-    """Return the rotation matrix of a rotation vector (Rodrigues' formula).
-
-    Source: Diebel (2006).
-
-    rotation_vector: (3,) radians.
-    """
+    """Return the rotation matrix of a rotation vector, (3,) radians (Rodrigues' formula; Diebel 2006)."""
     x, y, z = (float(v) for v in rotation_vector)
     angle = math.sqrt(x * x + y * y + z * z)
     if angle == 0.0:
@@ -255,12 +242,10 @@ def rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float] | l
 def load_angles_deg(
     angles_deg: Mapping[str, float], sides: Mapping[str, float], gimbal: GimbalTruth
 ) -> dict[str, float]:
-    """Return the angles of the loads behind the play of their gears.
+    """Return the angles of the loads by axis, behind the play of their gears.
 
-    Own rule: a load stands half of the play behind its motor, on the side that it came from.
-
-    sides: Direction of each axis's last motion: +1, -1, or 0 if it has not moved; missing = 0.
-    Returns: Angles by axis, degrees.
+    Own rule: a load stands half of the play behind its motor, on the side that it came from. ``sides`` are the
+    directions of each axis's last motion: +1, -1, or 0 if it has not moved; missing = 0.
     """
     play = dict(zip(AXES, gimbal.backlash_deg, strict=True))
     return {

@@ -27,15 +27,11 @@ class RampPhase(NamedTuple):
 def ramp(
     position: float, velocity: float, target: float, speed: float, acceleration: float
 ) -> list[RampPhase]:
-    """Plan a trapezoidal velocity profile from a position and velocity to rest at a target.
+    """Plan a trapezoidal velocity profile from a position and velocity to rest at a target, counts.
 
-    An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first.
+    An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first. There are four legs at most,
+    and none if the axis already rests at the target.
 
-    target: Position at which it comes to rest, counts.
-    Returns: At most four; empty if the axis already rests at the target.
-
-    Examples
-    --------
     >>> [tuple(leg) for leg in ramp(0.0, 0.0, 100.0, 10.0, 10.0)]
     [(1.0, 10.0), (9.0, 0.0), (1.0, -10.0)]
     """
@@ -104,10 +100,7 @@ class MotorTrajectory:
         stations: list[tuple[float, float]],
         acceleration: float,
     ) -> Self:
-        """Plan ramps through several positions, with a stop at each.
-
-        stations: Positions in counts, each with the speed limit of the ramp to it, counts/s.
-        """
+        """Plan ramps through positions (counts, each with the speed limit of its ramp, counts/s), with stops there."""
         pieces: list[Piece] = []
         for station, speed in stations:
             for leg in ramp(position, velocity, station, speed, acceleration):
@@ -138,10 +131,7 @@ class MotorTrajectory:
         return max(0, bisect_right(self.pieces, t_s, key=lambda piece: piece.start_s) - 1)
 
     def at(self, t_s: float) -> Piece:
-        """Return the piece at a time.
-
-        Returns: The first one if the time lies before the command.
-        """
+        """Return the piece at a time; the first one before the command."""
         return self.pieces[self.index(t_s)]
 
     def position(self, t_s: float) -> float:
@@ -160,10 +150,7 @@ class MotorTrajectory:
         return type(self)((*kept, Piece(t_s, float(round(self.position(t_s))), creep, 0.0)))
 
     def first_beyond(self, lowest: float, highest: float) -> float | None:
-        """Return the time at which the trajectory first leaves a range.
-
-        Returns: Time; None if the trajectory stays inside.
-        """
+        """Return the time at which the trajectory first leaves a range; None if it stays inside."""
         for index, piece in enumerate(self.pieces):
             ends_s = self.pieces[index + 1].start_s if index + 1 < len(self.pieces) else piece.start_s
             for bound, outwards in ((highest, 1.0), (lowest, -1.0)):
@@ -173,9 +160,9 @@ class MotorTrajectory:
 
 
 def _time_to(position: float, piece: Piece) -> float:
-    """Return the earliest time after a piece's start at which it passes a position; 0 if it starts beyond it.
+    """Return the earliest time after a piece's start at which it passes a position, which it must do.
 
-    The piece must pass that position.
+    It is 0 if the piece starts beyond it.
     """
     distance, v, a = position - piece.position, piece.velocity, piece.acceleration
     side = math.copysign(1.0, v if v != 0.0 else a)

@@ -48,17 +48,13 @@ _WHOLE_PIXELS: Final = 1e-3
 
 
 def truth_from_config(config: Mapping[str, Any]) -> Truth:
-    """Read the truth from the sections of a configuration that are named as the attributes of `Truth`.
+    """Read the truth from the optional sections that are named as the attributes of `Truth`; ignore other sections.
 
-    config: Every section and every key in it is optional; other sections are ignored. ``target`` describes
-      the print with the keys of `StarTarget`, its two numbers of squares as ``squares``. ``noise`` is the
-      name of a level, or a mapping over the typical level. ``collimator`` may be the name of a profile, or a
-      mapping that names it as ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg``
-      of the ``gimbal`` are numbers for all axes, or mappings by axis.
-    Raises ConfigError: If a key is unknown, or its value is not valid; the error names the key.
+    ``target`` describes the print with the keys of `StarTarget`, its two numbers of squares as ``squares``. ``noise``
+    is the name of a level, or a mapping over the typical level. ``collimator`` may be the name of a profile, or a
+    mapping that names it as ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg`` of the
+    ``gimbal`` are numbers for all axes, or mappings by axis. `ConfigError` names a key that is unknown or not valid.
 
-    Examples
-    --------
     >>> truth_from_config({"collimator": {"r": 700}, "noise": "clean"}).collimator.r
     700.0
     """
@@ -208,16 +204,11 @@ def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
 
 
 def board_from_config(given: object) -> BoardTruth:
-    """Read the section of the board.
+    """Read the section of the board: the keys of `BoardTruth` over the defaults of its kind; no ``kind`` if empty.
 
-    given: Mapping with the keys of `BoardTruth`, or empty. ``frequencies_hz`` is a list, or a mapping with
-      ``first`` and ``last``. ``placements`` is a list of mappings; without it, places are drawn by
-      ``anywhere``.
-    Returns: Defaults of the kind, with the given keys replaced; without ``kind`` if nothing is given.
-    Raises ConfigError: If a key is unknown or its value is not valid; the error names the key.
+    ``frequencies_hz`` is a list, or a mapping with ``first`` and ``last``. ``placements`` is a list of mappings;
+    without it, places are drawn by ``anywhere``. `ConfigError` names a key that is unknown or not valid.
 
-    Examples
-    --------
     >>> board_from_config({"kind": "circles", "columns": 9, "rows": 6, "pitch_mm": 25}).dot_mm
     12.5
     """

@@ -48,16 +48,11 @@ class SyncLine:
     def carry(
         self, periods: IntArray, rising: IntArray, falling: IntArray, period_us: float
     ) -> tuple[IntArray, NDArray[np.uint8]]:
-        """Carry the edges of some periods.
+        """Carry the edges of periods: times in order, us, and the level after each edge, plus twice the channel.
 
-        periods: (N,) int64, numbers of the periods.
-        rising, falling: (N,) int64, times of their edges, us.
-        period_us: Length of a period.
-        Returns: Times in order, us.
-        Returns: Level after each edge, and twice the channel.
+        The periods' numbers and their ``rising`` and ``falling`` edges, us, are (N,) int64; all periods have one
+        length, us.
 
-        Examples
-        --------
         >>> k = np.arange(4)
         >>> SyncLine(missing_every=2).carry(k, 100 * k, 100 * k + 50, 100.0)[0].tolist()
         [100, 150, 300, 350]
@@ -149,11 +144,10 @@ class LightState:
 
 
 def light_of_board(state: LightState, board: BoardTruth, *, flickers: bool, on_since_s: float) -> LightState:
-    """Return the light of a board as the camera sees it.
+    """Return the light of a board as the camera sees it, by the state of the bench's light.
 
-    state: State of the bench's light.
-    Returns: A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in
-      steady light does not flicker, though the sync edges of the bench's light go on.
+    A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in steady light does not
+    flicker, though the sync edges of the bench's light go on.
     """
     if board.own_clock:
         state = LightState(
@@ -183,10 +177,7 @@ def setup_of(truth: Truth) -> CameraSetup:
 
 
 def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
-    """Return the truth with the camera set up in another way.
-
-    Returns: The same object if the camera is set up so already.
-    """
+    """Return the truth with the camera set up in another way; the same object if it is set up so already."""
     if setup == setup_of(truth):
         return truth
     mount = replace(truth.mount, shift_mm=setup.shift_mm, turn_deg=setup.turn_deg)
@@ -211,10 +202,7 @@ class AxisMotion:
 
 
 class History(Generic[_State]):
-    """A state over time: the state at a past moment can be looked up.
-
-    first: State at all times before the first one that is appended.
-    """
+    """A state over time: past states can be looked up; ``first`` holds before the first one that is appended."""
 
     def __init__(self, first: _State) -> None:
         self._since: list[float] = [-math.inf]
@@ -247,11 +235,9 @@ class History(Generic[_State]):
 
 
 class World:
-    """Physical state of the simulated bench.
+    """Physical state of the simulated bench; ``clock`` is its time, s, by default the machine's monotonic clock.
 
-    camera_seed: Seed of the sensor's fixed pattern: a camera keeps its pattern over runs with different
-      seeds.
-    clock: Returns world time in seconds; by default the machine's monotonic clock.
+    A camera keeps the fixed pattern of ``camera_seed`` over runs with different seeds.
     """
 
     HISTORY_S = 120.0
@@ -282,10 +268,9 @@ class World:
     # ------------------------------------------------------------- written by stages and lights
 
     def set_axis(self, name: AxisName, motion: AxisMotion, *, since_s: float | None = None) -> None:
-        """Set the motion of an axis; an axis that was never set stands at zero.
+        """Set the motion of an axis from a world time (None: now) on, not before the previous motion's.
 
-        since_s: World time at which the motion begins; None: now. A time before the previous motion's is
-          refused with `SimulationMisuse`.
+        An axis that was never set stands at zero. An earlier time is refused with `SimulationMisuse`.
         """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
@@ -296,11 +281,7 @@ class World:
             self._axes[name].forget_before(since - self.HISTORY_S)
 
     def set_light(self, state: LightState, *, since_s: float | None = None) -> None:
-        """Set the state of the light.
-
-        since_s: World time at which the state begins; None: now. A time before the previous state's is
-          refused with `SimulationMisuse`.
-        """
+        """Set the state of the light from a world time (None: now) on; before the previous state's, it is refused."""
         with self._lock:
             since = self.now_s() if since_s is None else since_s
             self._light.append(since, state)
@@ -309,11 +290,7 @@ class World:
     def change_setup(
         self, change: Callable[[CameraSetup], CameraSetup], *, since_s: float | None = None
     ) -> CameraSetup:
-        """Change what a person can change at the camera by hand.
-
-        since_s: World time of the change; None: now. A time before the previous change's is refused with
-          `SimulationMisuse`.
-        """
+        """Change the camera as by hand at a world time (None: now); before the previous change's, it is refused."""
         with self._lock:
             since = self.now_s() if since_s is None else since_s
             setup = change(self._setup.latest)
@@ -333,10 +310,7 @@ class World:
             return self._setup.at(t_s)
 
     def angles_deg(self, t_s: float) -> Mapping[AxisName, float]:
-        """Return the angles of all axes at a time.
-
-        Returns: Angles by axis, degrees; 0 for an axis that does not exist.
-        """
+        """Return the angles of all axes at a time, degrees; 0 for an axis that does not exist."""
         with self._lock:
             motions = {name: history.at(t_s) for name, history in self._axes.items()}
         angles: dict[AxisName, float] = {"pan": 0.0, "tilt": 0.0, "roll": 0.0}
@@ -349,18 +323,17 @@ class World:
             return all(h.at(t_s).settled_from_s <= t_s for h in self._axes.values())
 
     def resting_microsteps(self, t_s: float) -> Mapping[AxisName, int]:
-        """Return where each axis rests, or will rest, by the motion of a time.
+        """Return where each axis that was set rests, or will rest, by its motion at a time: microsteps, by name.
 
-        Returns: Microsteps by axis, in alphabetical order; only axes that were set.
+        The order is alphabetical.
         """
         with self._lock:
             return {name: h.at(t_s).microsteps for name, h in sorted(self._axes.items())}
 
     def light(self, t_s: float) -> LightState:
-        """Return the state of the light at a time.
+        """Return the light at a time, its voltages scaled to the lamp's light at the temperature of that time.
 
-        Returns: With voltages scaled to the lamp's light at the temperature of that time; of a board, as its
-          light is seen.
+        Of a board, it is the light as seen.
         """
         with self._lock:
             state, setup = self._light.at(t_s), self._setup.at(t_s)
@@ -382,9 +355,9 @@ class World:
         return drift.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
-        """Return the truth at the temperature of a time, with the camera as it is set up then.
+        """Return the truth at a time, with its temperature's focal lengths and the camera as set up then.
 
-        Returns: With focal lengths of that temperature; focus is in section ``lens``.
+        Focus is in section ``lens``.
         """
         truth = drift.truth_at_temperature(self.truth, self.temperature_c(t_s))
         return with_setup(truth, self.camera_setup(t_s))
