@@ -73,12 +73,9 @@ def fit_model(
     leave_out: bool = False,
     wrong: Sequence[GrossStars] = (),
 ) -> Fit:
-    """Fit one model to views; values of a passport are held.
+    """Fit ``spherical`` or ``planar`` to views without wrong stars; values of a passport are held.
 
-    model: ``spherical`` or ``planar``.
-    leave_out: Whether to leave out each view in turn even if the views are consistent.
-    wrong: Stars with a gross error, for each view; they are left out. None if there are none.
-    Raises TooFewStars, DegenerateViews, NotConverged, InputMismatch: As `calib.engine.calibrate`.
+    ``leave_out`` leaves out each view in turn even if the views are consistent. Errors as of `calib.engine.calibrate`.
     """
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
@@ -131,15 +128,11 @@ _LIMIT_ROUNDS = 3
 def refine_robustly(
     bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
 ) -> tuple[Refinement, Loss]:
-    """Adjust with the chosen loss; its limit comes from the residuals.
+    """Adjust with the chosen loss; return the optimum, and the loss with its limit, which comes from the residuals.
 
     The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
     each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
-    median length of the residuals over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional vector of standard
-    normal components.
-
-    options: Loss, its limit if given, and the largest number of steps.
-    Returns: The optimum, and the loss with its final limit.
+    median length of the residuals over 1.1774 = sqrt(2 ln 2), that of a two-dimensional standard normal vector.
     """
     given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)
@@ -162,11 +155,7 @@ def initialize(
     options: CalibrationOptions,
     model: str,
 ) -> tuple[Bundle, AdjustmentParameters]:
-    """Return the bundle of the ideal model, without aberrations, and its starting values.
-
-    model: ``planar`` frees the centre of each view; in ``spherical`` they share one.
-    Raises DegenerateViews: If no start leads to a real camera.
-    """
+    """Return the ideal bundle, and its start; ``planar`` frees each view's centre, ``spherical`` shares one."""
     size, distortion = views[0].image_size, tuple(options.distortion)
     held = options.passport.names if options.passport else ()
     centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
@@ -192,10 +181,7 @@ _SOURCES = {
 
 
 def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
-    """Convert a fit to a calibration result.
-
-    options: Where the passport comes from.
-    """
+    """Convert a fit to a calibration result; the options say where the passport comes from."""
     parameters, whole, used, uncertainty = fitted.parameters, fitted.whole, fitted.used, fitted.uncertainty
     residuals = whole.residuals_px(parameters)
     weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
@@ -238,10 +224,7 @@ def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
 
 
 def _budget_rows(camera: CameraModel, uncertainty: Uncertainty, passport: str) -> tuple[BudgetRow, ...]:
-    """Return the rows of the budget; the squares of their contributions add up to those of the result.
-
-    passport: Where the passport comes from, if it is known.
-    """
+    """Return the rows of the budget; the squares of their contributions add up to those of the result."""
     size = len(camera.parameter_names)
     gradients = np.zeros((len(ROW_QUANTITIES), len(uncertainty.names)))
     gradients[range(4), range(4)] = 1.0

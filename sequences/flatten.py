@@ -53,10 +53,7 @@ from sequences.wording import did_you_mean
 
 
 def axes_named(sequence: Sequence) -> tuple[str, ...]:
-    """Return the axes that any pose of the sequence names.
-
-    Returns: The axes in the order pan, tilt, roll.
-    """
+    """Return the axes that any pose of the sequence names. Returns: The axes in the order pan, tilt, roll."""
     named: set[str] = set()
     for poses in sequence.poses.values():
         named.update(_axes_of_set(poses))

@@ -36,8 +36,8 @@ def require_plain_number(value: Any) -> Any:
     """Refuse a text that Python would read as a number, but that is not a plain decimal number.
 
     value: A value of a document; only texts are checked.
-    Raises PydanticCustomError: For a text such as ``074`` or ``6_0``. A text that is no number at all is left
-      to the field's own check.
+    Raises PydanticCustomError: For a text such as ``074`` or ``6_0``. A text that is no number at all is left to the
+      field's own check.
     """
     if not isinstance(value, str) or is_plain_number(value):
         return value

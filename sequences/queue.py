@@ -69,10 +69,7 @@ class JobFile(JobConfig):
     format: Literal["starbench/job/1"]
 
     def job(self) -> JobConfig:
-        """Return the job in the form of a queue's jobs.
-
-        Returns: The same settings, without ``format``.
-        """
+        """Return the job in the form of a queue's jobs. Returns: The same settings, without ``format``."""
         return JobConfig(**self.model_dump(exclude={"format"}))
 
 

@@ -38,8 +38,8 @@ class Located(Generic[Model]):
 
         path: The value's path.
         name: Path of a file, as the value gives it.
-        Returns: The path, relative to the document's folder; relative to the working directory if a setting
-          gave the value, or if the document is not in a file.
+        Returns: The path, relative to the document's folder; relative to the working directory if a setting gave the
+          value, or if the document is not in a file.
         """
         dotted = ".".join(map(str, path)) + "."
         if self.folder is None or any(dotted.startswith(f"{given}.") for given in self.set_paths):
@@ -50,8 +50,7 @@ class Located(Generic[Model]):
         """Return where the value at a path begins.
 
         path: The value's path; the document need not contain it.
-        Returns: The place of the value, or of the nearest value around it if the document does not contain
-          the path.
+        Returns: The place of the value, or of the nearest value around it if the document does not contain the path.
         """
         return self.tree.spot(path)
 
@@ -65,10 +64,7 @@ class Located(Generic[Model]):
         return f"{self.file}:{spot.line}:{spot.column}"
 
     def fault(self, path: DocumentPath, message: str) -> Fault:
-        """Return a fault of the value at a path.
-
-        path: As `position` takes it.
-        """
+        """Return a fault of the value at a path. path: As `position` takes it."""
         spot = self.position(path)
         return Fault(self.file, spot.line, spot.column, path_text(path), message)
 
@@ -79,8 +75,8 @@ def read_document(
     """Read and check a YAML file.
 
     settings: Values that replace the file's own (`sequences.settings`); the returned text contains them.
-    Raises DocumentFaults: With every fault found: a file that cannot be opened, text that is not plain YAML,
-      values that the model refuses.
+    Raises DocumentFaults: With every fault found: a file that cannot be opened, text that is not plain YAML, values
+      that the model refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
     read = check_document(data, file_with_settings(str(path), settings or {}), model)
@@ -91,7 +87,6 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
     """Check a YAML document's bytes: `read_document` for text that need not be in a file.
 
     The model's validators find the whole mapping, as text, under ``document`` in their context.
-
     data: The document; UTF-8.
     """
     tree = parse(data, file)
@@ -113,8 +108,8 @@ def find_document(name_or_path: str, shipped: Path) -> Path:
 
     name_or_path: A path, or a name without folder and ending.
     shipped: The folder of the shipped ``*.yaml`` files.
-    Returns: The shipped file if a bare name was given and no file of that name exists; else the path itself,
-      which need not exist.
+    Returns: The shipped file if a bare name was given and no file of that name exists; else the path itself, which need
+      not exist.
     Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
     """
     path = Path(name_or_path)

@@ -70,10 +70,7 @@ class MoveConfig(StrictModel):
     roll_deg: Angle | None = None
 
     def angles_deg(self) -> dict[str, float]:
-        """Return the angles that are given.
-
-        Returns: Angle by axis, degrees.
-        """
+        """Return the angles that are given. Returns: Angle by axis, degrees."""
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {axis: angle for axis, angle in given.items() if angle is not None}
 
@@ -139,10 +136,7 @@ class Grid(StrictModel):
         return self
 
     def angles_deg(self) -> dict[str, list[float]]:
-        """Return the angles of the axes that are given.
-
-        Returns: List of angles by axis, degrees.
-        """
+        """Return the angles of the axes that are given. Returns: List of angles by axis, degrees."""
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {
             axis: angles.angles_deg() if isinstance(angles, Span) else list(angles)

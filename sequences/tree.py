@@ -66,19 +66,14 @@ class Tree:
         """Return where the value at a path begins.
 
         path: The value's path; the document need not contain it.
-        Returns: The place of the value, or of the nearest value around it if the document does not contain
-          the path.
+        Returns: The place of the value, or of the nearest value around it if the document does not contain the path.
         """
         while path and path not in self.values:
             path = path[:-1]
         return self.values.get(path, Spot(1, 1))
 
     def add_fault(self, spot: Spot, path: DocumentPath, message: str) -> None:
-        """Add a fault to ``faults``.
-
-        spot: Where the fault is in the file.
-        path: Where the fault is in the document.
-        """
+        """Add a fault to ``faults``. spot: Where the fault is in the file. path: Where the fault is in the document."""
         self.faults.append(Fault(self.file, spot.line, spot.column, path_text(path), message))
 
 

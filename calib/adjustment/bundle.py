@@ -44,35 +44,19 @@ class Bundle:
         return replace(self, observations=fewer, poses=poses)
 
     def thinned(self, stars: int) -> Bundle:
-        """Return a bundle with fewer stars, evenly spread over each view's list.
-
-        Returns: Bundle with the same free parameters. Views that have fewer than twice as many stars keep all of
-          them.
-        """
+        """Return a bundle with fewer stars, evenly spread; views with fewer than twice as many stars keep all."""
         obs = self.observations
         steps = np.maximum(1, obs.stars // stars).tolist()
         kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
         return replace(self, observations=obs.part(kept))
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
-        """Return the residuals: image point found minus image point predicted.
-
-        They are the residuals of arXiv:2512.16092, eq. 6, with the opposite sign.
-
-        parameters: Where to evaluate the residuals.
-        Returns: (N, 2) residuals, px; NaN for a star that cannot be projected.
-        """
+        """Return (N, 2) found minus predicted, px; NaN if it cannot be projected (arXiv:2512.16092, eq. 6, negated)."""
         points = self._in_camera(parameters)
         return np.asarray(self.observations.points_px - parameters.camera.project(points.T))
 
     def weighted_residuals(self, parameters: AdjustmentParameters) -> Array:
-        """Return the residuals in units of the stars' standard deviations.
-
-        Their sum of squares is the weighted one of Triggs et al. (2000), section 3.2.
-
-        parameters: Where to evaluate the residuals.
-        Returns: (N, 2) weighted residuals; NaN for a star that cannot be projected.
-        """
+        """Return (N, 2) residuals in sigmas of the stars (Triggs et al., 2000, 3.2); NaN if it cannot be projected."""
         return mapped(self.observations.factors, self.residuals_px(parameters).T).T
 
     def costs(self, parameters: AdjustmentParameters, loss: Loss) -> Array:
@@ -85,9 +69,8 @@ class Bundle:
     ) -> ViewEquations:
         """Linearise the cost by Gauss and Newton (Triggs et al., 2000, section 4.3).
 
-        parameters: Where to linearise. All stars must be in front of the camera.
-        loss: Cost of a weighted residual.
-        curved: Whether the normal matrices have the curvature of the robust cost; else that of least squares.
+        All stars must be in front of the camera. Normal matrices have the curvature of the robust cost if ``curved``,
+        else that of least squares.
         """
         residuals = self.weighted_residuals(parameters)
         influence = residuals * loss.weights(lengths(residuals))[:, None]
@@ -142,11 +125,7 @@ class Observations:
 
     @classmethod
     def from_views(cls, views: Sequence[View]) -> Observations:
-        """Stack the stars of views.
-
-        Returns: The stars of the views, in their order.
-        Raises InputMismatch: If the covariance of a star is not positive definite.
-        """
+        """Stack the stars of views, in their order; the covariance of each star must be positive definite."""
         target = np.concatenate([view.target_mm for view in views])
         return cls(
             np.column_stack([target, np.zeros(len(target))]),
@@ -176,11 +155,7 @@ class Observations:
         return np.ascontiguousarray(self.whitening.transpose(1, 2, 0))
 
     def part(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
-        """Return observations that consist of given rows.
-
-        rows: For each new view, its row indices, shape (N_i,) int64.
-        Returns: One view for each entry of `rows`.
-        """
+        """Return observations of one view for each entry of `rows`: its row indices, (N_i,) int64."""
         every = np.concatenate(rows)
         kept = self.target[every], self.points_px[every], self.whitening[every]
         return Observations(*kept, *_stacked([len(r) for r in rows]))
@@ -253,7 +228,7 @@ class ViewEquations:
     def eliminated(self, damping: float = 0.0) -> ViewScores:
         """Eliminate the local parameters of each view by the Schur complement (Triggs et al., 2000, section 6.1).
 
-        damping: Share by which the diagonal of the local block grows (Marquardt, 1963).
+        ``damping`` is the share by which the diagonal of the local block grows (Marquardt, 1963).
         Raises numpy.linalg.LinAlgError: If a view does not determine its local parameters.
         """
         count = self.count
@@ -272,7 +247,6 @@ class ViewEquations:
         """Return the damped step (Marquardt, 1963) of the shared (G,) and of the local (n, L) parameters.
 
         The reduced equations are scaled to a unit diagonal (van der Sluis, 1969).
-
         Raises numpy.linalg.LinAlgError: If the equations are singular.
         """
         views = self.eliminated(damping)

@@ -1,7 +1,6 @@
 """Recognition of views that do not constrain a camera, and the reason in words.
 
-The decision rests on the computed uncertainties. The geometry (same pose, one axis, narrow beam) explains the reason to
-the operator.
+The decision rests on the computed uncertainties. The geometry (same pose, one axis, narrow beam) explains it.
 """
 
 from __future__ import annotations
@@ -26,11 +25,9 @@ _NARROW_DEG = 5.0
 
 
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:
-    """Refuse views that all show the same pose: only noise would determine the focal length.
+    """Refuse views that all show the same pose, within half a degree: only noise would determine the focal length.
 
     The chord between two rotations turned by an angle t is |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
-
-    Raises DegenerateViews: If no view is rotated from the first one by at least half a degree.
     """
     away = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
     chord = np.sqrt(8.0) * np.sin(np.deg2rad(_SAME_POSE_DEG) / 2.0)
@@ -44,13 +41,9 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
 def require_constrained(
     parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str = ""
 ) -> None:
-    """Refuse a result with poorly determined focal lengths.
+    """Refuse a result with a focal length whose 1-sigma is more than 5 % of it (own limit).
 
-    Own limit: sigma(f) <= 0.05 f.
-
-    covariance: (G, G) covariance of the parameters.
-    why: Explanation of the geometry, for the message; may be empty.
-    Raises DegenerateViews: If the 1-sigma of a focal length is more than 5 % of it.
+    ``covariance`` is (G, G); ``why`` explains the geometry in the message, and may be empty.
     """
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
@@ -63,12 +56,10 @@ def require_constrained(
 
 
 def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameters) -> str:
-    """Explain in words why views may constrain little.
+    """Explain in one sentence why views may constrain little; empty if the geometry looks sound.
 
     Own rules: a roll, if the parts of all rotation vectors across the axis are below 0.05 of the longest vector; one
     axis, if the second singular value of the vectors is.
-
-    Returns: One sentence; empty if the geometry looks sound.
     """
     turns = relative_rotations_deg(parameters.rotations)
     lengths = np.linalg.norm(turns, axis=1)
@@ -83,23 +74,12 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
 
 
 def relative_rotations_deg(rotations: Array) -> Array:
-    """Return the rotations from the first view to each other one.
-
-    The vectors are those of R_i R_1^T (Diebel, 2006).
-
-    rotations: (n, 3, 3) rotations, camera <- target.
-    Returns: (n - 1, 3) rotation vectors, degrees.
-    """
+    """Return (n - 1, 3) vectors, degrees, of the rotations R_i R_1^T from the first view to another (Diebel, 2006)."""
     return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
 
 
 def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:
-    """Return the largest half angle that the stars of a view span about their middle.
-
-    Own definition: the largest angle between the ray of a star and the mean ray of its view.
-
-    Returns: Half angle, degrees.
-    """
+    """Return the largest angle, degrees, between the ray of a star and the mean ray of its view (own definition)."""
     widest = 0.0
     for view, centre in zip(views, parameters.centres, strict=True):
         x, y = (view.target_mm - centre[:2]).T

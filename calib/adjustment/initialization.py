@@ -1,7 +1,4 @@
-"""Starting values of the adjustment: all closed forms are tried, and a short comparison selects the best.
-
-Noise can make any closed form fail, so none is used without the comparison.
-"""
+"""Starting values of the adjustment: noise can make any closed form fail, so all are tried and compared."""
 
 from __future__ import annotations
 
@@ -46,11 +43,10 @@ def spherical_starts(
     """Yield starting values of the spherical model, the most reliable first.
 
     They are the linear solutions with a free and with a central principal point; for two views every real solution;
-    then Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
+    then
+    Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
     Sources: arXiv:2512.16092, eq. 5, for the spherical solutions; Zhang (2000), section 3.1, for Zhang's camera.
-
-    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`.
-    image_size: Width and height, px.
+    ``homographies`` are (n, 3, 3), from `calib.model.homography.view_homography`.
     """
     solutions = [
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
@@ -71,10 +67,7 @@ def planar_starts(
 ) -> Iterator[AdjustmentParameters]:
     """Yield starting values of the planar model, the most reliable first: Zhang's, then a range of focal lengths.
 
-    Zhang's camera and all poses: Zhang (2000), section 3.1.
-
-    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`.
-    image_size: Width and height, px.
+    Camera and poses: Zhang (2000), 3.1. ``homographies``: (n, 3, 3) of `calib.model.homography.view_homography`.
     """
     matrices = [
         zhang_matrix(homographies, image_size, free_principal_point=True),
@@ -94,10 +87,8 @@ def passport_starts(
 ) -> Iterator[AdjustmentParameters]:
     """Yield starting values for a known collimator: from its centre alone, then those of the spherical model.
 
-    The camera follows from the known centre by arXiv:2512.16092, eq. 5.
-
-    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 1.
-    image_size: Width and height, px.
+    The camera follows from the known centre by arXiv:2512.16092, eq. 5. ``homographies`` are (n, 3, 3) from
+    `calib.model.homography.view_homography`; n >= 1.
     """
     spherical = list(spherical_starts(homographies, image_size, distortion))
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
@@ -109,11 +100,9 @@ def passport_starts(
 
 
 def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> AdjustmentParameters:
-    """Return the best starting values.
+    """Return the best starting values; `DegenerateViews` if none leads to a real camera.
 
     All are refined a little on a share of the stars; the best few are refined further. Own procedure.
-
-    Raises DegenerateViews: If no start leads to a real camera.
     """
     thinned = bundle.thinned(_COMPARISON_STARS)
 

@@ -50,10 +50,9 @@ def refine(
 ) -> Refinement:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
-    loss: Cost of a weighted residual.
-    tolerance: The refinement ends when the predicted reduction is below this share of the cost.
-    Returns: ``converged`` is False if the number of steps was reached, or if a star cannot be projected at
-      the start.
+    It ends when the predicted reduction is below the share ``tolerance`` of the cost. ``converged`` is False if the
+    number
+    of steps was reached, or if a star cannot be projected at the start.
     """
     with np.errstate(all="ignore"):  # a step may lead where nothing can be projected
         return _search(bundle, start, loss, max_iterations, tolerance)

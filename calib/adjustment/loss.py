@@ -16,11 +16,9 @@ Array = NDArray[np.float64]
 class Loss:
     """A cost rho of the length e of a weighted residual, quadratic near zero.
 
-    Huber (1964) is the loss of arXiv:2512.16092, eq. 7, divided by two.
-
-    name: ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
-    limit: Length at which the loss leaves the parabola, in standard deviations.
-    Raises InputMismatch: If the name is unknown.
+    Above it is linear (huber) or logarithmic (cauchy); ``l2`` is e^2 / 2. Huber (1964) is the loss of arXiv:2512.16092,
+    eq. 7, divided by two. The loss leaves the parabola at
+    the length ``limit``, in standard deviations.
     """
 
     name: str
@@ -36,11 +34,9 @@ class Loss:
         return self.name != "l2" and bool(np.isfinite(self.limit))
 
     def costs(self, lengths: Array) -> Array:
-        """Return the cost of each residual.
+        """Return the costs of (N,) lengths of weighted residuals.
 
         ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
-
-        lengths: (N,) lengths of the weighted residuals.
         """
         if not self.is_robust:
             return np.asarray(0.5 * lengths**2)
@@ -50,13 +46,7 @@ class Loss:
         return np.asarray(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2))
 
     def weights(self, lengths: Array) -> Array:
-        """Return the weights rho'(e) / e.
-
-        They are the weights of iteratively reweighted least squares (Huber, 1964; Holland and Welsch, 1977).
-
-        lengths: (N,) lengths of the weighted residuals.
-        Returns: (N,) weights, 0 to 1.
-        """
+        """Return (N,) weights rho'(e) / e, 0 to 1, of (N,) lengths (Huber, 1964; Holland and Welsch, 1977)."""
         if not self.is_robust:
             return np.ones_like(lengths)
         if self.name == "huber":
@@ -64,13 +54,7 @@ class Loss:
         return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
 
     def second_derivatives(self, lengths: Array) -> Array:
-        """Return the second derivatives rho''(e), along the residuals.
-
-        They follow from the losses of Huber (1964) and of Holland and Welsch (1977).
-
-        lengths: (N,) lengths of the weighted residuals.
-        Returns: (N,) second derivatives; negative where the Cauchy loss is concave.
-        """
+        """Return (N,) rho''(e) along the residuals (losses as in `costs`); negative where Cauchy's is concave."""
         if not self.is_robust:
             return np.ones_like(lengths)
         if self.name == "huber":
@@ -78,14 +62,11 @@ class Loss:
         return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
 
     def curvature_root(self, residuals: Array) -> Array:
-        """Return the symmetric square roots of the second derivatives of rho in the plane.
+        """Return the (2, 2, N) square roots of the second derivatives of rho in the plane of (N, 2) residuals.
 
-        The curvature is rho'' along the residual (set to zero where negative, so that every step descends) and rho' / e
-        across it. This is the second derivative of a robust cost of Triggs et al. (2000), section 4.3, who also limit
-        it where it is negative; the root is this project's own.
-
-        residuals: (N, 2) weighted residuals.
-        Returns: (2, 2, N) square roots.
+        The curvature is rho'' along the residual (zero where negative, so that every step descends) and rho' / e across
+        it:
+        Triggs et al. (2000), section 4.3, who also limit it where it is negative; the root is this project's own.
         """
         away = lengths(residuals)
         ux, uy = residuals.T / np.maximum(away, np.finfo(float).tiny)

@@ -42,13 +42,11 @@ class AdjustmentParameters:
         return np.array([known[name] for name in names])
 
     def after_step(self, names: Sequence[str], shared: Array, local: Array) -> AdjustmentParameters:
-        """Return the parameters after a step.
+        """Return the parameters after a step: (G,) increments of the shared ones, and local ones of each view.
 
         A rotation is updated by a small rotation about itself, R <- exp([t]x) R, as Triggs et al. (2000) recommend.
-
-        shared: (G,) increments of these parameters.
-        local: (n, 3) rotation vectors, rad, that turn each view on the camera's side; or (n, 6), followed by
-          shifts of each view's centre, mm.
+        ``local``
+        is (n, 3) rotation vectors, rad, on the camera's side; or (n, 6), followed by shifts of each view's centre, mm.
         """
         known = {**self.camera.to_dict(), **self.collimator.to_dict()}
         for name, step in zip(names, shared.tolist(), strict=True):
@@ -69,12 +67,9 @@ SAME_POSE_DEG = 0.2
 
 
 def poses_of(rotations: Array) -> tuple[int, ...]:
-    """Assign each view to a pose.
+    """Return for each view the index of its pose, from (n, 3, 3) rotations, camera <- target.
 
     A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule.
-
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    Returns: For each view the index of its pose; poses are numbered in the order of their first views.
     """
     flat = np.asarray(rotations).reshape(len(rotations), 9)
     # The chord between two rotations turned by an angle t: |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.

@@ -38,7 +38,6 @@ def blink_periods(
 
     Own procedure: the median interval numbers the starts, so that a missed or an additional one does not matter; the
     least-squares line through the numbered starts gives the period.
-
     t_us, x, y, p: (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
     size: Width and height of the sensor, px.
     """
@@ -52,7 +51,11 @@ def blink_periods(
 
 @njit(cache=True)
 def _count_starts(x: Any, y: Any, p: Any, width: int, height: int) -> Any:
-    """Count the ON events of each pixel whose event before was OFF, or that are its first event."""
+    """Measure the period of each pixel from (N,) events in the order of their times, us; polarity 1 is ON.
+
+    Own procedure: the median interval numbers the starts, so that a missed or an additional one does not matter; the
+    least-squares line through the numbered starts gives the period.
+    """
     last = np.full((height, width), -1, np.int8)
     counts = np.zeros((height, width), np.int32)
     for i in range(len(x)):
@@ -124,16 +127,11 @@ def _frequencies(times: Any, ends: Any, counts: Any) -> Any:
 
 @njit(cache=True)
 def lock_in(t_us: Any, x: Any, y: Any, p: Any, dot_of_pixel: Any, frequencies_hz: Any) -> NDArray[np.float32]:
-    """Return how strongly each pixel blinks at the frequency of its dot.
+    """Return (H, W) how strongly each pixel blinks at the frequency, Hz, of its dot: about its events a period.
 
     Length of the sum of polarity times exp(-2 pi i f t), divided by the number of periods in the recording: lock-in
     detection (Scofield, 1994, American Journal of Physics 62, 129). Noise adds with random phases, so it nearly
-    vanishes.
-
-    t_us, x, y, p: (N,) events: time, us; column; row; polarity, 1 is ON.
-    dot_of_pixel: (H, W) int, index of the dot to which the pixel belongs; -1 for none.
-    frequencies_hz: (D,) float64, Hz, of each dot.
-    Returns: (H, W) float32, about the number of events of a period.
+    vanishes. ``dot_of_pixel`` is (H, W) int, -1 for no dot; times are in us, polarity 1 is ON.
     """
     height, width = dot_of_pixel.shape
     real = np.zeros((height, width), np.float64)

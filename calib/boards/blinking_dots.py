@@ -76,14 +76,11 @@ def detect_blinking_dots(
     name: str = "view",
     keep_image: Callable[[NDArray[np.float32]], None] = lambda _image: None,
 ) -> View:
-    """Detect blinking dots as a view.
+    """Detect blinking dots as a view; with one frequency a dot, half of the dots are enough.
 
-    t_us, x, y, p: (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
-    size: Width and height of the sensor, px.
-    board: A board of the kind ``blinking-dots``.
-    keep_image: Called with the image of how strongly each pixel blinks, (H, W) float32, once it is made.
-    Returns: The dots that were found, with covariances. If each dot has its own frequency, half of them are
-      enough.
+    Events are (N,), in the order of their times, us; polarity 1 is ON. ``keep_image`` is called with the (H, W) image
+    of how
+    strongly each pixel blinks.
     Raises TooFewEvents: If the recording is too short for the slowest dot, or has no events.
     Raises FlickerNotFound: If nothing blinks, or at other frequencies.
     Raises TargetNotFound: If the dots do not form the board; says what was found instead.

@@ -1,7 +1,4 @@
-"""Descriptions of boards: how many points, how they are arranged, and where they lie on the board.
-
-This module uses no image.
-"""
+"""Descriptions of boards: how many points, how arranged, and where on the board; no image."""
 
 from __future__ import annotations
 
@@ -29,10 +26,7 @@ _LEAST_STEP = 0.004
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board with a grid of points.
-
-    Raises InputMismatch: If there is no such board.
-    """
+    """A flat board with a grid of points; `InputMismatch` if there is no such board."""
 
     # ``checkerboard``: the points are the inner corners. ``circles``: centres on a square grid.
     # ``asymmetric-circles``: every second row is shifted by half a column, as in OpenCV. ``blinking-dots``:
@@ -105,9 +99,9 @@ class Board:
     def parse(cls, text: str) -> Board:
         """Read a description such as ``checkerboard:11x7:20mm`` or ``blinking-dots:9x6:25mm@50-150Hz``.
 
-        text: Kind, columns x rows of points, and their distance; for blinking dots also the frequencies of
-          the first and of the last dot, between which the others are evenly spaced, row by row.
-        Raises InputMismatch: If the text does not describe a board.
+        Kind, columns x rows of points, and their distance; for blinking dots also the frequencies of the first and of
+        the
+        last dot, between which the others are evenly spaced, row by row.
 
         Examples
         --------

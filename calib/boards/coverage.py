@@ -66,12 +66,10 @@ class Seen:
         return f"{share}, with the {_listed(corners)} corner{'s' if len(corners) > 1 else ''}"
 
     def nearer_sides(self, board: Board) -> frozenset[str]:
-        """Return which sides of the board's image are nearer to the camera: the scale there is larger.
+        """Return which sides (left, right, upper, lower) of the board's image are nearer to the camera: larger.
 
-        Own estimate: the homography's change of scale from one side of the image of the board to the other; it needs no
-        focal length.
-
-        Returns: Of ``left right upper lower``.
+        Own estimate: the homography's change of scale from one side of the image to the other; it needs no focal
+          length.
         """
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         back = np.linalg.inv(fit_homography(board.nodes.astype(np.float64), self.points_px))
@@ -87,11 +85,9 @@ class Seen:
 
 
 def shift_px(one: Seen, other: Seen, board: Board) -> float:
-    """Return how far the points of a board moved from one placement to another.
+    """Return the root mean square distance, px, that the points of a board moved between two placements.
 
-    Own measure: root mean square distance; for a board that looks the same after half a turn, of the nearer order.
-
-    Returns: Root mean square distance, px.
+    Own measure; for a board that looks the same after half a turn, of the nearer order.
     """
     orders = [other.points_px, other.points_px[::-1]] if board.symmetric else [other.points_px]
     return min(float(np.sqrt(np.mean(np.sum((one.points_px - order) ** 2, axis=1)))) for order in orders)
@@ -122,11 +118,7 @@ def advice(seen: Sequence[Seen], board: Board) -> str:
 
 
 def turned_upside_down(points_px: Array, board: Board) -> bool:
-    """Return whether the board stands upside down: its first row is the lower one, and runs to the left.
-
-    points_px: (N, 2) float64, px, all points, row by row.
-    Returns: Always false for a board that looks the same after half a turn.
-    """
+    """Return whether the first of (N, 2) rows is lower and runs left; false if half a turn changes nothing."""
     if board.symmetric:
         return False
     grid = points_px.reshape(board.rows, board.columns, 2)
@@ -135,12 +127,7 @@ def turned_upside_down(points_px: Array, board: Board) -> bool:
 
 
 def is_cut(points_px: Array, image_size: tuple[int, int]) -> bool:
-    """Return whether the frame cuts a board.
-
-    points_px: (N, 2) float64, px, all points of the board, also those that are not in the image.
-    image_size: Width and height, px.
-    Returns: Whether a point lies outside.
-    """
+    """Return whether one of all (N, 2) points of a board, px, also those not found in the image, lies outside of it."""
     hull = cv2.boundingRect(points_px.astype(np.float32).reshape(-1, 1, 2))
     x, y, width, height = hull
     return x < 0 or y < 0 or x + width > image_size[0] or y + height > image_size[1]

@@ -52,13 +52,12 @@ _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
 def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view") -> View:
-    """Detect the points of a board as a view.
+    """Detect the points of a board as a view, in the order of their ids, row by row, with covariances.
 
-    image: (H, W) of any integer or floating type; the board may be bright on dark or dark on bright.
-    Returns: The points in the order of their ids, row by row, with covariances. A board that looks the same
-      after half a turn may be numbered from either end.
+    The (H, W) image may be of any number type, and the board bright on dark or dark on bright. A board that looks the
+    same
+    after half a turn may be numbered from either end.
     Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
-    Raises InputMismatch: If the image does not have two axes, or is empty.
     """
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(
@@ -91,12 +90,7 @@ def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view"
 
 
 def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View:
-    """Locate the points of a board again in another image of the same placement.
-
-    image: (H, W) of any integer or floating type.
-    view: Where the points were in the first image.
-    Raises TargetNotFound: If they were not found there.
-    """
+    """Locate the points of a board again, where ``view`` found them, in another (H, W) image of the same placement."""
     plain = np.nan_to_num(np.asarray(image, np.float32))
     points, covariances = locate_points(plain, view.points_px, board, view.ids)
     kept = np.asarray(np.isfinite(points).all(axis=1))
@@ -108,13 +102,9 @@ def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View
 
 
 def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> Array:
-    """Find a board roughly, to about half a pixel.
+    """Find a board to about half a pixel: (N, 2) image points, px, row by row; the error says what was found instead.
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
-
-    grey: (H, W) uint8.
-    Returns: (N, 2) float64 image points, px, row by row.
-    Raises TargetNotFound: If the board was not found; says what was found instead.
     """
     found = _found(grey, board)
     if found is None:
@@ -164,10 +154,8 @@ def locate_points(
 ) -> tuple[Array, Array]:
     """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
 
-    image: (H, W) float32.
-    coarse: (N, 2) float64, px, about where the points are.
-    ids: (N,) int64, ids of the points; None for all.
-    Returns: (N, 2) float64, px, with nan where it failed; (N, 2, 2) float64, px^2, their covariances.
+    ``coarse`` are (N, 2) places, px, of the points ``ids`` (None for all).
+    Returns: (N, 2) float64, px, nan where it failed; (N, 2, 2) float64, px^2, their covariances.
     """
     smoothed = smooth(image, _BLUR_PX)
     nodes = board.nodes if ids is None else board.nodes[ids]
@@ -255,13 +243,10 @@ def _too_wide_px(grey: NDArray[np.uint8], board: Board) -> int | None:
 
 
 def edge_width_px(grey: NDArray[np.uint8]) -> float | None:
-    """Return the width of the sharpest edges of an image.
+    """Return the width, px, of the sharpest edges of an (H, W) image; None if it has hardly any contrast.
 
     Own measure: contrast of the smoothed image over its steepest slope. A step has 4 px because of the smoothing; a
     disc of blur adds three quarters of its diameter.
-
-    grey: (H, W) uint8.
-    Returns: Width, px; None if the image has hardly any contrast.
     """
     smoothed = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _EDGE_BLUR_PX)
     low, high = np.quantile(smoothed, [0.01, 0.99])

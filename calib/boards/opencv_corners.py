@@ -25,10 +25,8 @@ def opencv_corners(
 ) -> View:
     """Find the corners of a checkerboard by OpenCV alone.
 
-    image: (H, W) of any integer or floating type.
-    finder: ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018). ``subpixel``:
-      ``findChessboardCorners`` and ``cornerSubPix``, the usual recipe.
-    Raises TargetNotFound: If OpenCV does not find the board.
+    ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018). ``subpixel``: ``findChessboardCorners`` and
+    ``cornerSubPix``, the usual recipe.
     """
     grey = to_uint8(np.nan_to_num(np.asarray(image, np.float32)))
     corners = find_board(grey, board, name=name) if finder == "sectors" else _by_subpixel(grey, board, name)

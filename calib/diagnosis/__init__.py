@@ -1,8 +1,6 @@
 """Diagnosis of wrong data: gross errors, shifted ids, duplicate views, wrong units, origins and image sizes.
 
-Each module answers one question about views, and returns a dataclass with a plain sentence. Some questions need the
-result of an adjustment; `calib.diagnosis.checks` holds the two lists, before and after it. Where the data cannot
-decide, the sentence says so.
+Each module answers one question about views. Where the data cannot decide, its sentence says so.
 
 References
 ----------

@@ -21,14 +21,10 @@ from calib.view import View
 
 
 def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tuple[str, ...]:
-    """Check views before an adjustment: image size, duplicates, unit of the target.
+    """Return a sentence for each doubt about views without gross errors, before an adjustment: size, duplicates, unit.
 
-    views: Views of one camera, without gross errors.
-    known_r_mm: Radius of the collimator from a passport, a certificate or a data sheet, mm; None if it is not
-      known.
-    Returns: A sentence for each doubt; none if nothing was noticed.
-    Raises InputMismatch: If points lie outside of the stated image size, or if the known radius shows another
-      unit of the target.
+    ``known_r_mm`` is the collimator's radius from a passport, a certificate or a data sheet.
+    Raises InputMismatch: If points lie outside of the image size, or the known radius shows another unit of the target.
     """
     require_points_inside(views)
     notes = [one.sentence for one in find_duplicates(views)]
@@ -46,14 +42,10 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
 def check_adjustment(
     views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters, sigma: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """Check views after an adjustment: shifted ids, other origins, image size.
+    """Return a sentence for each doubt after an adjustment: shifted ids, other origins, image size.
 
-    Other origins are looked for only if no ids are shifted, because shifted ids spoil the comparison.
-
-    views: Views of one camera, without gross errors, in the order of the bundle.
-    bundle: Bundle of these views, of a model in which they share one centre.
-    sigma: 1-sigma of the parameters by name; of these, cx and cy are used, px.
-    Returns: A sentence for each doubt; none if nothing was noticed.
+    Other origins are looked for only if no ids are shifted, because shifted ids spoil the comparison. The views have no
+    gross errors; the bundle is of a model in which they share one centre. Of ``sigma``, cx and cy are used, px.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         projected = bool(np.isfinite(bundle.residuals_px(parameters)).all())

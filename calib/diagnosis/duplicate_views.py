@@ -52,12 +52,10 @@ class DuplicateViews:
 
 
 def find_duplicates(views: Sequence[View]) -> tuple[DuplicateViews, ...]:
-    """Find pairs of views that hold the same measurement.
+    """Find pairs of views, without gross errors, that hold the same measurement.
 
     Two recordings of one pose differ by their noise, and are not duplicates. Own rule: the root mean square distance of
     the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
-
-    views: Views of one camera, without gross errors.
     """
     found = []
     for one, other in _alike(views):

@@ -53,24 +53,16 @@ class GrossStars:
 
 
 def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
-    """Find the gross errors of all views.
+    """Find the gross errors of each view: stars whose point or id their neighbours on the target contradict.
 
-    A star is a gross error if its neighbours on the target contradict its point or its id
-    (`calib.model.local_consistency.contradicts_neighbours`).
-
-    Returns: One for each view, in their order.
+    The rule is `calib.model.local_consistency.contradicts_neighbours`.
     Raises InputMismatch: If more than a fifth of the stars of a view have a gross error; names the view.
-    Raises TooFewStars, DegenerateViews: As `calib.model.homography.view_homography`.
     """
     return tuple(_gross_stars(view) for view in views)
 
 
 def without_gross_stars(views: Sequence[View], found: Sequence[GrossStars]) -> list[View]:
-    """Return the views without their gross errors.
-
-    found: Their gross errors, from `find_gross_stars`.
-    Returns: A view without gross errors is returned as it is, the same object.
-    """
+    """Return the views without their gross errors; a view that has none is the same object."""
     return [
         view.part(~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
     ]
@@ -101,11 +93,7 @@ def _gross_stars(view: View) -> GrossStars:
 
 
 def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossStars]) -> list[Bools]:
-    """Return for each view which stars are neither in a guard band nor a gross error.
-
-    guard_band: Share of the visible disc's radius; 1 for no guard band.
-    wrong: Stars with a gross error, for each view; none if there are none.
-    """
+    """Return for each view which stars are neither in a guard band (share of the disc's radius; 1: none) nor wrong."""
     used = [~one.wrong for one in wrong] or [np.ones(len(view), np.bool_) for view in views]
     discs = visible_discs(views) if guard_band < 1.0 else []
     if discs:  # else the rim is nowhere in view, and no star is near it
@@ -115,14 +103,7 @@ def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossSt
 
 
 def noise_px(view: View) -> float:
-    """Return the noise of a view as its neighbouring stars show it.
-
-    Own estimate, that of `calib.model.local_consistency.local_sigma_px`.
-
-    view: A view without gross errors.
-    Returns: 1-sigma per axis, px; NaN for fewer than 8 stars.
-    Raises TooFewStars, DegenerateViews: If the stars do not determine a homography.
-    """
+    """Return the 1-sigma per axis, px, that neighbouring stars show (`local_sigma_px`); NaN for fewer than 8 stars."""
     return view.remembered("noise", _noise_px)
 
 
@@ -133,10 +114,6 @@ def _noise_px(view: View) -> float:
 
 
 def typical_noise_px(views: Sequence[View]) -> float:
-    """Return the median noise of views as their neighbouring stars show it.
-
-    views: Views without gross errors.
-    Returns: 1-sigma per axis, px; NaN if all views have fewer than 8 stars.
-    """
+    """Return the median 1-sigma per axis, px, that neighbouring stars show; NaN if no view has 8 stars."""
     known = [sigma for sigma in map(noise_px, views) if np.isfinite(sigma)]
     return float(np.median(known)) if known else float("nan")

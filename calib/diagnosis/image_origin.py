@@ -61,11 +61,9 @@ def find_other_origins(
 
     Views join the shifted ones, one by one, as long as each lowers the squares of the linearised adjustment. The result
     counts if the common offset of the joined views is half a pixel within 3 sigma along both axes, and zero is 5 sigma
-    away. One view alone is seldom enough, because its own rotation imitates a shift. Own procedure.
-
-    views: Three or more views without gross errors, in the order of the bundle.
-    bundle: Bundle of these views, of a model in which they share one centre.
-    Returns: None if all views agree, or if the views cannot decide.
+    away. One view alone is seldom enough, because its own rotation imitates a shift. Own procedure. It takes three or
+    more
+    views without gross errors, and a model with one centre. None if all agree, or if the views cannot decide.
     """
     if len(views) < 3 or not np.isfinite(typical_noise_px(views)):
         return None

@@ -79,12 +79,7 @@ class ImageSizeDoubt:
 
 
 def require_points_inside(views: Sequence[View]) -> None:
-    """Refuse views with points outside of the stated image size.
-
-    views: Views of one camera, without gross errors.
-    Raises InputMismatch: If points lie outside; names the first such view, the outermost point, and a known
-      size that holds all points.
-    """
+    """Refuse views with points outside of their image size; names the first one, and a known size that holds all."""
     for view in views:
         limit = np.array(view.image_size) - 1.0 + _OUTSIDE_PX
         outside = ((view.points_px < -_OUTSIDE_PX) | (view.points_px > limit)).any(axis=1)
@@ -105,14 +100,11 @@ def require_points_inside(views: Sequence[View]) -> None:
 def check_image_size(
     views: Sequence[View], camera: CameraModel, sigma_px: tuple[float, float]
 ) -> ImageSizeDoubt | None:
-    """Look for a stated image size that the principal point contradicts.
+    """Look for a stated image size that the principal point contradicts; None if not, or if nothing decides.
 
     Own rule: the principal point is farther from the middle than 15 % of the width or height, by more than 4 sigma. A
     known size explains this if its middle is near the principal point, and the outermost points are near its border.
-
-    views: Views of one camera, without gross errors.
-    sigma_px: 1-sigma of cx and cy, px.
-    Returns: None if the size is plausible, or if the principal point is not known well enough.
+    ``sigma_px`` is that of cx and cy.
     """
     size = np.array(views[0].image_size, float)
     point = np.array([camera.cx, camera.cy])

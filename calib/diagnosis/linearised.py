@@ -32,11 +32,7 @@ class ShiftEquations:
     information: Array  # (n, 2, n, 2) float64, the same units squared
 
     def squares_after(self, view: int, shifts: Array) -> Array:
-        """Return the sum of squares after shifts of one view alone.
-
-        shifts: (K, 2) shifts to judge, mm or px.
-        Returns: (K,) sums of squared weighted residuals, at least 0.
-        """
+        """Return (K,) sums of squares, at least 0, after (K, 2) shifts, mm or px, of one view alone."""
         own = self.information[view, :, view]
         change = np.einsum("ki,ij,kj->k", shifts, own, shifts) - 2.0 * shifts @ self.gradient[view]
         return np.asarray(np.maximum(self.squares + change, 0.0))
@@ -48,24 +44,16 @@ def plain_bundle(bundle: Bundle, stars: int) -> Bundle:
 
 
 def target_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquations:
-    """Return the equations of shifts of the target positions of each view, mm.
+    """Return the equations of shifts of the target positions of each view, mm, of a bundle of `plain_bundle`.
 
     Gauss and Newton's linearisation; the free parameters are eliminated by the Schur complement (Triggs et al., 2000,
     section 6.1). A shift of the target is the opposite shift of the centre.
-
-    bundle: Bundle of `plain_bundle`.
     """
     return _shift_equations(bundle, parameters, of_image=False)
 
 
 def image_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquations:
-    """Return the equations of shifts that the image points of each view contain, px.
-
-    Gauss and Newton's linearisation; the free parameters are eliminated by the Schur complement (Triggs et al., 2000,
-    section 6.1).
-
-    bundle: Bundle of `plain_bundle`.
-    """
+    """Return the equations of shifts of the image points of each view, px; else as `target_shifts`."""
     return _shift_equations(bundle, parameters, of_image=True)
 
 
@@ -93,8 +81,7 @@ def _without_turns(
 ) -> tuple[float, Array, Array]:
     """Return sum of squares, normal matrices (n, G + 2, G + 2) and gradients (n, G + 2) of n views.
 
-    They are those of the shared parameters and the two shifts of each view; its rotation is eliminated (Schur
-    complement; Triggs et al., 2000, section 6.1).
+    They are of the shared parameters and two shifts a view; its rotation is eliminated as in `target_shifts`.
     """
     count = len(bundle.names)
     # A shift of the image is one of the principal point; a shift of the target is the opposite one of the centre.

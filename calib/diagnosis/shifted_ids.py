@@ -101,15 +101,12 @@ class ShiftedIds:
 def find_shifted_ids(
     views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters
 ) -> ShiftedIds | None:
-    """Search for views whose ids are shifted against those of the others.
+    """Search for views whose ids are shifted against those of the others, in a model with one centre.
 
     All shifts of one view by up to two columns and rows are judged by a linearised adjustment; the best are adjusted.
-    The best is kept, and the search goes on with the next view, up to half of the views. Own procedure.
-
-    views: Two or more views without gross errors, in the order of the bundle.
-    bundle: Bundle of these views, of a model in which they share one centre.
-    Returns: None if the views agree, if no shift explains the residuals, if the stars lie on no lattice, or
-      if all views have fewer than 8 stars.
+    The best is kept, and the search goes on with the next view, up to half of the views. Own procedure. None if the
+    views
+    agree, if no shift explains the residuals, if the stars lie on no lattice, or if all views have fewer than 8 stars.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:

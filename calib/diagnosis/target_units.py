@@ -43,14 +43,11 @@ class TargetUnits:
 def check_target_units(
     views: Sequence[View], *, r_mm: float | None = None, known_r_mm: float | None = None
 ) -> TargetUnits | None:
-    """Look for a wrong unit of the target positions.
+    """Look for a wrong unit of the target positions; None if nothing is implausible, which is no proof of the unit.
 
-    views: Views of one camera, without gross errors.
-    r_mm: Radius of the collimator from an adjustment of these views in which it was free, mm. Without it, a
-      closed form is compared with a known radius.
-    known_r_mm: Radius from a passport, a certificate or a data sheet, mm; None if it is not known. Without
-      it, only implausible numbers are noticed.
-    Returns: None if nothing is implausible. That is no proof of the unit.
+    ``r_mm`` is the radius from an adjustment in which it was free; without it, a closed form is compared with a known
+    radius. ``known_r_mm`` is from a passport, a certificate or a data sheet; without it, only implausible numbers
+    count.
     """
     tolerance = _TOLERANCE_ADJUSTED
     if r_mm is None and known_r_mm is not None:
@@ -71,10 +68,7 @@ def check_target_units(
 
 
 def closed_form_radius(views: Sequence[View]) -> float | None:
-    """Return the radius of the collimator from the closed form (arXiv:2512.16092, eq. 5).
-
-    Returns: Radius, mm; None if the closed form has no real solution, as with a single view.
-    """
+    """Return the collimator's radius, mm (arXiv:2512.16092, eq. 5); None if it is not real, as of one view."""
     h = np.array([view_homography(view) for view in views])
     for free in (True, False):
         solution = linear_solution(h, views[0].image_size, free_principal_point=free)

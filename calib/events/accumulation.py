@@ -1,7 +1,4 @@
-"""One pass over the events of a window: all sums that event images are made of, one value a pixel.
-
-The compiled loop is here, apart from the images that users see (`calib.events.event_image`).
-"""
+"""One pass over the events of a window: all sums that event images are made of, one value a pixel."""
 
 from __future__ import annotations
 
@@ -43,11 +40,7 @@ class PixelSums(NamedTuple):
 
     @classmethod
     def empty(cls, size: tuple[int, int]) -> PixelSums:
-        """Return the sums before the first event.
-
-        size: Width and height of the sensor, px.
-        Returns: All 0.
-        """
+        """Return the sums before the first event, all 0; size is width and height, px."""
         pixels, start = size[0] * size[1], 0
         parts: list[Any] = []
         # One block: the system gives a large one in few pages. The thousands of pages of many small ones take longer
@@ -60,10 +53,7 @@ class PixelSums(NamedTuple):
         return cls(*parts)
 
     def mean_latency_us(self) -> NDArray[np.float32]:
-        """Return the mean latency of each pixel's first ON events.
-
-        Returns: (H, W) float32, us; nan where no ON burst held an event.
-        """
+        """Return (H, W) the mean latency of each pixel's first ON events, us; nan where no ON burst held an event."""
         mean = np.full(self.on_latency.shape, np.nan, np.float32)
         np.divide(self.on_latency, self.on_fired, out=mean, where=self.on_fired > 0)
         return mean
@@ -78,19 +68,11 @@ def accumulate(
     start_us: float,
     period_us: float,
 ) -> tuple[PixelSums, BurstWindow]:
-    """Find the bursts within the period, and sum up the events of each pixel.
+    """Find the bursts in the period, and sum up the events of each pixel; return also the window of the ON burst.
 
-    The phase 0 of the lock-in sum is the phase at which the ON rate minus the OFF rate of the whole image is largest at
-    the flicker's frequency. The phase is that of the first Fourier coefficient. Lock-in: synchronous detection (Meade,
-    1983).
-
-    t: (N,) int64, times of the events of the window, us, in ascending order; N >= 1.
-    x, y: (N,) uint16, columns and rows, px.
-    p: (N,) uint8, polarities: 1 is ON, 0 is OFF.
-    size: Width and height of the sensor, px.
-    start_us: Start of the window, us.
-    period_us: Period of the flicker, us.
-    Returns: (H, W) sums, and the window of the ON burst.
+    The phase 0 of the lock-in sum (synchronous detection; Meade, 1983) is that of the first Fourier coefficient: the ON
+    rate
+    minus the OFF rate of the whole image is largest there. Times are (N,), us, ascending, N >= 1; polarity 1 is ON.
     """
     times = event_times(t, p)
     off_rate, on_rate = folded_rate(times, start_us, period_us)
@@ -202,9 +184,6 @@ def hot_pixels(
     """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each.
 
     Few medians are computed one by one; for many, a filter of the whole image is faster.
-
-    on_count, off_count: (H, W) uint32, number of events of each polarity.
-    Returns: (H, W) bool.
     """
     count = on_count + off_count
     cut = np.minimum(count, 65535)

@@ -1,7 +1,4 @@
-"""When in a flicker period the events come: a window of whole periods, the folded rate, and the bursts.
-
-The module uses times and polarities of events and the light's `Flicker`. It does not use pixel positions.
-"""
+"""When in a flicker period the events come: whole periods, the folded rate, and the bursts; no pixel positions."""
 
 from __future__ import annotations
 
@@ -31,30 +28,19 @@ class BurstWindow(NamedTuple):
 
 
 def folded_rate(times: EventTimes, start_us: float, period_us: float) -> NDArray[np.float64]:
-    """Count the events over the phase of one period (epoch folding).
-
-    Epoch folding: Leahy et al. (1983).
-
-    start_us: Time of phase 0, us.
-    period_us: Period, us.
-    Returns: (2, FOLD_BINS) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
-    """
+    """Return (2, FOLD_BINS) OFF and ON events over the phase of a period (epoch folding; Leahy et al., 1983)."""
     turns = (times.t - start_us) / period_us
     at = np.minimum(((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64), FOLD_BINS - 1)
     return np.array([np.bincount(at, count, FOLD_BINS) for count in (times.off, times.on)])
 
 
 def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float) -> BurstWindow:
-    """Find the shortest part of the period that holds the share `BURST_SHARE` of a burst.
+    """Find the shortest part of the period that holds the share `BURST_SHARE` of a burst; all of it without a burst.
 
     The background is the lower quartile of the bins. A bin counts by what exceeds it by more than three standard
     deviations of a Poisson count. Own procedure: a bin of n events counts max(n - b - 3 b^(1/2), 0), with the
     background b.
-
-    folded: (FOLD_BINS,) float64, events of one polarity in each bin, a row of `folded_rate`.
-    start_us: Time of phase 0, us.
-    period_us: Period, us.
-    Returns: The whole period if no bin exceeds the background.
+    ``folded`` is a (FOLD_BINS,) row of `folded_rate`; times are in us.
     """
     background = np.percentile(folded, 25)
     excess = np.maximum(folded - background - 3.0 * np.sqrt(background), 0.0)
@@ -78,15 +64,13 @@ def whole_period_window(
     window_us: tuple[float, float] | None,
     periods: int | None,
 ) -> tuple[float, float, int]:
-    """Choose a window of whole periods within a recording.
+    """Choose a window of whole periods within a recording: start and end, us, and number of periods.
 
-    If the recording is longer than the window, the window starts just before an edge of the light, so that it cuts no
-    burst. Own rule: as many periods as fit, if up to `PERIOD_TOLERANCE` of a period may be missing.
-
-    t: (N,) int64, times of the events, us.
-    window_us: Start and end of the recording, us; None for the first and the last event.
-    periods: Number of periods wanted; None for as many as the recording holds.
-    Returns: Start and end of the window, us.
+    If the recording is longer, the window starts just before an edge of the light, so that it cuts no burst. Own rule:
+    as
+    many periods as fit, if up to `PERIOD_TOLERANCE` of a period may be missing. None for the window is from the first
+    to
+    the last event; None for ``periods`` is as many as it holds.
     Raises TooFewEvents: If there are no events, or fewer periods than wanted.
     """
     if t.size == 0:

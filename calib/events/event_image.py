@@ -118,13 +118,13 @@ class EventImages:
         return without_hot_pixels(share, self.hot)
 
     def best(self, *, one_phase: bool = True) -> ChosenImage:
-        """Choose the kind of image in which stars are found best, by the events of a lit pixel at an edge.
+        """Choose the kind of image in which stars are found best, by a lit pixel's events an edge; without hot pixels.
 
-        one_phase: Whether the light of all pixels changes at the same moment. The lines of a screen change
-          one after the other: the lock-in sum is then smaller where they change early or late, and this slope
-          displaces edges.
-        Returns: Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on (count if there are several phases),
-          fired-per-edge below; hot pixels are replaced.
+        Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on, fired-per-edge below. If the lines of a screen change one
+        after
+        the other (no ``one_phase``), the lock-in sum is smaller where they change early or late, and this slope
+        displaces edges:
+        count is used instead.
         """
         rate = self.facts.events_per_edge
         if rate >= LOCK_IN_MIN_EVENTS and not one_phase:
@@ -142,12 +142,11 @@ class EventImages:
         return ChosenImage("fired-per-edge", self.fired_per_edge, reason)
 
     def named(self, name: str) -> NDArray[np.float32]:
-        """Return the image of one kind.
+        """Return the (H, W) image of one kind, brighter where the target is brighter.
 
-        name: ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` or ``on-latency``.
-        Returns: (H, W) float32, brighter where the target is brighter. ``on-latency`` is 1 minus the latency
-          in units of the burst's length, and 0 where no ON event came.
-        Raises InputMismatch: If there is no image of that name.
+        Names: ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` and ``on-latency``. The latter is
+          1 minus
+        the latency in units of the burst's length, and 0 where no ON event came.
         """
         makers = {
             "last-polarity": lambda: self.last_polarity.astype(np.float32),
@@ -254,11 +253,7 @@ def _facts(
     events: int,
     on_window: BurstWindow,
 ) -> SliceFacts:
-    """Collect the properties of the slice.
-
-    ``window`` is its start and end, us, and number of periods; ``events`` is the number of events in it. Own
-    definitions, those of `SliceFacts`.
-    """
+    """Collect the facts of the slice; ``window`` is its start and end, us, and number of periods."""
     start, end, periods = window
     lit = lit_pixels(sums, hot, LIT_SHARE * periods)
     number = len(lit.latency_us)

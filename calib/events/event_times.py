@@ -1,8 +1,4 @@
-"""Events by their time: which of them share a time, and how many of these are ON.
-
-Times are whole microseconds, and hundreds of events share one. What depends on the time alone is computed once for all
-of them. The module does not use pixel positions.
-"""
+"""Events by their time: hundreds share a microsecond, and what depends on it is computed once; no pixel positions."""
 
 from __future__ import annotations
 
@@ -29,12 +25,7 @@ class EventTimes(NamedTuple):
 
 
 def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
-    """Gather the events by their time.
-
-    t: (N,) int64, times of the events, us, in ascending order; N >= 1.
-    p: (N,) int, polarities: 1 is ON, 0 is OFF.
-    Returns: Each time once.
-    """
+    """Gather (N,) events by their time, each time once; times are us, ascending, N >= 1; polarity 1 is ON."""
     is_on = p if p.dtype == np.uint8 else (p > 0).astype(np.uint8)
     return EventTimes(*_gathered(np.ascontiguousarray(t, np.int64), np.ascontiguousarray(is_on)))
 

@@ -1,7 +1,4 @@
-"""Period and phase of the light's flicker, from trigger edges or from the events themselves.
-
-The module uses times and polarities only. It does not use pixel positions.
-"""
+"""Period and phase of the flicker, from times and polarities of trigger edges or events; no pixel positions."""
 
 from __future__ import annotations
 
@@ -48,11 +45,9 @@ class Flicker:
         return 1e6 / self.period_us
 
     def lag_us(self, other: Flicker) -> float:
-        """Return how much later this light rises than another one. This compares two sources of one flicker.
+        """Return how much later this light rises than another one, us, between minus and plus half a period.
 
         Own definition: the difference of the phases, minus the nearest whole number of periods.
-
-        Returns: Lag, us, between minus and plus half a period.
 
         Examples
         --------
@@ -65,12 +60,7 @@ class Flicker:
         return float(behind - other.period_us * np.round(behind / other.period_us))
 
     def rising_edges_us(self, start_us: float, end_us: float) -> NDArray[np.float64]:
-        """Return the times of the rising edges within an interval.
-
-        They lie at phase + k period.
-
-        start_us, end_us: Start and end of the interval, us. The end does not belong to it.
-        Returns: (K,) float64, times, us.
+        """Return (K,) times, us, of the rising edges, phase + k period, from a start to before an end.
 
         Examples
         --------
@@ -340,10 +330,7 @@ def _harmonic_power(
 
 
 def _folded(t_us: NDArray[np.float64], count: NDArray[np.int64], period_us: float) -> NDArray[np.float64]:
-    """Count the events, ``count`` at each time, over the phase of one period, in `ONSET_BINS` bins.
-
-    Epoch folding: Leahy et al. (1983).
-    """
+    """Count the events, ``count`` at each time, over the phase of one period (Leahy et al., 1983), in `ONSET_BINS`."""
     turns = t_us / period_us
     at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
     return np.bincount(np.minimum(at, ONSET_BINS - 1), count, ONSET_BINS).astype(float)

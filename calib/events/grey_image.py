@@ -16,13 +16,11 @@ CLIPPED_SHARE = 0.005
 
 
 def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Stretch an image to 0..255 between its quantiles `CLIPPED_SHARE` and 1 - `CLIPPED_SHARE`.
+    """Stretch an (H, W) image to 0..255 between its quantiles `CLIPPED_SHARE` and 1 - `CLIPPED_SHARE`.
 
-    Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255.
-
-    image: (H, W) of any integer or floating type; nan counts as the darkest value.
-    Returns: (H, W) uint8; all 0 if the image is constant or holds no finite value.
-    Raises InputMismatch: If the image does not have two axes, or is empty.
+    Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255. A nan counts as the darkest value; all are 0
+      if
+    the image is constant or holds no finite value.
 
     Examples
     --------
@@ -42,11 +40,9 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def _clipped_ends(values: NDArray[np.float32], share: float) -> tuple[float, float]:
-    """Return the quantiles ``share`` and 1 - ``share`` of the finite values; if they are equal, the ends of the values.
+    """Return the quantiles ``share`` and 1 - ``share`` of the finite of (N,) values; if equal, the ends of the values.
 
     Quantiles: Hyndman and Fan (1996), definition 7. Both are 0 if no value is finite.
-
-    values: (N,).
     """
     finite = values[np.isfinite(values)]
     if finite.size == 0:

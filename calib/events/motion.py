@@ -40,13 +40,9 @@ class Motion(NamedTuple):
 
 
 def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Split the window of a slice into two halves of whole periods.
+    """Return start and end, us, of each half of a slice, in whole periods; `TooFewEvents` if it has one period.
 
-    If the number of periods is odd, the middle period belongs to neither half. Own rule: n periods give two halves of
-    floor(n / 2) periods.
-
-    Returns: Start and end of each half, us.
-    Raises TooFewEvents: If the slice is one period long.
+    Own rule: n periods give two halves of floor(n / 2) periods; a middle period belongs to neither.
     """
     if facts.periods < 2:
         raise TooFewEvents(
@@ -59,15 +55,11 @@ def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, f
 
 
 def motion_between(first: View, second: View) -> Motion:
-    """Compare the stars that two views of one pose share.
+    """Compare the stars that two views of one pose share, at least `MIN_COMMON`: the shift from first to second.
 
     Medians are used instead of means, so that single wrong stars do not matter. The median absolute deviation times
-    1.4826 is the standard deviation of normal noise; the median of normal noise is sqrt(pi / 2) = 1.2533 times as
-    uncertain as its mean. Median absolute deviation: Rousseeuw and Croux (1993). Variance of the median: Huber (1981).
-
-    first, second: Views of the first and the second half.
-    Returns: Shift from the first view to the second.
-    Raises TooFewStars: If the views share fewer than `MIN_COMMON` stars.
+    1.4826 is the standard deviation of normal noise (Rousseeuw and Croux, 1993); the median of normal noise is
+    sqrt(pi / 2) = 1.2533 times as uncertain as its mean (Huber, 1981).
     """
     _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     if a.size < MIN_COMMON:

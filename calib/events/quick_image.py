@@ -31,13 +31,9 @@ class QuickImage(NamedTuple):
 
 
 def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
-    """Make the image in which stars of a live picture are searched.
+    """Make the image in which stars of a live picture are searched; kinds are those of `calib.events.event_image`.
 
-    The choice of the kind and the rule for hot pixels are those of `calib.events.event_image`.
-
-    counts: (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in whole periods.
-    periods: Number of these periods, at least 1.
-    Returns: All 0 without events.
+    ``counts`` are (2, H, W) OFF events, then ON events, in at least one whole period. All 0 without events.
     """
     off, on = counts
     total = cv2.convertScaleAbs(cv2.add(on, off))  # at most 255

@@ -61,10 +61,7 @@ class ReconstructedPicture:
     hot_pixels: int
 
     def require_motion(self) -> None:
-        """Check that the camera moved.
-
-        Raises TooFewEvents: If fewer than 0.2 % of the pixels sent events near the time.
-        """
+        """Refuse a picture if fewer than 0.2 % of the pixels sent events near the time: the camera stood still."""
         if self.active_share < _LEAST_ACTIVE:
             raise TooFewEvents(
                 f"Only {100 * self.active_share:.2f} % of the pixels sent events near {1e-6 * self.at_us:.3f} s.",
@@ -74,13 +71,9 @@ class ReconstructedPicture:
 
 
 class HighPassFilter:
-    """The filter: sums of ON and of OFF events of every pixel, which decay exponentially.
+    """The filter: sums of ON and of OFF events of every pixel, which decay exponentially; size in px, cutoff in Hz.
 
     The sums are kept apart, because the contrasts of ON and OFF events differ and are not known beforehand.
-
-    size: Width and height of the sensor, px.
-    cutoff_hz: Cutoff frequency, Hz.
-    Raises InputMismatch: If the size or the frequency is out of range.
     """
 
     def __init__(self, size: tuple[int, int], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> None:
@@ -92,20 +85,12 @@ class HighPassFilter:
         self._seen_us = np.zeros((size[1], size[0]), np.int64)
 
     def add(self, events: EventArrays) -> None:
-        """Add events.
-
-        events: Times, us, ascending and not before those added earlier; columns, rows, polarities.
-        Raises InputMismatch: If an event lies outside of the sensor.
-        """
+        """Add events: times, us, ascending and not before those added earlier; columns, rows, polarities."""
         _require_inside(events, self.size)
         _add_events(*events, self.alpha_us, self._sums, self._seen_us)
 
     def sums_at(self, at_us: float) -> NDArray[np.float64]:
-        """Return the decayed sums at a time.
-
-        at_us: Time, us, not before the last event.
-        Returns: OFF, then ON; each event counts 1 when it comes.
-        """
+        """Return the decayed sums of OFF, then ON events, at a time, us, not before the last; new events count 1."""
         return np.asarray(self._sums * np.exp(-self.alpha_us * (at_us - self._seen_us)))
 
 
@@ -117,19 +102,11 @@ def reconstruct(
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
     two_sided: bool = True,
 ) -> Iterator[ReconstructedPicture]:
-    """Reconstruct pictures from a stream of events. Only one piece is held at a time.
+    """Yield pictures at ascending times, us, from a stream of events; only one piece of it is held at a time.
 
-    Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations.
-
-    pieces: Successive pieces of a recording. Where a time steps back, the event is taken at the latest time
-      before it.
-    size: Width and height of the sensor, px.
-    at_us: Times of the pictures, us, ascending.
-    cutoff_hz: Cutoff frequency, Hz.
-    two_sided: Whether later events are used as well; False: the filter as published.
-    Yields: One for each time, in their order.
-    Raises InputMismatch: If the times do not ascend, the frequency is out of range, or an event lies outside
-      of the sensor.
+    Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations. Where a time steps back, the
+    event is
+    taken at the latest time before it. The filter as published is not ``two_sided``: it uses no later events.
     """
     if any(later <= earlier for earlier, later in pairwise(at_us)):
         raise InputMismatch("The times of the pictures do not ascend.", where="reconstruction")

@@ -64,10 +64,7 @@ def posed(
     discs: Sequence[Disc] = (),
     pupils: Pupils | None = None,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state.
-
-    discs: Of the views, if their rim counts. pupils: If they wander.
-    """
+    """Return the problem and its first state; discs if their rim counts, pupils if they wander."""
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -127,10 +124,7 @@ def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
 
 
 def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...]) -> Optimum:
-    """Return the optimum with one family of the lens.
-
-    Raises DegenerateViews: If the equations cannot be solved because of the views' geometry; says what it is.
-    """
+    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry."""
     start = first_parameters(views, options, lens)
     try:
         return _searched(views, options, lens, start)

@@ -116,8 +116,9 @@ class Hyperprior:
 def hyperprior(parallax_sigma: float, known: Mapping[str, tuple[float, float]] | None = None) -> Hyperprior:
     """Return the hyperprior.
 
-    parallax_sigma: The parallax of a collimator with large radial terms, as a share of r; half of it is typical.
-    known: Medians and 1-sigma of the logarithm of amplitudes that a station states.
+    Half of ``parallax_sigma``, a share of r for large radial terms, is typical; ``known`` are medians and 1-sigma of
+    the
+    logarithm of amplitudes that a station states.
     """
     names = tuple(name for family in FAMILIES for name in family.names)
     mean = np.log([median for family in FAMILIES for median in family.medians])

@@ -24,8 +24,8 @@ _UNDETERMINED = 0.05
 def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> Boresight | None:
     """Return the mounting with its uncertainty.
 
-    Returns: None without readings, if they do not determine it, or if they have the camera look backwards, as the wrong
-      sign of an axis does.
+    None without readings, if they do not determine it, or if by them the camera looks backwards (wrong sign of an
+    axis).
     """
     if gimbal is None:
         return None
@@ -51,10 +51,7 @@ def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> B
 
 
 def _moved_sight(camera: CameraModel, parameters: Array, mounting: Array) -> tuple[Array, Array]:
-    """Return the ray through the middle of the image, and how it moves on the flange, seen from the camera.
-
-    parameters, mounting: (K, S) and (3, S) places of the unknowns. Returns: (3,) and (3, S).
-    """
+    """Return the ray through the image's middle, (3,), and how it moves on the flange by the unknowns, (3, S)."""
     middle = (np.array([camera.image_size]) - 1.0) / 2.0
     ray = camera.rays(middle)[0]
     _, by_ray, by_parameters = camera.project_with_jacobians(ray[None])

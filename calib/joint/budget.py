@@ -41,10 +41,7 @@ _SOURCES = {
 
 
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
-    """Return by group the (p,) variances of p quantities; they add up to those of the posterior.
-
-    gradients: (p, S) of the quantities.
-    """
+    """Return by group the (p,) variances of quantities with (p, S) gradients; they add up to those of the posterior."""
     found: dict[str, Array] = {}
     for node, weight in zip(posterior.nodes, posterior.counted, strict=True):
         for group, own in _at_node(posterior.optimum.marginal, node, gradients).items():
@@ -105,10 +102,7 @@ def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
 
 
 def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Array]) -> tuple[BudgetRow, ...]:
-    """Return the rows of the budget; the squares of their contributions add up to the variances of the posterior.
-
-    gradients: (5, S) from `row_gradients`. parts: By group the (5,) variances, from `variances`.
-    """
+    """Return the rows of the budget from (5, S) gradients and (5,) variances by group; their squares add up."""
     whole = sum(parts.values())
     statements = posterior.optimum.marginal.problem.knowledge.statements
     stated: dict[str, list[Statement]] = {}

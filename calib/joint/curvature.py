@@ -52,10 +52,7 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
 
 
 def _with_readings(marginal: Marginal, squares: Array, found: Solution, pulled: Array, whole: Array) -> Array:
-    """Return the curvature with that by the noise of the readings.
-
-    pulled: (K, Q) prior information times scaled shapes of the shared unknowns.
-    """
+    """Return the curvature with that by the readings' noise; ``pulled`` (K, Q) is prior information times shapes."""
     problem, poses = marginal.problem, marginal.problem.bench.poses
     n_rows = 3 * len(poses)
     weights = marginal.reading_weights(squares)
@@ -87,10 +84,9 @@ def best_amplitudes(
 ) -> tuple[Array, Solution]:
     """Return the logarithms of the amplitudes of the largest posterior, from a start, and their solution.
 
-    Steps of Newton with the expected curvature, halved while the value does not fall.
-
-    steps: Largest number of them. farthest: Largest change of each logarithm. enough: Smallest promise of a step.
-    Raises numpy.linalg.LinAlgError: If the equations cannot be solved at the start.
+    Steps of Newton with the expected curvature, halved while the value does not fall; each changes a logarithm by at
+    most
+    ``farthest``, and promises at least ``enough``. The equations must be solvable at the start.
     """
     bounds = np.array(marginal.problem.hyper.bounds).T
     low, high = np.maximum(bounds[0], eta - farthest), np.minimum(bounds[1], eta + farthest)

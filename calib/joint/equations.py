@@ -85,10 +85,7 @@ class ViewStars:
         return cls(view.target_mm, view.points_px, whitening, polynomials, rim, rho)
 
     def precision(self, rim_noise: float) -> Array:
-        """Return (N,) how precise the stars are, 1 in the middle of the disc.
-
-        rim_noise: The c of the noise near the rim.
-        """
+        """Return (N,) how precise the stars are, 1 in the disc's middle; ``rim_noise`` is the c of that at the rim."""
         return np.asarray(1.0 / (1.0 + (rim_noise * self.rho**_RIM_NOISE_POWER) ** 2))
 
 
@@ -207,10 +204,7 @@ class Bench:
         ]
 
     def aligned(self, state: State, weights: Sequence[Array]) -> State:
-        """Return the state with the rotations that fit the stars best, all else as it is: steps of Gauss and Newton.
-
-        weights: For each view (N,) weights of the stars.
-        """
+        """Return the state with the rotations that fit the weighted stars best, by Gauss and Newton; all else stays."""
         camera, points = self.camera(state.shared), self.points(state)
         turned = []
         for one, where, rotation, weight in zip(self.stars, points, state.rotations, weights, strict=True):
@@ -236,10 +230,7 @@ class Bench:
         return self.readings.off(state.gimbal, named, state.rotations)
 
     def linearised(self, state: State, limit: float, before: Equations | None = None) -> Equations:
-        """Return the equations at a state.
-
-        limit: Sigma of the stars over the stated one, for the robust weights. before: Equations whose weights are kept.
-        """
+        """Return the equations; ``limit`` is the stars' sigma over the stated one; weights are those of ``before``."""
         camera = self.camera(state.shared)
         rim_noise = before.rim_noise if before else self._rim_noise(state)
         precisions = tuple(one.precision(rim_noise) for one in self.stars)
@@ -361,10 +352,7 @@ class Bench:
         )
 
     def moved(self, state: State, shared: Array, fields: Array, rotations: Array) -> State:
-        """Return the state after a step.
-
-        shared: (S,) steps. fields: (n, F) steps. rotations: (m, 3) rotation vectors on the camera's side, rad.
-        """
+        """Return the state after steps: (S,) shared, (n, F) fields, (m, 3) rotation vectors on the camera's side."""
         values = state.shared + shared
         gimbal = state.gimbal
         if gimbal is not None:
@@ -417,10 +405,7 @@ def robust_sigma(lengths: Sequence[Array]) -> float:
 
 
 def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return turns and axes of each pose: those of its first view.
-
-    rotations: (m, 3, 3) of the views. poses: (m,) pose of each view.
-    """
+    """Return turns and axes of each pose, those of its first view, from (m, 3, 3) rotations and (m,) poses."""
     first = np.unique(poses, return_index=True)[1]
     own = rotations[first]
     return own[:, 2, :2] / own[:, 2, 2:], own[:, :2, :2]

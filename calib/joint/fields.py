@@ -69,10 +69,7 @@ class FieldBasis:
         return np.asarray(_powers((points_mm - self.reference[:2]) / self.radius_mm) @ _TO_ORTHONORMAL)
 
     def shape(self, displacement: Callable[[Array], Array]) -> Array:
-        """Return (2 K,) the coefficients of a field that is a polynomial.
-
-        displacement: From (N, 2) points h = (P - (x, y)) / r to (N, 2) displacements in units of r.
-        """
+        """Return (2 K,) a polynomial field's coefficients; points (P - (x, y)) / r and displacements / r are (N, 2)."""
         h = _DISC * self.radius_mm / self.reference[2]
         values = displacement(h)
         return np.asarray(_ON_DISC.T @ values / len(h)).T.reshape(-1)
@@ -87,7 +84,7 @@ class FieldBasis:
     def shifted(self, direction: Sequence[float], higher: float) -> Array:
         """Return (2 K, 4) what the radial terms become about an axis that is shifted along a direction.
 
-        higher: How many times larger the terms of fifth order typically are than those of third order.
+        Terms of fifth order typically are ``higher`` times those of third order.
         """
         e = np.asarray(direction, float)
         along = [

@@ -82,10 +82,7 @@ class Statement:
         return {fault: self._information(fault) for fault in ("", MISJUDGED, WRONG)}
 
     def information(self, fault: str = "") -> Array:
-        """Return the (k, k) inverse covariance.
-
-        fault: `MISJUDGED`, `WRONG`, or empty if the statement holds.
-        """
+        """Return the (k, k) inverse covariance; ``fault`` is `MISJUDGED`, `WRONG`, or empty if the statement holds."""
         return self._informations[fault]
 
     def _information(self, fault: str) -> Array:
@@ -122,9 +119,9 @@ def _scalar(
     unit: str = "",
     term: TypeBTerm | None = None,
 ) -> Statement:
-    """Return a statement about a sum of unknowns.
+    """Return a statement about a sum of unknowns, each times its factor in ``terms``.
 
-    terms: Factor of each unknown. stated: Value and 1-sigma. free: 1-sigma if nobody had stated it.
+    ``stated`` is value and 1-sigma; ``free`` the 1-sigma if nobody had stated it.
     """
     row = np.zeros((1, len(layout.names)))
     for key, factor in terms.items():
@@ -138,10 +135,7 @@ def _scalar(
 def gather(
     options: CalibrationOptions, layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]
 ) -> Knowledge:
-    """Return all that is known beside the stars.
-
-    start: Values of the camera and the centre near the solution; they scale the weak limits.
-    """
+    """Return all that is known beside the stars; ``start``, near the solution, scales the weak limits."""
     statements = [*_camera(layout, image_size, start), *_limits(layout, image_size, start)]
     passport = options.passport
     known = frozenset(passport.names if passport else ())
@@ -257,7 +251,7 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
 def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
     """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out.
 
-    Raises InputMismatch: If its common field has another number of coefficients: the same names are then others.
+    Its common field must have as many coefficients as here: otherwise the same names mean others.
     """
     field = [name for name in passport.names if name.startswith("common_")]
     if field and len(field) != len(layout.common):

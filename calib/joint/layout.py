@@ -181,10 +181,7 @@ class Layout:
     def random_blocks(
         self, hyper: amp.Hyperprior, known: frozenset[str], *, parallax_known: bool
     ) -> list[RandomBlock]:
-        """Return the unknowns that have an amplitude.
-
-        known: Names that a passport states. parallax_known: Whether something bounds the parallax.
-        """
+        """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded."""
         decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
         blocks = [
             RandomBlock(rows.LENS, self.places(names), ((hyper.at(amplitude), np.eye(len(names))),))

@@ -1,8 +1,7 @@
 """Likelihood of the amplitudes with all other unknowns integrated out, its gradient, and the solution for given ones.
 
 Restricted likelihood: Patterson and Thompson (1971), Harville (1977). The rotation of each view and the own field of
-each pose are eliminated view by view and pose by pose; what is left are the S shared unknowns. The equations stand in
-docs/adjustment.md.
+each pose are eliminated; S shared unknowns are left. The equations stand in docs/adjustment.md.
 """
 
 from __future__ import annotations
@@ -158,11 +157,9 @@ class Marginal:
 
     # -- solution
     def solve(self, eta: Array, faults: Faults = NO_FAULT, *, slope: bool = True) -> Solution:
-        """Return the posterior for given logarithms of the amplitudes.
+        """Return the posterior for given logarithms of the amplitudes and faults of statements, by name.
 
-        faults: Statements that are at fault, by name.
-        slope: Whether the gradient is wanted; else it is zero.
-        Raises numpy.linalg.LinAlgError: If the amplitudes leave nothing that determines an unknown.
+        The gradient is zero without ``slope``. The equations are singular if nothing determines an unknown.
         """
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
@@ -246,10 +243,7 @@ class Marginal:
         return gradient + self._noise_gradient(squares, found, size + n * f - taken)
 
     def _noise_gradient(self, squares: Array, found: Solution, determined: float) -> Array:
-        """Return the gradient by the noise of the stars and of the readings.
-
-        determined: Number of unknowns that stars and readings determine.
-        """
+        """Return the gradient by the noise of stars and readings, which determine ``determined`` unknowns."""
         hyper = self.problem.hyper
         gradient = np.zeros(len(squares))
         star, reading = hyper.at(amp.STAR), hyper.at(amp.READING)

@@ -116,10 +116,7 @@ class Posterior:
         return np.asarray(within + (self.counted[:, None] * away).T @ away)
 
     def expanded(self, row: Array) -> float:
-        """Return the half width of the interval about the mean that covers 95.45 % of a linear function.
-
-        row: (S,) gradient of the function.
-        """
+        """Return the half width of the interval that covers 95.45 % of the function with the (S,) gradient row."""
         return self._half_width(row, self.mean)
 
     def _half_width(self, row: Array, mean: Array) -> float:
@@ -145,10 +142,7 @@ class Posterior:
 
 
 def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
-    """Return what a statement says against what the posterior says without it.
-
-    b, covariance: Of the posterior with the statement. fault: With which it entered the posterior.
-    """
+    """Return a statement against the posterior without it; b has it, with the fault with which it entered."""
     entered = np.linalg.inv(one.information(fault))
     left = entered - one.rows @ covariance @ one.rows.T  # covariance of stated minus estimated
     off = one.values - one.rows @ b
@@ -252,11 +246,9 @@ def _usual(optimum: Optimum) -> Array:
 
 
 def _possible(optimum: Optimum, starts: Sequence[Array]) -> list[tuple[str, ...]]:
-    """Return the statements that contradict the others by so much that a fault can be more probable than none.
+    """Return the statements that contradict the others, at (A,) amplitudes of a start, so that a fault can be likelier.
 
     One source states the scales of all axes, so they can be wrong together.
-
-    starts: (A,) each, amplitudes; the contradictions at each of them count.
     """
     doubted: dict[str, None] = {}
     scales: tuple[str, ...] = ()

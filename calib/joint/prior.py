@@ -25,10 +25,7 @@ _WHOLE = 50
 
 
 def inverse_of(matrices: Array) -> tuple[Array, float]:
-    """Return the inverses of (..., K, K) positive definite matrices and the sum of the logarithms of determinants.
-
-    Raises numpy.linalg.LinAlgError: If one is not positive definite.
-    """
+    """Return the inverses of (..., K, K) positive definite matrices and the sum of the logarithms of determinants."""
     lower = np.asarray(np.linalg.cholesky(matrices), np.float64)
     logarithm = 2.0 * float(np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum())
     root = _inverse_of_triangle(lower)
@@ -78,10 +75,7 @@ class RandomPrior:
         return cls(places, shapes, amplitudes, stated, groups, own)
 
     def information(self, squares: Array) -> tuple[Array, float]:
-        """Return the (K, K) prior information, and the logarithm of the determinant of the covariance.
-
-        squares: (A,) of the amplitudes.
-        """
+        """Return the (K, K) prior information for (A,) squares of amplitudes, and log det of the covariance."""
         covariance = (self.shapes * squares[self.amplitudes]) @ self.shapes.T + self.stated
         found, logarithm = np.zeros_like(covariance), 0.0
         for own in self.blocks:

@@ -39,11 +39,9 @@ class Pupils:
 def rims_and_pupils(
     views: Sequence[View], poses: NDArray[np.int64], r_mm: float
 ) -> tuple[tuple[Disc, ...], Pupils | None]:
-    """Return the visible discs, and where the pupils are if they wander farther than on a gimbal.
+    """Return the visible discs, none if the rim is not in view, and the pupils if they wander farther than on a gimbal.
 
     On a gimbal the pupil follows the turn, which is known far better than a disc.
-
-    Returns: Discs, none if the rim is nowhere in view; and the pupils, or None.
     """
     first = np.unique(poses, return_index=True)[1]  # repeats of a pose show the same rim
     found = discs_of([views[v] for v in first])

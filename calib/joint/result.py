@@ -48,11 +48,7 @@ _PLAIN = (
 def calibrate_jointly(
     views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
 ) -> tuple[Calibration, AdjustmentParameters]:
-    """Return the result of the joint adjustment without the checks of wrong data, and its parameters for these.
-
-    wrong: Stars with a gross error, for each view.
-    Raises DegenerateViews, NotConverged: As `calib.engine.calibrate`.
-    """
+    """Return the result without the checks of wrong data, and its parameters for these; wrong stars take no part."""
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     found, contradicted = _posterior(kept, options)
@@ -67,10 +63,7 @@ def calibrate_jointly(
 
 
 def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Posterior, GimbalEstimate | None]:
-    """Return the posterior, without readings that contradict the stars.
-
-    Returns: The posterior; and what was found out about readings that did not enter, else None.
-    """
+    """Return the posterior without readings that contradict the stars, and what was found out about these."""
     found = posterior(adjust(views, options))
     if options.gimbal is None:
         return found, None

@@ -54,10 +54,7 @@ class Mode:
 
 
 def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share: float) -> list[Node]:
-    """Return the nodes about a mode; their weights add up to its share.
-
-    lower: (A, A) triangle L, L L^T the curvature of the likelihood. pairs: Half of their number.
-    """
+    """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature."""
     eta, solution = mode.eta, mode.solution
     found, logs = [(eta, solution)], [0.0]
     bounds = np.array(marginal.problem.hyper.bounds).T
@@ -99,10 +96,7 @@ def _main_directions(marginal: Marginal, eta: Array, found: Solution, lower: Arr
 
 
 def _by_readings(marginal: Marginal, squares: Array, found: Solution, row: Array) -> float:
-    """Return the share of a variance that the readings make.
-
-    row: (S,) covariance with the quantity, over its sigma.
-    """
+    """Return the share of a variance that the readings make; row: (S,) covariance with the quantity, over its sigma."""
     if not marginal.uses_readings:
         return 0.0
     direct = marginal.rows - marginal.own_rows @ found.follow[marginal.problem.bench.poses]

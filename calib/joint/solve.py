@@ -70,11 +70,7 @@ class Optimum:
 
 
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
-    """Return the optimum.
-
-    rounds: Largest number of linearisations.
-    Raises NotConverged: If the equations cannot be solved.
-    """
+    """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
     eta, state = problem.hyper.mean, start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
@@ -103,11 +99,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
 
 
 def approached(problem: Problem, start: State, rounds: int) -> State:
-    """Return a state near the optimum: steps at the expected amplitudes, with wide robust limits.
-
-    rounds: Largest number of linearisations.
-    Raises NotConverged: If the equations cannot be solved.
-    """
+    """Return a state near the optimum: at most ``rounds`` steps at the expected amplitudes, with wide robust limits."""
     state, bench, eta = start, problem.bench, problem.hyper.mean
     lengths = bench.whitened(state)
     for _ in range(rounds):
@@ -120,10 +112,7 @@ def approached(problem: Problem, start: State, rounds: int) -> State:
 
 
 def solved(marginal: Marginal, eta: Array) -> Solution:
-    """Return the solution for given amplitudes.
-
-    Raises NotConverged: If the equations cannot be solved.
-    """
+    """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
     try:
         return marginal.solve(eta, slope=False)
     except np.linalg.LinAlgError as error:
@@ -133,7 +122,7 @@ def solved(marginal: Marginal, eta: Array) -> Solution:
 def small(marginal: Marginal, found: Solution, *, centre: bool = True) -> bool:
     """Tell whether a step no longer matters: of camera and centre, in px or in their sigmas.
 
-    centre: Whether the centre counts; else it may still move by as much as the equations hold.
+    If ``centre`` does not count, it may still move by as much as the equations hold.
     """
     layout = marginal.problem.bench.layout
     at = layout.places((*layout.camera, *("x", "y", "r")[: 3 if centre else 0]))
@@ -156,10 +145,7 @@ def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]
 def searched(
     marginal: Marginal, eta: Array, steps: int, farthest: float = np.inf, enough: float = ROUGH
 ) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start, and their solution, as `best_amplitudes`.
-
-    Raises NotConverged: If the equations cannot be solved.
-    """
+    """Return the best amplitudes from a start, and their solution, as `best_amplitudes`, or `NotConverged`."""
     try:
         return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough)
     except np.linalg.LinAlgError as error:
@@ -231,7 +217,7 @@ def _moved(marginal: Marginal, eta: Array, found: Solution, size: float) -> Stat
 def cost(marginal: Marginal, eta: Array, state: State, lengths: Sequence[Array]) -> float:
     """Return the cost of a state: stars as the equations weigh them, readings, priors; infinite behind the camera.
 
-    lengths: For each view (N,) lengths of the residuals over their sigma.
+    ``lengths`` are, for each view, (N,) lengths of the residuals over their sigma.
     """
     bench, hyper, weights = marginal.problem.bench, marginal.problem.hyper, marginal.equations.weights
     squares = np.exp(2.0 * eta)

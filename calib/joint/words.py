@@ -44,11 +44,7 @@ _BINDS = {
 def require_determined(
     found: Posterior, views: Sequence[View], parameters: AdjustmentParameters, options: CalibrationOptions
 ) -> None:
-    """Refuse a result with poorly determined focal lengths, or without an optimum.
-
-    Raises DegenerateViews: If the 1-sigma of a focal length is more than 5 % of it; names the free unknown.
-    Raises NotConverged: If the adjustment did not reach its optimum.
-    """
+    """Refuse a focal length with 1-sigma above 5 %, naming the free unknown, or an adjustment without an optimum."""
     if options.passport is None:
         require_distinct_poses(parameters)
     sigmas = np.sqrt(np.diag(found.covariance))

@@ -32,13 +32,9 @@ def visible_discs(views: Sequence[View]) -> list[Disc]:
 
 
 def discs_of(views: Sequence[View]) -> Discs | None:
-    """Fit the discs of views of different poses.
+    """Fit the discs of views of different poses; None if the rim is nowhere in view.
 
-    If the images of all views were searched for the rim, and one of them shows it, the discs are fitted to the rims
-    found; otherwise to the stars.
-
-    Returns: None if the rim is nowhere in view.
-    Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
+    To the rims found, if all images were searched for them and one shows a rim; otherwise to the stars.
     """
     rims = [view.rim for view in views if view.rim is not None]
     if len(rims) < len(views) or all(len(rim.points_mm) < _FEWEST_POINTS for rim in rims):
@@ -61,14 +57,7 @@ def _look_mm(view: View) -> Array:
 
 
 def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
-    """Tell which stars lie inside the guard band, that is, within a share of the disc's radius.
-
-    Own rule: the distance from the disc's centre is at most the share of its radius.
-
-    disc: The view's visible disc.
-    share: Share of the disc's radius; with 1 or more, all stars are inside.
-    Returns: (N,) bool, True for each star inside.
-    """
+    """Tell which stars, (N,), lie within a share of the disc's radius from its centre; all from a share of 1 on."""
     away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
     return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))
 
@@ -110,10 +99,7 @@ class _Grid:
 
 
 def rims_of_stars(views: Sequence[View]) -> list[RimPoints]:
-    """Return for each view the points of its rim; none if the stars are not on a grid.
-
-    Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
-    """
+    """Return for each view the points of its rim; none if the stars are not on a grid."""
     stars = np.concatenate([view.target_mm for view in views])
     grid = _grid(stars)
     if grid is None:

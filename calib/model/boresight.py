@@ -43,12 +43,9 @@ class Boresight:
         return float(np.degrees(np.arctan2(x, z))), float(np.degrees(np.arctan2(y, z)))
 
     def angle_to(self, normal: Array, sigma_rad: float) -> tuple[float, float]:
-        """Return the angle between the ray and a direction of the flange's frame, and its expanded uncertainty.
+        """Return the angle, degrees, of the ray to a (3,) direction of the flange's frame, and its U.
 
         An angle near zero has no single gradient, so the larger uncertainty of the ray's two directions is taken.
-
-        normal: (3,) direction of any length. sigma_rad: Its 1-sigma in each direction.
-        Returns: Both in degrees.
         """
         unit = np.asarray(normal, np.float64) / np.linalg.norm(normal)
         angle = float(np.arctan2(np.linalg.norm(skew(self.sight[None])[0] @ unit), self.sight @ unit))

@@ -43,12 +43,9 @@ _ONE_NAME = re.compile(r"k[1-6]|p[12]|kb[1-4]|skew")
 
 
 def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the coefficients of a named set, or check a sequence of coefficients.
+    """Return the coefficients of a named set, or check a sequence of coefficients; in the order of their lens family.
 
-    chosen: Name of a set in `DISTORTION_SETS`; names of coefficients of one lens family, and `SKEW` beside
-      those of Brown's model; or such names in one word, as ``k1k2skew``.
-    Returns: Names of the coefficients, in the order of their family.
-    Raises InputMismatch: If the set is unknown, or no lens family has all the coefficients.
+    Beside a set of `DISTORTION_SETS`: names of one family, and `SKEW` beside those of Brown's model; also in one word.
 
     Examples
     --------

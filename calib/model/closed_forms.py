@@ -38,12 +38,9 @@ def linear_solution(
 ) -> ClosedFormSolution | None:
     """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5).
 
-    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 2, or n >= 3 with
-      a free principal point.
-    image_size: Width and height, px.
-    free_principal_point: Whether the principal point is unknown; otherwise it is the centre of the image.
-    Returns: None if there are too few views, or if the solution is not a real camera (a negative square;
-      noise can cause this).
+    It takes (n, 3, 3) homographies of `view_homography`; n >= 2, or n >= 3 with a free principal point, which is
+    otherwise
+    the image's centre. None with too few views, or if the camera is not real (a negative square; noise can cause this).
     """
     if len(homographies) < (3 if free_principal_point else 2):
         return None
@@ -59,15 +56,11 @@ def linear_solution(
 
 
 def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list[ClosedFormSolution]:
-    """Solve two views with a free principal point; return every real solution.
+    """Solve two views with a free principal point; return every real solution, two at most.
 
     Two views give twelve equations (arXiv:2512.16092, eq. 5), which determine the eleven ratios of the unknowns only
     weakly. The two weakest directions of the system are combined such that the skew vanishes, w12 w33 = w13 w23. This
-    is a quadratic equation.
-
-    homographies: (2, 3, 3) homographies from `calib.model.homography.view_homography`.
-    image_size: Width and height, px.
-    Returns: At most two solutions; none if no root is a real camera.
+    is a quadratic equation. The homographies are (2, 3, 3) of `view_homography`.
     """
     to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
     inverses = np.linalg.inv(to_unit @ homographies @ plane)
@@ -118,14 +111,9 @@ def _solution_from_entries(
 
 
 def rotations_from_centre(homographies: Array, matrix: Array, centre: Array) -> Array:
-    """Return the rotation of each view, given the camera matrix and the shared centre.
+    """Return for each camera matrix, (..., 3, 3), and centre, (..., 3) mm, rotations (..., n, 3, 3), camera <- target.
 
     H ~ K R [e1 e2 -c] (arXiv:2512.16092, eq. 3), so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
-
-    homographies: (n, 3, 3) homographies from target, mm, to image, px.
-    matrix: (..., 3, 3) camera matrices, px.
-    centre: (..., 3) the shared centre of each, in the target frame, mm.
-    Returns: For each camera matrix (..., n, 3, 3) rotations, camera <- target.
     """
     frame = np.broadcast_to(np.eye(3), (*centre.shape, 3)).copy()
     frame[..., 2] = -centre
@@ -134,12 +122,9 @@ def rotations_from_centre(homographies: Array, matrix: Array, centre: Array) -> 
 
 
 def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Array | None:
-    """Return the camera matrix, given the shared centre; one view is enough.
+    """Return the (3, 3) camera matrix, px, given the shared centre, from one view or more; None if it is not real.
 
     K K^T ~ H A H^T, where A is the right side of arXiv:2512.16092, eq. 5. The mean over the views is taken.
-
-    homographies: (n, 3, 3) homographies from target, mm, to image, px; n >= 1.
-    Returns: (3, 3) camera matrix, px; None if the mean is not a real camera.
     """
     x, y, r = collimator.x, collimator.y, collimator.r
     right = np.array([[r**2 + x**2, x * y, x], [x * y, r**2 + y**2, y], [x, y, 1.0]])
@@ -154,10 +139,7 @@ def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Ar
 
 
 def _image_conditioning(image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) similarity that maps the centre of the image to 0 and half its diagonal to 1.
-
-    Own conditioning, with the aim of Hartley (1997): unknowns of similar size.
-    """
+    """Return the similarity that maps the image's centre to 0, half its diagonal to 1 (aim: Hartley, 1997)."""
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
     return np.array(
@@ -166,10 +148,7 @@ def _image_conditioning(image_size: tuple[int, int]) -> Array:
 
 
 def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) similarity of the target plane that maps units to mm about the point the cameras look at.
-
-    Own conditioning, with the aim of Hartley (1997): unknowns of similar size.
-    """
+    """Return the (3, 3) map from units to mm about the point that the cameras look at (aim: Hartley, 1997)."""
     centre = np.array([(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0])
     looked_at = np.linalg.inv(homographies) @ centre
     middle = np.median(looked_at[:, :2] / looked_at[:, 2:], axis=0)
@@ -179,10 +158,7 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
 
 
 def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
-    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows for each view.
-
-    They are the linear equations of arXiv:2512.16092, eq. 5.
-    """
+    """Return the rows g W g^T - B, 6 a view, for chosen entries of W, then B (arXiv:2512.16092, eq. 5)."""
     columns = []
     for i, j in unknown:
         basis = np.zeros((3, 3))
@@ -198,15 +174,11 @@ def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
 def zhang_matrix(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
 ) -> Array | None:
-    """Solve for the camera matrix from the homographies of all views, with zero skew.
+    """Solve for the (3, 3) camera matrix, px, from the homographies of all views, with zero skew.
 
     With w = K^-T K^-1, each view gives h1^T w h2 = 0 and h1^T w h1 = h2^T w h2: Zhang (2000), eqs. 3 and 4 and section
-    3.1.
-
-    homographies: (n, 3, 3) homographies from target, mm, to image, px.
-    image_size: Width and height, px.
-    free_principal_point: Whether the principal point is unknown; otherwise it is the centre of the image.
-    Returns: (3, 3) camera matrix, px; None if the views do not determine one (frontal views, noise).
+    3.1. A principal point that is not free is the image's centre. None if the views do not determine it (frontal,
+    noise).
     """
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
@@ -235,10 +207,7 @@ def zhang_matrix(
 
 
 def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
-    """Return the factor of w_ij in a^T w b.
-
-    Source: Zhang (2000), section 3.1.
-    """
+    """Return the factor of w_ij in a^T w b (Zhang, 2000, section 3.1)."""
     i, j = ij
     return float(a[i] * b[j] + (a[j] * b[i] if i != j else 0.0))
 
@@ -246,10 +215,7 @@ def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
 def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, Array]:
     """Return the pose of each view, given the camera matrix: H ~ K [r1 r2 t] with t = -R c (Zhang, 2000, section 3.1).
 
-    homographies: (n, 3, 3) homographies from target, mm, to image, px.
-    matrix: (..., 3, 3) camera matrices, px.
-    Returns: For each camera matrix (..., n, 3, 3) rotations, camera <- target; (..., n, 3) camera centres in
-      the target frame, mm.
+    For (..., 3, 3) matrices: (..., n, 3, 3) rotations, camera <- target; (..., n, 3) camera centres on the target, mm.
     """
     columns = np.linalg.inv(matrix)[..., None, :, :] @ homographies
     lengths = np.sqrt((columns[..., :2] ** 2).sum(axis=-2)).mean(axis=-1)

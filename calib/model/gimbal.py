@@ -50,29 +50,20 @@ class Gimbal:
     non_orthogonality: float = 0.0  # Angle between the axes of pan and tilt minus a right angle, rad
 
     def heads(self, angles_deg: Array) -> Array:
-        """Return the rotations of the head.
-
-        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
-        Returns: (n, 3, 3) rotations, head <- base.
-        """
+        """Return the (n, 3, 3) rotations, head <- base, of (n, 3) readings of pan, tilt, roll."""
         pan, _, _, before_pan = self._turns(angles_deg)
         return np.asarray(before_pan @ pan)
 
     def axes(self, angles_deg: Array) -> Array:
-        """Return the directions of the axes, seen from the camera.
-
-        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
-        Returns: (n, 3, 3) unit vectors of pan, tilt and roll, in the columns.
-        """
+        """Return (n, 3, 3) unit vectors of pan, tilt and roll, in columns, seen from the camera, at (n, 3) readings."""
         return self.turned(angles_deg)[1]
 
     def turned(self, angles_deg: Array) -> tuple[Array, Array, Array]:
-        """Return how the head turns the camera, and about which axes.
+        """Return how the head turns the camera, and about which axes, at (n, 3) readings of pan, tilt, roll.
 
-        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
-        Returns: (n, 3, 3) rotations, camera <- base; (n, 3, 3) unit vectors of pan, tilt and roll, seen from
-          the camera, in the columns; and (n, 3) that of the axis about which pan leans against a right angle
-          with tilt.
+        Returns: (n, 3, 3) rotations, camera <- base; (n, 3, 3) unit vectors of pan, tilt and roll, seen from the
+          camera, in the
+        columns; and (n, 3) that of the axis about which pan leans against a right angle with tilt.
         """
         pan, tilt, roll, before_pan = self._turns(angles_deg)
         leaning = roll @ tilt
@@ -88,18 +79,11 @@ class Gimbal:
         return pan, tilt, roll, roll @ tilt @ exp_map(np.array([0.0, 0.0, self.non_orthogonality]))
 
     def rotations(self, angles_deg: Array) -> Array:
-        """Return the rotations of the camera.
-
-        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
-        Returns: (n, 3, 3) rotations, camera <- target.
-        """
+        """Return the (n, 3, 3) rotations, camera <- target, of (n, 3) readings of pan, tilt, roll."""
         return np.asarray(self.camera_from_head @ self.heads(angles_deg) @ self.base_from_target)
 
     def to_dict(self) -> dict[str, float]:
-        """Return the parameters by name; a rotation as its rotation vector.
-
-        Returns: Rotation vectors and angles in rad, scales without a unit; the names are those of `GIMBAL`.
-        """
+        """Return the parameters named in `GIMBAL`: rotation vectors and angles, rad, and scales."""
         turns = log_map(np.array([self.camera_from_head, self.base_from_target])).reshape(-1).tolist()
         return dict(zip(GIMBAL, (*turns, *map(float, self.scales), self.non_orthogonality), strict=True))
 
@@ -119,11 +103,7 @@ class Gimbal:
 
 
 def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
-    """Return mounting and standing of a gimbal with unit scales, for the start of an adjustment.
-
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
-    """
+    """Return the start of a gimbal with unit scales from (n, 3, 3) rotations, camera <- target, and (n, 3) readings."""
     heads = Gimbal().heads(angles_deg)
     a, b = mountings(rotations, heads)
     sums = (_seen_minus_read(rotations, a[:, None] @ heads, b) ** 2).sum(axis=(1, 2)) + _TINY
@@ -133,14 +113,11 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
 
 
 def mountings(rotations: Array, heads: Array) -> tuple[Array, Array]:
-    """Return mountings and standings that fit rotations of the head, some of which may be equal.
+    """Return (P, 3, 3) mountings A and standings B that fit (n, 3, 3) rotations of views and head, some maybe equal.
 
     From several rolls of the mounting, and as many of a camera that looks backwards, which a wrong sign of an axis
     imitates: alternating least squares, where with A known B is the mean of G^T A^T R (mean
     of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
-
-    rotations: (n, 3, 3) rotations of the views, camera <- target. heads: (n, 3, 3) rotations of the head.
-    Returns: (P, 3, 3) mountings A and (P, 3, 3) standings B.
     """
     back = np.swapaxes(heads, 1, 2)
     upright = np.array([euler_zxy(0.0, 0.0, float(roll)) for roll in _START_ROLLS_DEG])

@@ -24,14 +24,12 @@ AXES = ("pan_deg", "tilt_deg", "roll_deg")
 
 @dataclass(frozen=True)
 class ParallaxBound:
-    """What bounds the parallax of a gimbal before a collimator.
+    """What bounds the parallax of a gimbal before a collimator: each quantity with its standard uncertainty.
 
-    defocus, defocus_sigma: The collimator's defocus and its standard uncertainty, dimensionless. When the
-      camera moves across the beam by s, the pattern appears to move by -defocus s on the target. A target at
-      the finite distance D has the defocus r / D; an ideal collimator has 0.
-    pupil_off_pivot_mm, pupil_off_pivot_sigma_mm: Distance of the entrance pupil in front of the pivot, and
-      its standard uncertainty, mm.
-    Raises InputMismatch: If an uncertainty is negative, or a number is not finite.
+    Defocus, dimensionless: when the camera moves across the beam by s, the pattern appears to move by -defocus s on the
+    target. A target at the finite distance D has the defocus r / D; an ideal collimator has 0. Off pivot, mm, is how
+    far
+    the entrance pupil is in front of the pivot.
     """
 
     defocus: float
@@ -49,13 +47,11 @@ class ParallaxBound:
             raise InputMismatch("The bound of the parallax contains a number that is not finite.")
 
     def mean_and_sigma(self, r_mm: float) -> tuple[float, float]:
-        """Return the expected parallax and its standard uncertainty.
+        """Return the expected displacement of the pattern per tangent of the turn, as a share of r, and its 1-sigma.
 
         The pupil moves across the beam by off_pivot times the tangent of the turn, and the pattern by -defocus times
-        that. Uncertainty of a product of two independent quantities: Goodman (1960).
-
-        r_mm: Radius of the collimator, mm.
-        Returns: Displacement of the pattern per unit tangent of the turn, as a share of r; and its 1-sigma.
+        that.
+        Uncertainty of a product of two independent quantities: Goodman (1960).
         """
         d, off = self.defocus, self.pupil_off_pivot_mm
         sigma = np.sqrt(
@@ -68,20 +64,18 @@ class ParallaxBound:
 
 @dataclass(frozen=True)
 class GimbalReadings:
-    """Readings of all views, with their uncertainty.
+    """Readings of all views, with their standard uncertainties, which must be positive (scale, eccentricity: may be 0).
 
-    angles_deg: For each view the readings of its axes, degrees: any of ``pan_deg``, ``tilt_deg``,
-      ``roll_deg``.
-    reading_sigma_deg: Standard uncertainty of a reading, degrees; wobble of the axes included. It holds for
-      the rotation about every axis of the head, also about one that the gimbal does not have.
-    scale_sigma: Standard uncertainty of each axis's scale (true angle over reading).
-    eccentricity_deg: Standard uncertainty of the amplitude of the encoder's error of one period a turn,
-      degrees. Over a small range of angles it acts as a scale error.
-    parallax: What bounds the parallax; None if nothing does. The readings are then compared with the result,
-      but do not enter it.
-    source: Where these numbers come from: a certificate, a data sheet, a measurement.
-    Raises InputMismatch: If an uncertainty is not positive (or negative, for scale and eccentricity), or an
-      axis is unknown.
+    angles_deg: For each view any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+    reading_sigma_deg: Wobble of the axes included. It holds for the rotation about every axis of the head, also about
+      one
+    that the gimbal does not have.
+    scale_sigma: Of each axis's scale (true angle over reading).
+    eccentricity_deg: Of the amplitude of the encoder's error of one period a turn; over a small range of angles it acts
+      as a
+    scale error.
+    parallax: What bounds it; None if nothing does. The readings are then compared with the result, but do not enter it.
+    source: A certificate, a data sheet, a measurement.
     """
 
     angles_deg: tuple[Mapping[str, float], ...]
@@ -106,10 +100,7 @@ class GimbalReadings:
 
 
 def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:
-    """Return (n, 3) pan, tilt, roll, degrees; axes without a reading are zero.
-
-    Raises InputMismatch: If an axis is unknown.
-    """
+    """Return (n, 3) pan, tilt, roll, degrees; axes without a reading are zero, unknown axes are refused."""
     unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
     if unknown:
         raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")

@@ -1,7 +1,8 @@
-"""The homography of one view: from the target plane to the image, fitted to stars on both.
+"""The homography of one view: from the target plane to the image, fitted to stars on both, without a camera.
 
-Lens distortion is ignored, so a homography is only a starting value. No camera is needed. Stars that contradict their
-neighbours are found here too, because they spoil a homography (`gross_errors`).
+It ignores lens distortion, so it is only a starting value. Stars that contradict their neighbours would spoil it, so
+they
+are found here too (`gross_errors`).
 """
 
 from __future__ import annotations
@@ -30,13 +31,7 @@ _SAMPLES, _CONFIDENCE = 2000, 1.0 - 1e-9
 
 
 def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit a homography by least squares (OpenCV's ``findHomography``).
-
-    grid: (N, 2) grid positions, any unit.
-    points: (N, 2) image points, px.
-    Returns: (3, 3) homography from grid positions to image points.
-    Raises TooFewStars: If there are fewer than 4 stars, or all of them lie on one line.
-    """
+    """Fit the homography of (N, 2) grid positions and points, px (OpenCV's ``findHomography``), or `TooFewStars`."""
     import cv2
 
     h = cv2.findHomography(grid, points, 0)[0] if len(grid) >= MIN_STARS else None
@@ -49,14 +44,7 @@ def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> ND
 
 
 def fit_affine(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit an affine map by least squares.
-
-    Linear least squares for the affine map of Hartley and Zisserman (2004), section 2.4.
-
-    grid: (N, 2) grid positions, any unit; N >= 3, not all on one line.
-    points: (N, 2) image points, px.
-    Returns: (3, 3) affine map as a homography, with last row 0 0 1.
-    """
+    """Fit an affine map, (3, 3) with last row 0 0 1, to N >= 3 points (Hartley and Zisserman, 2004, section 2.4)."""
     design = np.column_stack([grid, np.ones(len(grid))])
     solution = np.linalg.lstsq(design, points, rcond=None)[0]
     return np.vstack([solution.T, [0.0, 0.0, 1.0]])
@@ -70,9 +58,6 @@ def view_homography(view: View) -> Array:
     With this scale H = lambda K [r1 r2 -Rc] has the same lambda in all views of a collimator, because det H = lambda^3
     det(K) r. The weights 1 / (1 + (e / s)^2) are those of the Cauchy loss (Holland and Welsch, 1977). Stars with gross
     errors take no part (`gross_errors`).
-
-    view: Stars of one pose, at least 4.
-    Returns: (3, 3) homography with determinant 1.
     Raises TooFewStars: If the view has fewer than 4 stars.
     Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
     Raises InputMismatch: If the image shows the target mirrored.
@@ -88,12 +73,7 @@ def gross_errors(view: View) -> Bools:
 
     The rule is that of `calib.model.local_consistency.contradicts_neighbours`. If a star contradicts its neighbours,
     the homography is found again by the least median of squares (Rousseeuw, 1984), which up to half of the stars
-    cannot spoil, and the stars are tested again.
-
-    view: Stars of one pose, at least 4.
-    Returns: (N,) bool; all False for fewer than 8 stars, which cannot be compared.
-    Raises TooFewStars: If the view has fewer than 4 stars.
-    Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
+    cannot spoil, and the stars are tested again. All False for fewer than 8 stars. Errors as of `rough_homography`.
     """
     return view.remembered("homography", _fit_without_gross_errors)[1]
 
@@ -101,8 +81,6 @@ def gross_errors(view: View) -> Bools:
 def rough_homography(view: View) -> Array:
     """Return the homography of a view as `view_homography`, at any scale and also if the target appears mirrored.
 
-    view: Stars of one pose, at least 4.
-    Returns: (3, 3) homography.
     Raises TooFewStars: If the view has fewer than 4 stars.
     Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
     """
@@ -110,10 +88,7 @@ def rough_homography(view: View) -> Array:
 
 
 def neighbours_of(view: View) -> Nearest:
-    """Return the neighbours of the stars of a view, which are found once.
-
-    view: At least 2 stars.
-    """
+    """Return the neighbours of the at least 2 stars of a view, which are found once."""
     from calib.model.local_consistency import nearest_stars
 
     return view.remembered("neighbours", lambda of: nearest_stars(of.target_mm))
@@ -182,26 +157,15 @@ def _least_median_homography(target_mm: Array, points_px: Array, where: str) -> 
 
 
 def apply_homography(h: Array, points: Array) -> Array:
-    """Map points by a homography.
-
-    Source: Hartley and Zisserman (2004), section 2.3.
-
-    h: (3, 3) homography.
-    points: (N, 2) points.
-    Returns: (N, 2) mapped points.
-    """
+    """Map (N, 2) points by a homography (Hartley and Zisserman, 2004, section 2.3)."""
     mapped = points @ h[:, :2].T + h[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
 def linear_at(h: Array, grid: Array) -> Array:
-    """Return the Jacobian of a homography.
+    """Return the (N, 2, 2) Jacobian of a homography, px per pitch, at (N, 2) grid positions, pitches.
 
     Own derivation, by the quotient rule: with [p q w] = H [x y 1], du/dx = (h11 - u h31) / w, and so on.
-
-    h: (3, 3) float64, homography from grid to px.
-    grid: (N, 2) float64, pitches, grid positions.
-    Returns: (N, 2, 2) float64, px per pitch.
     """
     q = grid @ h[:, :2].T + h[:, 2]
     at = apply_homography(h, grid)
@@ -221,10 +185,7 @@ def _normalised(points: Array, where: str) -> tuple[Array, Array]:
 
 
 def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Array:
-    """Minimise the weighted algebraic error of normalised points; return the (3, 3) homography.
-
-    Source: Hartley and Zisserman (2004), section 4.1.
-    """
+    """Return the H of the least weighted algebraic error of normalised points (Hartley and Zisserman, 2004, 4.1)."""
     homogeneous = np.column_stack([source, np.ones(len(source))]) * weights[:, None]
     u, v = image.T
     zero = np.zeros_like(homogeneous)
@@ -239,10 +200,7 @@ def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Arr
 
 
 def _oriented(h: Array, view: View) -> Array:
-    """Scale a homography to determinant 1, with the target in front of the camera.
-
-    Own normalisation, explained in `view_homography`.
-    """
+    """Scale a homography to determinant 1, with the target in front of the camera, as `view_homography` explains."""
     where = f"view {view.name}"
     depth = view.target_mm @ h[2, :2] + h[2, 2]
     h = h * np.sign(median(depth))

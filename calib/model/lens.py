@@ -33,13 +33,9 @@ _FISHEYE_NAMES = frozenset(FISHEYE)
 
 
 def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
-    """Distort normalised points; the names of the coefficients select the lens family.
+    """Distort (N, 2) normalised points; the names of the coefficients, `BROWN` or `FISHEYE`, select the lens family.
 
-    Brown (1971) with OpenCV's rational denominator, or Kannala and Brandt (2006).
-
-    points: (N, 2) normalised points, dimensionless.
-    coefficients: Coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero.
-    Returns: (N, 2) distorted normalised points.
+    Brown (1971) with OpenCV's rational denominator, or Kannala and Brandt (2006). Those not named are zero.
     """
     if is_fisheye(coefficients):
         return _fisheye(points, _ordered(coefficients, FISHEYE))
@@ -47,16 +43,11 @@ def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
 
 
 def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> tuple[Array, Array, Array]:
-    """Distort normalised points and return the derivatives.
+    """Distort normalised points as `distort`, and return the derivatives (own; by the product and the chain rule).
 
-    The models are those of `distort`: Brown (1971), or Kannala and Brandt (2006). The derivatives are this project's
-    own, by the product and the chain rule.
-
-    points: (N, 2) normalised points, dimensionless.
-    coefficients: K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero. Other
-      names are allowed and change nothing, for example the skew, which belongs to the camera matrix.
-    Returns: (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named
-      coefficients, zero for other names.
+    The K coefficients may have other names beside, which change nothing: the skew belongs to the camera matrix.
+    Returns: (N, 2) points; derivatives by the points, (N, 2, 2), and by the named coefficients, (N, 2, K), 0 for
+      others.
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
@@ -70,10 +61,7 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
 
 
 def is_fisheye(coefficients: Mapping[str, float]) -> bool:
-    """Tell whether coefficients belong to the fisheye model.
-
-    Returns: True if any of them is in `FISHEYE`.
-    """
+    """Tell whether any of the coefficients is in `FISHEYE`."""
     return not _FISHEYE_NAMES.isdisjoint(coefficients)
 
 

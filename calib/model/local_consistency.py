@@ -66,12 +66,7 @@ class Nearest:
         return np.hypot(mean[:, 0], mean[:, 1]) / self.spacing
 
     def design(self, stars: Any, *, quadratic: bool = False) -> Array:
-        """Return the terms of local maps about some stars.
-
-        stars: (M,) indices of the stars, or a slice.
-        Returns: (M, K, 3): 1 and the position (x, y) of the neighbour from the star, in spacings; (M, K, 6) with
-          x^2, x y and y^2.
-        """
+        """Return terms of local maps about (M,) stars, in spacings: (M, K, 3) 1, x, y; or 6, with x^2, x y and y^2."""
         x, y = np.moveaxis(
             (self.target[self.which[stars]] - self.target[stars][:, None]) / self.spacing, 2, 0
         )
@@ -80,10 +75,7 @@ class Nearest:
 
 
 def nearest_stars(target: Array) -> Nearest:
-    """Return the neighbours of each star.
-
-    target: (N, 2) positions on the target, any unit; N >= 2.
-    """
+    """Return the neighbours of each star from (N, 2) positions on the target, any unit; N >= 2."""
     return _nearest(target, _NEIGHBOURS)
 
 
@@ -105,7 +97,7 @@ def _nearest(target: Array, most: int) -> Nearest:
 def contradicts_neighbours(
     target: Array, mapped: Array, points: Array, sigmas: Array | None = None, nearest: Nearest | None = None
 ) -> Bools:
-    """Return which stars lie far from where their neighbours predict them.
+    """Return which stars, (N,) bool, lie far from where their neighbours predict them; none of fewer than 8 stars.
 
     A rough map of the plane is subtracted first, so that little but distortion and errors remains. Two tests follow.
     First: stars that agree with the stars beside them form patches. A patch is wrong if it lies beside the largest one
@@ -115,13 +107,7 @@ def contradicts_neighbours(
     are those of all stars or of the neighbours, whichever are larger. `LIMIT_PX` is enlarged by `_RIM_FACTOR` where
     the neighbours lie on one side: at the rim of a real beam, aberrations move a star by up to 2 px against its
     neighbours. A star that is stated to be noisier than the best stars has a wider limit. Own procedure.
-
-    target: (N, 2) positions on the target, any unit.
-    mapped: (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
-    points: (N, 2) image points found, px.
-    sigmas: (N,) stated 1-sigma of the points in any unit; None if all are equal.
-    nearest: The neighbours on the target, if they are known already.
-    Returns: (N,) bool; all False for fewer than 8 stars.
+    ``target`` and ``sigmas`` may have any unit; ``mapped``, px, is by any smooth map that roughly fits.
     """
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
@@ -151,16 +137,11 @@ def contradicts_neighbours(
 
 
 def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest | None = None) -> float:
-    """Return the noise of the stars as their neighbours show it: no model of camera or collimator takes part.
+    """Return the 1-sigma per axis, px, that neighbouring stars show, without any camera; NaN for fewer than 8.
 
     The median of the distances between stars and local quadratic least squares predictions, over 1.1774 =
     sqrt(2 ln 2), the median length of a two-dimensional vector of standard normal components. Own estimate.
-
-    target: (N, 2) positions on the target, any unit.
-    mapped: (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
-    points: (N, 2) image points found, px.
-    nearest: The neighbours on the target, if they are known already.
-    Returns: 1-sigma per axis, px; NaN for fewer than 8 stars.
+    The arrays are those of `contradicts_neighbours`.
     """
     if len(target) < MIN_STARS:
         return float("nan")
@@ -169,10 +150,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
 
 
 def local_spacing(target: Array) -> float:
-    """Return the typical distance of a star from the nearest one: the pitch of a lattice.
-
-    target: (N, 2) positions on the target, any unit; N >= 2.
-    """
+    """Return the typical distance of a star from the nearest one, the pitch of a lattice, for N >= 2."""
     return _nearest(target, 1).spacing
 
 
@@ -181,8 +159,6 @@ def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> B
 
     Patches are the connected components of the graph of agreeing neighbours. If hardly any neighbours agree, as with
     random ids, all stars that contradict most of their neighbours are returned instead. Own rule.
-
-    mapped, off: (N, 2) mapped positions, and the stars minus these, px.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

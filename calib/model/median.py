@@ -12,11 +12,7 @@ RAYLEIGH_MEDIAN = 1.1774100225154747
 
 
 def median(values: NDArray[np.float64]) -> float:
-    """Return the median: `numpy.median` returns the same, and takes four times as long for some hundred numbers.
-
-    values: (N,) float64.
-    Returns: The middle number, or the mean of the two in the middle; NaN if a number is NaN, or there is
-      none.
+    """Return the median, NaN with a NaN or no number: `numpy.median` takes four times as long for some hundred.
 
     Examples
     --------

@@ -13,13 +13,10 @@ _POINTS_ACROSS = 33
 
 
 def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel, float]:
-    """Fit a camera with only the given coefficients to the projection of a camera.
+    """Fit a camera with only the given coefficients; return it, and its largest difference over the sensor, px.
 
     Gauss-Newton over a grid of image points with equal weights; focal lengths and principal point are free, and the
     axes stay those of the camera.
-
-    names: Coefficients of the same lens family.
-    Returns: The camera, and its largest difference from the given one over the sensor, px.
     """
     width, height = camera.image_size
     across = np.linspace(0, width - 1, _POINTS_ACROSS), np.linspace(0, height - 1, _POINTS_ACROSS)

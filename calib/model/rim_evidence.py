@@ -1,9 +1,8 @@
 """What the rims of the views say about their discs, linearised: information and right sides of normal equations.
 
-A view has the unknowns centre, mean radius and Fourier coefficients of its edge (`calib.model.rim_fit`). Points of the
-rim say where it is. Bright points at the border of the frame say where it is not; they enter as Gaussian sites by
-expectation propagation (Minka, 2001).
-
+A view has the unknowns centre, mean radius and Fourier coefficients of its edge (`calib.model.rim_fit`). Bright points
+at
+the border of the frame say where the rim is not: they enter as Gaussian sites by expectation propagation (Minka, 2001).
 The module uses the views one by one; it knows nothing of what they have in common.
 """
 
@@ -43,11 +42,10 @@ class Sites(NamedTuple):
 
 
 def _linearised(points: Array, about: Array) -> tuple[Array, Array]:
-    """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances.
+    """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances, about (P,) unknowns.
 
-    ``about`` are the (P,) unknowns at which the distances are linearised. With the direction u of a point from the
-    centre, the direction t across it, and n = u - shape'(phi) t / distance, distance + n . centre = n . c + R +
-    shape(phi).
+    With the direction u of a point from the centre, the direction t across it, and n = u - shape'(phi) t / distance,
+    distance + n . centre = n . c + R + shape(phi).
     """
     away = points - about[:2]
     rho = np.maximum(np.hypot(*away.T), 1e-9)
@@ -61,13 +59,9 @@ def _linearised(points: Array, about: Array) -> tuple[Array, Array]:
 
 
 def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> Evidence:
-    """Return what the points of all views say about the unknowns of the views.
+    """Return what (K, 2) points and (K,) sigmas, mm, of each view say about its unknowns, linearised at (V, P) means.
 
     One step of Gauss-Newton (Björck, 1996, section 9.2), not solved yet.
-
-    points: (K, 2) float64 points of the rim for each view, mm.
-    sigmas: (K,) float64 1-sigma of the points for each view, mm.
-    means: (V, P) float64, mm, unknowns about which the distances are linearised.
     """
     information = np.zeros((len(points), UNKNOWNS, UNKNOWNS))
     product = np.zeros((len(points), UNKNOWNS))
@@ -79,15 +73,12 @@ def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) 
 
 
 def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Array) -> list[Array]:
-    """Return the sigmas of the terms that the linearised distances leave out.
+    """Return the (K,) sigmas, mm, for each view, of the terms that the linearised distances leave out.
 
     Variance of a product of two Gaussian variables, as in the second-order filter (Bar-Shalom, Li and Kirubarajan,
     2001, section 10.3.2): to second order, a distance changes by s (w + k s / 2). Here s is the turn of the point's
     direction as seen from the centre, w the change of the edge's slope, and k the curvature of the edge.
-
-    points: (K, 2) float64 points of the rim for each view, mm.
-    means, covariances: (V, P) and (V, P, P) float64, mm and mm^2, unknowns and how uncertain they are.
-    Returns: (K,) float64 1-sigma of each point for each view, mm.
+    The unknowns have (V, P) means, mm, and (V, P, P) covariances.
     """
     found = []
     orders = np.arange(2, _ORDERS + 1)
@@ -124,16 +115,12 @@ def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Arra
 def reweighted(
     points: Sequence[Array], sigmas: Sequence[Array], evidence: Evidence, means: Array, covariances: Array
 ) -> list[Array]:
-    """Return the sigmas of the points, enlarged to what the residuals show, and for outliers.
+    """Return the (K,) sigmas of each view's points, mm, enlarged to what the residuals show, and for outliers.
 
     The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
-    sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981).
-
-    points: (K, 2) float64 points of the rim for each view, mm.
-    sigmas: (K,) float64 1-sigma of the points for each view, mm, without enlargement.
-    evidence: What the points said with their last sigmas.
-    means, covariances: (V, P) and (V, P, P) float64, mm and mm^2, the unknowns that were found.
-    Returns: (K,) float64 1-sigma of the points for each view, mm.
+    sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981). ``evidence`` is
+    what the
+    points said with their last sigmas; the unknowns found have (V, P) means, mm, and (V, P, P) covariances.
     """
     off = []
     for own, mean in zip(points, means, strict=True):
@@ -154,13 +141,7 @@ def reweighted(
 
 
 def with_sites(evidence: Evidence, bright: Sequence[Array], sites: Sequence[Sites], means: Array) -> Evidence:
-    """Add what the bright points of the frame's border say.
-
-    Product of Gaussian factors (Minka, 2001).
-
-    bright: (L, 2) float64 bright points for each view, mm.
-    means: (V, P) float64, mm, unknowns about which the distances are linearised.
-    """
+    """Add what each view's (L, 2) bright points, mm, at the frame's border say: product of Gaussians (Minka, 2001)."""
     information, product = evidence.information.copy(), evidence.product.copy()
     for i, (own, site, about) in enumerate(zip(bright, sites, means, strict=True)):
         design, distance = _linearised(own, about)
@@ -170,15 +151,11 @@ def with_sites(evidence: Evidence, bright: Sequence[Array], sites: Sequence[Site
 
 
 def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, about: Array) -> Sites:
-    """Return better Gaussian sites for bright points, each a factor Phi((rim - point) / sigma).
+    """Return better Gaussian sites for (L, 2) bright points, mm, each a factor Phi((rim - point) / sigma), damped.
 
     Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
-    and Williams (2006), section 3.6.
-
-    bright: (L, 2) float64 bright points of a view, mm.
-    mean, covariance: (P,) and (P, P) float64, mm and mm^2, unknowns of the view with these sites.
-    about: (P,) float64, mm, unknowns about which the distances are linearised.
-    Returns: Sites that match mean and variance of the factors, damped.
+    and Williams (2006), section 3.6. Mean and covariance, (P,) and (P, P), are with these sites; ``about`` is where the
+    distances are linearised.
     """
     design, distance = _linearised(bright, about)
     gap = design @ mean - distance

@@ -142,14 +142,11 @@ class Discs:
 
 
 def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float) -> Discs:
-    """Fit the discs of all views together.
+    """Fit the discs of all views together; the head of the module gives model and sources.
 
-    The head of the module gives model and sources. The points enter with weights of Huber (1981).
-
-    rims: Rim points of V views of one bench.
-    looks_mm: (V, 2) float64, mm, points of the target at which the camera looks.
-    middle_mm: (2,) float64, mm, a point well inside the beam.
-    reach_mm: First guess of the radius, mm.
+    The points enter with weights of Huber (1981). ``looks_mm`` are the (V, 2) points of the target at which the camera
+    looks,
+    ``middle_mm`` is well inside the beam, and ``reach_mm`` a first guess of the radius.
     """
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]
@@ -316,10 +313,7 @@ def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Arr
 
 
 def _own_sigmas(evidence: Evidence, radius_scatters: Array, weights: Array, reach_mm: float) -> Array:
-    """Return the (V,) sigmas of the centres, mm, of circles located by each view alone.
-
-    radius_scatters: (G,) mm, with their (G,) weights.
-    """
+    """Return the (V,) sigmas, mm, of centres by each view alone, from (G,) radius scatters and their weights."""
     loose = np.full(UNKNOWNS, (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0)
     loose[:2] = (2.0 * reach_mm) ** -2.0
     variance = np.zeros(len(evidence.product))

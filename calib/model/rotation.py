@@ -20,13 +20,7 @@ _FEW = 8
 
 
 def skew(vectors: Array) -> Array:
-    """Return the cross product matrices [v]x, for which [v]x w = v x w.
-
-    Source: Hartley and Zisserman (2004), appendix 4.
-
-    vectors: (..., 3) vectors.
-    Returns: (..., 3, 3) skew-symmetric matrices.
-    """
+    """Return the (..., 3, 3) matrices [v]x, with [v]x w = v x w (Hartley and Zisserman, 2004, appendix 4)."""
     v = np.asarray(vectors, float)
     matrices = np.zeros((*v.shape[:-1], 3, 3))
     matrices[..., 2, 1], matrices[..., 1, 2] = v[..., 0], -v[..., 0]
@@ -36,13 +30,7 @@ def skew(vectors: Array) -> Array:
 
 
 def exp_map(vectors: Array) -> Array:
-    """Return the rotation matrices of rotation vectors (Rodrigues' formula).
-
-    Source: Diebel (2006), by unit quaternions.
-
-    vectors: (..., 3) rotation vectors, rad.
-    Returns: (..., 3, 3) rotation matrices.
-    """
+    """Return rotation matrices of rotation vectors, rad (Rodrigues' formula; by unit quaternions: Diebel, 2006)."""
     v = np.asarray(vectors, float)
     if v.size <= _FEW * 3:
         flat = [_elements(*_quaternion(*one)) for one in v.reshape(-1, 3).tolist()]
@@ -57,13 +45,7 @@ def exp_map(vectors: Array) -> Array:
 
 
 def log_map(matrices: Array) -> Array:
-    """Return the rotation vectors of rotation matrices: the inverse of `exp_map`.
-
-    Source: Diebel (2006), by unit quaternions.
-
-    matrices: (..., 3, 3) rotation matrices.
-    Returns: (..., 3) rotation vectors, rad, of length at most pi.
-    """
+    """Return rotation vectors, rad, of length pi at most: the inverse of `exp_map` (Diebel, 2006; by quaternions)."""
     m = np.asarray(matrices, float)
     if m.size <= _FEW * 9:
         flat = [_rotation_vector(*one) for one in m.reshape(-1, 9).tolist()]
@@ -79,12 +61,9 @@ def log_map(matrices: Array) -> Array:
 
 
 def nearest_rotation(matrices: Array) -> Array:
-    """Return the rotations nearest to matrices in the Frobenius norm.
+    """Return the rotations nearest to matrices, (..., 3, 3), in the Frobenius norm.
 
     This is the orthogonal Procrustes problem (Schoenemann, 1966), restricted to proper rotations (Kabsch, 1976).
-
-    matrices: (..., 3, 3) matrices.
-    Returns: (..., 3, 3) rotation matrices.
     """
     u, _, vt = np.linalg.svd(np.asarray(matrices, float))
     flip = np.ones((*u.shape[:-2], 3))
@@ -93,15 +72,8 @@ def nearest_rotation(matrices: Array) -> Array:
 
 
 def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
-    """Return the rotation Rz(roll) Rx(tilt) Ry(pan) of a gimbal.
+    """Return the (3, 3) rotation Rz(roll) Rx(tilt) Ry(pan) of a gimbal; y is down, z the optical axis.
 
-    pan_deg: Angle about the camera's y axis (down), degrees.
-    tilt_deg: Angle about the camera's x axis, degrees.
-    roll_deg: Angle about the camera's z axis (the optical axis), degrees.
-    Returns: (3, 3) rotation matrix.
-
-    Notes
-    -----
     The product of three unit quaternions, and the matrix of the product (Diebel 2006). SciPy's ``Rotation.from_euler``
     gives the same bits; it is not used, because loading it takes longer than a whole plan.
     """
@@ -115,10 +87,7 @@ def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
 
 
 def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return p q, the rotation q followed by p; quaternions are (x, y, z, w).
-
-    Source: Diebel (2006).
-    """
+    """Return p q, the rotation q followed by p; quaternions are (x, y, z, w) (Diebel, 2006)."""
     return (
         p[3] * q[0] + q[3] * p[0] + (p[1] * q[2] - p[2] * q[1]),
         p[3] * q[1] + q[3] * p[1] + (p[2] * q[0] - p[0] * q[2]),
@@ -128,10 +97,7 @@ def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def _quaternion(x: float, y: float, z: float) -> Quaternion:
-    """Return the unit quaternion of a rotation vector; NaN if the vector is not finite.
-
-    Source: Diebel (2006).
-    """
+    """Return the unit quaternion of a rotation vector; NaN if the vector is not finite (Diebel, 2006)."""
     angle = math.sqrt(x * x + y * y + z * z)
     if not math.isfinite(angle):
         return math.nan, math.nan, math.nan, math.nan
@@ -140,10 +106,7 @@ def _quaternion(x: float, y: float, z: float) -> Quaternion:
 
 
 def _elements(x: T, y: T, z: T, w: T) -> list[T]:
-    """Return the nine elements of the rotation matrices of unit quaternions, row by row.
-
-    Source: Diebel (2006).
-    """
+    """Return the nine elements of the rotation matrices of unit quaternions, row by row (Diebel, 2006)."""
     xx: T = x * x
     yy: T = y * y
     zz: T = z * z
@@ -176,10 +139,7 @@ def _products(a: T, b: T, c: T, d: T, e: T, f: T, g: T, h: T, i: T) -> list[list
 
 
 def _rotation_vector(*elements: float) -> tuple[float, float, float]:
-    """Return the rotation vector of the nine elements of a rotation matrix.
-
-    Source: Diebel (2006).
-    """
+    """Return the rotation vector of the nine elements of a rotation matrix (Diebel, 2006)."""
     products = _products(*elements)
     x, y, z, w = products[max(range(4), key=lambda k: products[k][k])]
     if w < 0.0:

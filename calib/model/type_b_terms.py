@@ -45,26 +45,23 @@ RADII: tuple[TermKind, ...] = ("effective_radius", "collimator_thermal")
 
 @dataclass(frozen=True)
 class TypeBTerm:
-    """A type B term.
+    """A type B term; its value is a half width in the unit of its kind, or `coverage_factor` sigmas if ``normal``.
 
-    kind: What the term changes. ``print_scale``: relative error of the scale of the printed target.
-      ``print_bow``: height of a bowed target, mm, at `radius_mm` from the collimator's axis. ``thermal``:
-      relative thermal expansion of the target. ``effective_radius``: relative difference between the radius
-      of a certificate, which holds on the axis, and the effective radius over the beam.
-      ``collimator_thermal``: relative change of that radius with temperature. ``wavefront``: RMS error of the
-      slope of the collimator's wavefront, urad.
-    value: Half width of the distribution, in the unit of the kind; for ``normal``, `coverage_factor` times
-      the standard uncertainty.
-    source: Where the value comes from: a certificate, a drawing, a data sheet, a measurement.
-    distribution: ``normal``, ``rectangular``, ``triangular`` or ``u-shaped``.
-    coverage_factor: The k of a normal distribution whose expanded uncertainty is stated.
-    degrees_of_freedom: Degrees of freedom of the value; infinite if it is exactly known.
-    correction: Known relative change, which is applied to the data before the fit; for the kinds in `SCALES`
-      and `RADII`.
-    radius_mm: Distance from the axis at which a bow has its stated height, mm; required for ``print_bow``.
-    correlation_mm: Distance on the target over which slopes of the wavefront are alike, mm; None for half the
-      radius of the area that the stars cover.
-    Raises InputMismatch: If a number is out of range, a word is unknown, or the source is missing.
+    kind: What the term changes. ``print_scale``: relative error of the scale of the printed target. ``print_bow``:
+      height of
+    a bowed target, mm, at `radius_mm` from the collimator's axis (required). ``thermal``: relative thermal expansion of
+    the
+    target. ``effective_radius``: relative difference between the radius of a certificate, which holds on the axis, and
+    the
+    effective radius over the beam. ``collimator_thermal``: relative change of that radius with temperature.
+    ``wavefront``:
+    RMS error of the slope of the collimator's wavefront, urad.
+    source: A certificate, a drawing, a data sheet, a measurement; required.
+    degrees_of_freedom: Of the value; infinite if it is exactly known.
+    correction: Known relative change, applied to the data before the fit; for the kinds in `SCALES` and `RADII`.
+    correlation_mm: Distance on the target over which slopes of the wavefront are alike; None for half the radius of the
+      area
+    that the stars cover.
     """
 
     name: str
@@ -118,18 +115,13 @@ class TypeBTerm:
         difference_c: float,
         difference_sigma_c: float,
     ) -> TypeBTerm:
-        """Return the term of a thermal expansion, with the expected expansion as its correction.
+        """Return the normal term of a thermal expansion, with the expected expansion as its correction.
 
-        Product of a coefficient of expansion and a difference of temperatures (JCGM 100:2008, annex H.1): its variance
-        has the first-order terms and, since the difference may be zero, the product of both variances.
-
-        kind: ``thermal`` for the target, ``collimator_thermal`` for the radius of a certificate.
-        source: Where the numbers come from.
-        expansion_per_c, expansion_sigma_per_c: Coefficient of expansion and its standard uncertainty, 1 /
-          degree Celsius.
-        difference_c, difference_sigma_c: Measured minus reference temperature, and its standard uncertainty,
-          degrees Celsius.
-        Returns: Term with the standard uncertainty of the expansion and a normal distribution.
+        Product of a coefficient of expansion and a difference of temperatures, measured minus reference (JCGM 100:2008,
+        annex
+        H.1): its variance has the first-order terms and, since the difference may be zero, the product of both
+        variances.
+        ``thermal`` is of the target, ``collimator_thermal`` of the radius of a certificate.
         """
         parts = (
             expansion_per_c * difference_sigma_c,
@@ -156,20 +148,15 @@ class TypeBTerm:
 
 
 def corrected_views(views: Sequence[View], terms: Sequence[TypeBTerm]) -> list[View]:
-    """Return views whose stars have their true positions on the target, as the terms' corrections give them.
-
-    terms: Terms of the budget; those of a scale act here.
-    """
+    """Return views with the stars' true positions on the target, by the corrections of the terms of a scale."""
     scale = _product(terms, SCALES)
     return [view if scale == 1.0 else replace(view, target_mm=scale * view.target_mm) for view in views]
 
 
 def corrected_passport(passport: Passport, terms: Sequence[TypeBTerm]) -> Passport:
-    """Return a passport with the radius that the collimator has during the calibration.
+    """Return a passport with the radius that the collimator has during the calibration, by the terms of a radius.
 
-    terms: Terms of the budget; those of a certificate's radius act here.
-    Returns: The same passport if it holds more than the radius: it was then made with the same collimator and
-      target.
+    If it holds more than the radius it stays: it was made with the same collimator and target.
     """
     scale = _product(terms, RADII)
     if passport.names != ("r",) or scale == 1.0:

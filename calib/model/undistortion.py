@@ -38,11 +38,10 @@ class Undistortion:
 
 
 def undistort(camera: CameraModel, keep: float = 0.0) -> Undistortion:
-    """Return the tables of a camera.
+    """Return the tables of a camera, whose border's rays must fill a plane image.
 
-    keep: 0 leaves no empty pixel in the rectified image, 1 keeps every pixel of the sensor; between them the
-      camera matrix is interpolated, as by ``cv2.getOptimalNewCameraMatrix``.
-    Raises InputMismatch: If the rays of the border do not fill a plane image.
+    ``keep`` 0 leaves no empty pixel in the rectified image, 1 keeps every pixel of the sensor; between them the camera
+    matrix is interpolated, as by ``cv2.getOptimalNewCameraMatrix``.
     """
     width, height = camera.image_size
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(float)
@@ -70,7 +69,7 @@ def undistort(camera: CameraModel, keep: float = 0.0) -> Undistortion:
 def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> CameraModel:
     """Return the pinhole whose image is a rectangle between the largest inside the rays and the smallest around them.
 
-    plane: (H, W, 2) rays of the pixels at the distance 1, NaN without a ray.
+    ``plane`` is (H, W, 2), the rays at the distance 1, NaN without a ray.
     """
     sides = (plane[:, 0, 0], plane[:, -1, 0], plane[0, :, 1], plane[-1, :, 1])
     if any(np.isnan(side).all() for side in sides):
@@ -96,11 +95,9 @@ def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> Camera
 
 
 def straightness_px(points: Array, lines: Sequence[NDArray[np.int64]]) -> float:
-    """Return the RMS distance of points from the straight lines on which they lie, px.
+    """Return the RMS distance, px, of (N, 2) points from their straight lines; lines of two points say nothing.
 
     Total least squares: the smallest singular value of each line's points about their mean.
-
-    points: (N, 2). lines: The points of each line; lines of two points say nothing.
     """
     used = [points[line] for line in lines if len(line) > 2]
     squares = [float(np.linalg.svd(one - one.mean(axis=0), compute_uv=False)[-1] ** 2) for one in used]

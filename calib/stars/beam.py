@@ -50,15 +50,11 @@ class Beam(NamedTuple):
 
 
 def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: float | None = None) -> Beam:
-    """Find the disc of light in an image of any sharpness.
+    """Find the disc of light in an image of any sharpness, as the head of the module says; a share of 0 without light.
 
-    Own procedure, that of the head of the module. Circle: linear least squares (Kåsa, 1976); with a given radius, least
-    squares of the distances (Gander, Golub & Strebel, 1994).
-
-    image: (H, W), any numeric dtype; light is bright.
-    least: Brightness of white print below which nothing counts as light, in the unit of the image.
-    radius_px: Radius of the disc, px; None if it is not known.
-    Returns: With a share of 0 if there is no light.
+    Circle: linear least squares (Kåsa, 1976); with a given radius, least squares of the distances (Gander, Golub &
+      Strebel,
+    1994). Below the brightness ``least`` of white print nothing counts as light.
     """
     values = np.nan_to_num(np.asarray(image, np.float32))
     scale = max(values.shape) / REDUCED
@@ -115,10 +111,7 @@ def _rim(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _circle(rim: NDArray[np.float64], lit: NDArray[np.uint8]) -> tuple[tuple[float, float], float] | None:
-    """Fit a circle, and fit it again without the points far from it; None if the rim is no arc around the light.
-
-    Source: Kåsa (1976). The limits are this project's own.
-    """
+    """Fit a circle, and again without far points (Kåsa, 1976; own limits); None if it is no arc around the light."""
     kept = rim
     for _ in range(3):
         design = np.column_stack([2.0 * kept, np.ones(len(kept))])

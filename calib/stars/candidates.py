@@ -1,7 +1,4 @@
-"""Possible stars of an image, with their places on the target: from the tag, from a part of it, or from the pose.
-
-They are found to about a pixel; `calib.stars.detect` refines and tests them.
-"""
+"""Possible stars, to about a pixel, with places on the target: by the tag, a part of it, or the pose; untested."""
 
 from __future__ import annotations
 
@@ -35,11 +32,7 @@ class Candidates(NamedTuple):
     points: NDArray[np.float64]  # (N, 2) float64, px
 
     def select(self, mask: NDArray[np.bool_]) -> Candidates:
-        """Return some of them.
-
-        mask: (N,) bool.
-        Returns: In the same order.
-        """
+        """Return some of them by an (N,) mask, in the same order."""
         return Candidates(self.nodes[mask], self.points[mask])
 
 
@@ -51,12 +44,9 @@ def find_candidates(
     *,
     name: str,
 ) -> tuple[Candidates, float, NamedBy]:
-    """Find possible stars, starting at the tag if it can be read.
+    """Find possible stars, starting at the tag if it can be read; the sign is +1 if white is bright, -1 if it is dark.
 
-    image: (H, W) of any integer or floating type; white may be bright or dark.
-    smoothed: (H, W) float32, from `calib.stars.centring.smooth`.
-    expected: (3, 3) float64, homography from the target's grid to px, by the pose; None if it is not known.
-    Returns: +1 if white is bright in the image, -1 if it is dark.
+    ``expected`` is the (3, 3) homography from the target's grid to px, by the pose; None if it is not known.
     Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
     Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
     """

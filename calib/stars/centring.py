@@ -50,11 +50,7 @@ class SymmetryFit(NamedTuple):
     converged: NDArray[np.bool_]  # (N,) bool, whether the last step was shorter than `LAST_STEP_PX`
 
     def select(self, mask: NDArray[np.bool_]) -> SymmetryFit:
-        """Return the fits of some stars.
-
-        mask: (N,) bool.
-        Returns: In the same order.
-        """
+        """Return the fits of some stars by an (N,) mask, in the same order."""
         return SymmetryFit(
             self.centres[mask],
             self.information[mask],
@@ -65,21 +61,12 @@ class SymmetryFit(NamedTuple):
 
 
 def smooth(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
-    """Blur an image by a Gaussian. It reduces the noise of single pixels and the effect of the pixel grid.
-
-    image: (H, W) float32.
-    sigma_px: Standard deviation of the Gaussian, px.
-    Returns: (H, W) float32.
-    """
+    """Blur an image by a Gaussian, against the noise of single pixels and the effect of the pixel grid."""
     return np.ascontiguousarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
 
 
 def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
-    """Return the places at which symmetry is measured, about a pixel apart.
-
-    pitch_px: Distance of neighbouring stars, px.
-    Returns: (M, 2) float64, pitches, offsets s from the centre, one of each pair (s, -s).
-    """
+    """Return (M, 2) offsets s from the centre, pitches, one of each pair (s, -s), about a pixel apart."""
     side = int(np.clip(np.ceil(2 * SYMMETRY_REACH * pitch_px), 16, 64))
     steps = (np.arange(side) + 0.5) / side * 2.0 - 1.0
     u, v = np.meshgrid(steps * SYMMETRY_REACH, steps * SYMMETRY_REACH)
@@ -95,12 +82,10 @@ class _Steps(NamedTuple):
 
 
 def solve_steps(normal: NDArray[np.float64], right: NDArray[np.float64]) -> _Steps:
-    """Solve the normal equations of each star by the eigenvalues of its matrix.
+    """Solve the (N, 6, 6) normal equations of each star by the eigenvalues of its matrix.
 
-    The matrix is scaled to a unit diagonal first, because the unit of some unknowns is the grey value. The scaling is
-    that of van der Sluis (1969).
-
-    normal, right: (N, 6, 6) and (N, 6) float64.
+    The matrix is scaled to a unit diagonal first (van der Sluis, 1969), because the unit of some unknowns is the grey
+    value.
     """
     diagonal = np.diagonal(normal, axis1=1, axis2=2)
     lit = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))
@@ -114,11 +99,7 @@ def solve_steps(normal: NDArray[np.float64], right: NDArray[np.float64]) -> _Ste
 
 
 def centre_information(normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the information of centres after elimination of the slopes.
-
-    normal: (N, 6, 6) float64, regular.
-    Returns: (N, 2, 2) float64.
-    """
+    """Return the (N, 2, 2) information of centres, without the slopes, from regular (N, 6, 6) equations."""
     shares = np.linalg.solve(normal[:, 2:, 2:], normal[:, 2:, :2])
     return normal[:, :2, :2] - normal[:, :2, 2:] @ shares
 
@@ -134,16 +115,11 @@ def refine_by_symmetry(
     """Find the centre of each star by symmetry, with Gauss-Newton steps of all stars at the same time.
 
     The cost is that of Schöps et al. (2020), arXiv:1912.02908, with this project's own additions; the head of the
-    module gives the equations.
-
-    image: (H, W) float32, from `smooth`.
-    guesses: (N, 2) float64, px.
-    samples: (M, 2) float64, pitches, from `symmetry_samples`.
-    used_to: (N, 2) float64, pitches, how far from its centre each star's cell is used, along the columns and
-      along the rows.
-    reach_px: A centre that moves further than this from its guess is given up, px.
-    Returns: Centres that were given up, or whose cell lies too far outside of the image, are nan and not
-      converged.
+    module gives the equations. The image is smoothed; ``used_to``, (N, 2) pitches, is how far each star's cell is used
+    along
+    columns and rows. A centre that moves further than ``reach_px`` from its guess, px, or whose cell lies too far
+    outside
+    of the image, is nan and not converged.
     """
     n = len(guesses)
     fit = SymmetryFit(

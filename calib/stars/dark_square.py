@@ -1,7 +1,6 @@
 """A dark square on light in a live picture: a tag that cannot be read, because it is blurred or cut by the frame.
 
-The square says where the tag probably is, and nothing else. Nothing identifies it, so no star gets an id by it. The
-module serves to aim; no estimate of a camera uses it.
+The square says where the tag probably is; nothing identifies it. It serves to aim; no star gets an id by it.
 """
 
 from __future__ import annotations
@@ -43,15 +42,10 @@ class DarkSquare(NamedTuple):
 def find_dark_square(
     image: NDArray[np.generic], beam: Beam, *, side_px: float | None = None
 ) -> DarkSquare | None:
-    """Find the largest dark square with a dark edge, light inside and light around it.
+    """Find the largest dark square with a dark edge, light inside and light around it; None if there is none.
 
     Own procedure: connected dark parts of the reduced image, compared with their smallest rectangle (OpenCV's
-    ``minAreaRect``, rotating calipers of Toussaint, 1983).
-
-    image: (H, W), any numeric dtype; light is bright.
-    beam: The beam's disc in it.
-    side_px: Side that the tag is expected to have, px; None if it is not known.
-    Returns: None if there is no such square.
+    ``minAreaRect``, rotating calipers of Toussaint, 1983). ``side_px`` is the expected side of the tag, if it is known.
     """
     scale = max(image.shape) / REDUCED
     shape = max(1, round(image.shape[1] / scale)), max(1, round(image.shape[0] / scale))

@@ -66,10 +66,7 @@ class Detection:
 
     @cached_property
     def edge_width_px(self) -> float:
-        """Blur of the stars' edges by lens and pixel together, standard deviation, px; measured when it is asked for.
-
-        `calib.stars.likelihood.edge_width_px` measures it.
-        """
+        """Standard deviation, px, of the blur of the stars' edges by lens and pixel, measured when asked for."""
         return self._measure_width()
 
     def __iter__(self) -> Iterator[Any]:
@@ -118,12 +115,8 @@ def detect_stars(
     name: str = "view",
     expected: NDArray[np.float64] | None = None,
 ) -> Detection:
-    """Detect the target's stars, and report what identified them.
+    """Detect the target's stars, and report what identified them; see `detect_view`.
 
-    image: (H, W) of any integer or floating type; white may be bright or dark.
-    expected: (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px, right to a
-      third of a pitch, by the pose. It is needed only if the tag is not in view.
-    Returns: Stars that lie completely in the image, in ascending order of their ids, with covariances.
     Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
     Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
     Raises TooFewStars: If fewer than `MIN_STARS` stars pass all tests.
@@ -170,7 +163,6 @@ def _best_centres(
     """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2.
 
     The third result measures the width of the edges, px.
-
     Symmetry is best if the image has many shades of grey and little noise, likelihood if it is nearly black and white.
     Stars on which the two contradict each other are nan. Own rule: centres agree if d^T (V + W)^-1 d <= 6^2, with their
     difference d and their covariances V and W.
@@ -195,10 +187,7 @@ def _best_centres(
 
 
 def _uneven_light(light_slope: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (N, 2, 2) px^2 covariances of the shifts by light that falls off across a star.
-
-    Own model: sigma = `UNEVEN_LIGHT_PX` times the slope of the light.
-    """
+    """Return the (N, 2, 2) px^2 covariances by light that falls off across a star: `UNEVEN_LIGHT_PX` times slope."""
     return np.asarray((UNEVEN_LIGHT_PX * light_slope[:, None, None]) ** 2 * np.eye(2))
 
 
@@ -210,13 +199,10 @@ def _typical_variance(covariances: NDArray[np.float64]) -> float:
 def refine_candidates(
     image: NDArray[np.float32], candidates: Candidates, target: StarTarget, sign: float, step_px: float
 ) -> tuple[Candidates, SymmetryFit, LocalMap, bool]:
-    """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test.
+    """Refine at least `MIN_STARS` centres by symmetry with the view's smooth map, and leave out stars that fail a test.
 
-    image: (H, W) float32, smoothed.
-    candidates: Possible stars, at least `MIN_STARS`.
-    sign: +1 if white is bright in the image, -1 if it is dark.
-    step_px: Distance of the samples, px.
-    Returns: Whether the image is out of focus.
+    The sign is +1 if white is bright; the samples are ``step_px`` apart. The last result: whether the image is out of
+    focus.
     """
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)
@@ -261,10 +247,7 @@ def _scores(
 def _without_outliers(
     grid: NDArray[np.float64], points: NDArray[np.float64], good: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which of the good stars, (N,) bool, lie on the smooth map of the others.
-
-    Own rule: residuals of at most `OUTLIER_SIGMAS` standard deviations, or of at most `OUTLIER_PX`.
-    """
+    """Return which good stars lie on the smooth map of the others: within `OUTLIER_SIGMAS` or `OUTLIER_PX` (own)."""
     if np.count_nonzero(good) < MIN_STARS:
         return good
     fitted, residuals = fit_grid_map(grid[good], points[good])

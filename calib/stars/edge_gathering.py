@@ -1,8 +1,7 @@
 """Pixels near the edges of stars, collected from a quantised image star by star, and in each star edge by edge.
 
-The module uses levels of brightness, an `EdgeMap` and the places of stars. What the pixels tell about the centres is
-calculated in `calib.stars.edge_pixels`. All compiled functions of the collection are here, next to those that they
-call.
+What the pixels tell about the centres is calculated in `calib.stars.edge_pixels`. All compiled functions of the
+collection are here, next to those that they call.
 """
 
 from __future__ import annotations
@@ -51,12 +50,9 @@ def gather_edge_pixels(
     """Collect the pixels near edges of all stars.
 
     Own derivation: a pixel at q belongs to the place s in the star with q = c + A s + B(s, s). It is found by s0 = A^-1
-    (q - c) and then s = A^-1 (q - c - B(s0, s0)).
-
-    levels: (H, W) uint8, from `quantise`.
-    centres: (N, 2) float64, px.
-    is_open: (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars.
-      Pixels as close to an open side as the limit of the edge map are left out.
+    (q - c) and then s = A^-1 (q - c - B(s0, s0)). Pixels as close to an open side (`calib.stars.open_sides`) as the
+    limit
+    of the edge map are left out. The levels are from `quantise`, the (N, 2) centres in px.
     """
     linear = local_map.linear
     sides = 2.0 * SYMMETRY_REACH * np.abs(linear).sum(axis=(1, 2))
@@ -261,10 +257,9 @@ def _columns(dy: float, to: Any, limits: Any, left: float, right: float) -> tupl
 def _store_by_edge(
     space: _Space, n: int, nearest: Any, pixels: Any, counts: Any, group: int, found: EdgePixels
 ) -> None:
-    """Store those of the first ``n`` pixels of a star that are used, sorted by their edges.
+    """Store those of the first ``n`` pixels of a star that are used, sorted by edges (counting sort: Knuth, 1998).
 
     ``nearest`` are the edges of the samples of the edge map, ``pixels`` the levels of the image, both row by row.
-    Counting sort: Knuth (1998).
     """
     sample, used, edge, m = space.sample, space.used, space.edge, np.uint64(0)
     counts[:] = 0

@@ -1,8 +1,8 @@
 """Pixels near the edges of stars: their levels of brightness, counted, and the scores of each star's unknowns.
 
-The module uses a quantised image, an `EdgeMap` and the places of stars. How many rounds are made, and how much weight
-an edge has, is decided in `calib.stars.likelihood`. All compiled functions of the likelihood are here, next to those
-that they call.
+How many rounds are made, and how much weight an edge has, is decided in `calib.stars.likelihood`. All compiled
+functions
+of the likelihood are here, next to those that they call.
 """
 
 from __future__ import annotations
@@ -37,13 +37,10 @@ _TABLE = 4096
 
 
 def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Reduce an image to at most `LEVELS` levels of brightness.
+    """Reduce an image without nan to at most `LEVELS` levels of brightness, from 0.
 
     If the image has no more values than that, each value is a level. Otherwise the levels have equal shares of the
-    pixels. Levels of equal shares are those of histogram equalisation (Gonzalez and Woods, 2018).
-
-    image: (H, W) of any integer or floating type, without nan.
-    Returns: (H, W) uint8, levels from 0, in the order of brightness.
+    pixels, as those of histogram equalisation (Gonzalez and Woods, 2018).
 
     Examples
     --------
@@ -104,13 +101,9 @@ def _levels_of(image: Any, borders: Any, table: Any) -> Any:
 
 @njit(**KERNEL, fastmath={"contract"})
 def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
-    """Count the levels of all pixels over tau. Each pixel is shared between the two nearest bins.
+    """Count the levels of all pixels over tau, (LEVELS, bins); each pixel is shared between the two nearest bins.
 
-    This is linear binning (Wand, 1994). Own linearisation of tau: tau + slope . unknowns.
-
-    unknowns: (N, 5) float64, px and px per pitch, current unknowns of the stars.
-    limit_px: Largest distance from an edge, `EdgeMap.limit_px`.
-    Returns: (LEVELS, bins) float64, numbers of pixels.
+    Linear binning (Wand, 1994). Own linearisation of tau: tau + slope . unknowns, (N, 5), px and px per pitch.
     """
     first, taus, along_x, along_y, us, vs, levels = pixels
     bins = int(2.0 * limit_px / TAU_BIN_PX)
@@ -132,15 +125,10 @@ def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
 def edge_scores(
     pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:
-    """Sum the scores and the Fisher information of the unknowns over the pixels of each edge of each star.
+    """Sum scores, (N, edges, 5), and Fisher information, (N, edges, 5, 5), over the pixels of each edge of each star.
 
-    Scores and information are those of Fisher scoring (Osborne, 1992), each times the derivatives of tau.
-
-    unknowns: (N, 5) float64, px and px per pitch, current unknowns of the stars.
-    limit_px: Largest distance from an edge, `EdgeMap.limit_px`.
-    edges: Number of edges of a star.
-    Returns: (N, edges, 5) float64, derivatives of log L with respect to the unknowns.
-    Returns: (N, edges, 5, 5) float64, Fisher information of the unknowns.
+    They are those of Fisher scoring (Osborne, 1992), each times the derivatives of tau; the unknowns are those of
+    `count_levels`.
     """
     n = len(unknowns)
     score, fisher = np.zeros((n, edges, EDGE_UNKNOWNS)), np.zeros((n, edges, EDGE_UNKNOWNS, EDGE_UNKNOWNS))

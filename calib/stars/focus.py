@@ -66,16 +66,11 @@ def edge_widths_px(
     *,
     start_px: float | None = None,
 ) -> list[float | None]:
-    """Measure the width of the edges of several groups of stars.
+    """Measure the standard deviation of the edges' blur, px, of groups of stars, as `likelihood.edge_width_px`.
 
-    Source: `calib.stars.likelihood.edge_width_px`.
-
-    image: (H, W), any numeric dtype, before smoothing.
-    centres: (N, 2) float64, px, right to about 0.1 px.
-    groups: Indices of the stars of each group, (M,) int64 each.
-    start_px: Width at which the search begins, px; a good one saves time.
-    Returns: Standard deviation of the blur, px, of each group; None if it has fewer than
-      `MIN_STARS_FOR_WIDTH` stars.
+    None for fewer than `MIN_STARS_FOR_WIDTH` stars. The image is not smoothed; the (N, 2) centres are right to about
+    0.1 px;
+    a good ``start_px`` saves time.
     """
     enough = [number for number, group in enumerate(groups) if len(group) >= MIN_STARS_FOR_WIDTH]
     found: list[float | None] = [None] * len(groups)
@@ -94,16 +89,13 @@ def edge_widths_px(
 def blur_circle(
     image: NDArray[np.generic], homography: Array, target: StarTarget, *, enlarged: Sequence[float] = ENLARGED
 ) -> BlurCircle | None:
-    """Measure by which circle the print around the tag is blurred.
+    """Measure by which circle the print around the tag is blurred; None if it does not explain the image.
 
     The print is blurred by circles of several diameters. For each, the pixels are sorted into groups of equal expected
     brightness. The best circle is the one whose groups explain most of the image's variance: the correlation ratio
     (Pearson, 1905), which needs no model of how brightness becomes a grey value or a number of events. Image
     registration by it: Roche et al. (1998). The search over enlargements of the tag is this project's own.
-
-    image: (H, W), any numeric dtype.
-    homography: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px.
-    Returns: None if the print does not explain the image, or too little of it is in the frame.
+    The homography is from [column row 1] of the target's grid to [u v 1] px.
     """
     middle = np.array(target.tag_centre_mm) / target.pitch_mm
     steps = (np.arange(ALONG) + 0.5) / ALONG * 2.0 * COMPARED - COMPARED
@@ -136,14 +128,11 @@ def blur_circle(
 
 
 def sharpness(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
-    """Return how much detail an image has inside the beam, whatever it shows.
+    """Return how much detail, about 0.03 to 0.45, an image has inside the beam; None if the beam covers too little.
 
     Own figure: the standard deviation of the image, reduced to half its size and without its wide part, as a share of
     white. It falls while the blur grows, from 3 to 30 px under a bright light and from 6 to 20 px under a dim one.
-
-    image: (H, W), any numeric dtype; light is bright.
-    lit: (h, w) uint8, 1 inside the beam, of any smaller size (`calib.stars.beam.Beam.lit`).
-    Returns: About 0.03 to 0.45; None if the beam covers too little of the image.
+    ``lit`` is 1 inside the beam, of any smaller size (`calib.stars.beam.Beam.lit`).
     """
     small = cv2.resize(np.asarray(image, np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     small = cv2.medianBlur(small, 3)
@@ -159,15 +148,11 @@ def sharpness(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | Non
 
 
 def coarse_detail(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
-    """Return how much coarse detail an image has inside the beam, for a lens that is far out of focus.
+    """Return how much coarse detail, about 0.01 to 0.1, an image has inside the beam, for a lens far out of focus.
 
     Own figure: the standard deviation of a difference of Gaussians (Marr and Hildreth, 1980) of 8 and 24 px, as a share
     of white. With blur circles of 0, 20, 40 and 60 px it is 0.080, 0.056, 0.031 and 0.014 under a bright light, and
-    0.074, 0.073, 0.071 and 0.061 at a tenth of it.
-
-    image: (H, W), any numeric dtype; light is bright.
-    lit: (h, w) uint8, 1 inside the beam, of any smaller size.
-    Returns: About 0.01 to 0.1; None if the beam covers too little of the image.
+    0.074, 0.073, 0.071 and 0.061 at a tenth of it. Arguments and None as of `sharpness`.
     """
     small = cv2.resize(np.asarray(image, np.float32), None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     white = float(np.quantile(small, 0.97))
@@ -181,13 +166,9 @@ def coarse_detail(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float |
 
 
 def contrast(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
-    """Return the contrast inside the beam: (bright - dark) / (bright + dark), 0 to 1.
+    """Return the contrast inside the beam: (bright - dark) / (bright + dark), 0 to 1; None if nothing is lit.
 
     Michelson's definition (Michelson, 1927), of the quantiles 0.95 and 0.05.
-
-    image: (H, W), any numeric dtype; light is bright.
-    lit: (h, w) uint8, 1 inside the beam, of any smaller size.
-    Returns: None if nothing is lit.
     """
     values = np.asarray(image[::3, ::3], np.float32)
     inside = cv2.resize(lit, (values.shape[1], values.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
@@ -237,10 +218,7 @@ def _blurred_print(target: StarTarget, circle: float, sigma: float) -> NDArray[n
 
 
 def _explained(values: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
-    """Return the correlation ratio of values, (N,), in `GROUPS` groups of equal size by expected brightness.
-
-    Source: Pearson (1905).
-    """
+    """Return the correlation ratio (Pearson, 1905) of (N,) values in `GROUPS` equal groups by expected brightness."""
     ordered = values[np.argsort(expected)]
     size = len(ordered) // GROUPS
     means = ordered[: size * GROUPS].reshape(GROUPS, size).mean(axis=1)

@@ -1,8 +1,7 @@
-"""The smooth map from the target's grid of nodes to the image, fitted to the stars found so far.
+"""The smooth map from the target's grid of nodes (column, row; in pitches) to the image, fitted to the stars found.
 
-The module uses pairs of grid positions (column, row; in pitches) and image points. It uses no image. A homography
-describes the perspective. A polynomial describes what distortion adds; it is fitted locally while stars are being
-predicted, and over the whole view when all are found.
+A homography describes the perspective. A polynomial describes what distortion adds; it is fitted locally while stars
+are being predicted, and over the whole view when all are found. The module uses no image.
 """
 
 from __future__ import annotations
@@ -24,11 +23,7 @@ class LocalMap(NamedTuple):
     quadratic: NDArray[np.float64]
 
     def select(self, mask: Any) -> LocalMap:
-        """Return the maps of some stars.
-
-        mask: (N,) bool, or a slice.
-        Returns: In the same order.
-        """
+        """Return the maps of some stars, by an (N,) mask or a slice, in the same order."""
         return LocalMap(self.linear[mask], self.quadratic[mask])
 
 
@@ -50,17 +45,11 @@ def predict_locally(
     points: NDArray[np.float64],
     wanted: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Predict image points of grid positions from a homography and the nearest stars' deviations from it.
+    """Predict (M, 2) image points, px, of grid positions from a homography and the nearest stars' deviations from it.
 
     The deviations are fitted by a local polynomial of degree two, with weights that fall with the distance. Locally
     weighted regression (Cleveland, 1979) with a ridge (Hoerl and Kennard, 1970). The weights 1 / (1 + distance^2) are
-    this project's own.
-
-    h: (3, 3) float64, homography from grid to px that fits about all stars.
-    grid: (N, 2) float64, pitches, grid positions of the stars found.
-    points: (N, 2) float64, px, their image points.
-    wanted: (M, 2) float64, pitches, grid positions to predict.
-    Returns: (M, 2) float64, px.
+    this project's own. The homography fits about all stars; grid positions are in pitches.
     """
     base = apply_homography(h, wanted)
     if len(grid) == 0:
@@ -77,10 +66,7 @@ def predict_locally(
 def _local_deviations(
     off: NDArray[np.float64], grid: NDArray[np.float64], wanted: NDArray[np.float64], near: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Fit the deviations of the nearest stars around each grid position; return the polynomial there, (M, 2) px.
-
-    ``near`` are the numbers of these stars, (M, k). Locally weighted regression (Cleveland, 1979).
-    """
+    """Return the local fit (Cleveland, 1979) of deviations at each grid position, (M, 2) px; ``near`` (M, k) stars."""
     dx, dy = np.moveaxis(grid[near] - wanted[:, None], -1, 0)
     terms = np.stack([np.ones_like(dx), dx, dy, dx * dx, dx * dy, dy * dy], axis=-1)
     weighted = np.swapaxes(terms / (1.0 + dx * dx + dy * dy)[..., None], 1, 2)
@@ -100,23 +86,12 @@ class GridMap:
     sigma_px: float  # Robust standard deviation of the stars about the map, px, per axis
 
     def apply(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map grid positions to image points.
-
-        Homography: Hartley and Zisserman (2004), section 2.3. Own addition: a polynomial in scaled grid coordinates.
-
-        grid: (N, 2) float64, pitches.
-        Returns: (N, 2) float64, px.
-        """
+        """Map (N, 2) pitches to px: a homography (Hartley and Zisserman, 2004, 2.3) and a polynomial of the grid."""
         bent = _monomials((grid - self.centre) / self.scale, self.degree) @ self.coefficients
         return apply_homography(self.homography, grid) + bent
 
     def local_map(self, grid: NDArray[np.float64]) -> LocalMap:
-        """Expand the map to second order around grid positions, by central differences.
-
-        The differences are those of Abramowitz and Stegun (1972), section 25.3.
-
-        grid: (N, 2) float64, pitches.
-        """
+        """Expand to second order around (N, 2) pitches, by central differences (Abramowitz and Stegun, 1972, 25.3)."""
         h = _STEP_PITCHES
         right, down = np.array([h, 0.0]), np.array([0.0, h])
         east, west = self.apply(grid + right), self.apply(grid - right)
@@ -136,16 +111,12 @@ class GridMap:
 def fit_grid_map(
     grid: NDArray[np.float64], points: NDArray[np.float64]
 ) -> tuple[GridMap, NDArray[np.float64]]:
-    """Fit the map of a whole view. Outliers do not take part in the fit.
+    """Fit the map of a whole view without outliers; return also points minus map, (N, 2) px, of all stars.
 
     The scale of the residuals is the median length over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional
     vector of standard normal components. Own procedure: linear least squares, repeated without the stars beyond
     `OUTLIER_SIGMAS`; sigma is enlarged by (1 - terms / stars)^(-1/2) for the terms fitted.
-
-    grid: (N, 2) float64, pitches, grid positions; N >= 4 and not on a line.
-    points: (N, 2) float64, px, image points.
-    Returns: (N, 2) float64, px, points minus map, of all stars.
-    Raises TooFewStars: If the stars do not determine a homography.
+    The grid is in pitches; N >= 4 and not on a line, or `TooFewStars`.
     """
     centre = grid.mean(axis=0)
     scale = float(max(np.abs(grid - centre).max(), 1.0))

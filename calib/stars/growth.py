@@ -1,8 +1,8 @@
 """From the first stars to all: growth over the grid, where the stars found predict their neighbours.
 
-The module decides the order in which nodes are searched. `calib.stars.template` recognises a star, and
-`calib.stars.grid_map` predicts where it is. Growth from the tag outwards is that of Schöps et al. (2020),
-arXiv:1912.02908.
+The module decides the order in which nodes are searched. `calib.stars.template` recognises a star,
+`calib.stars.grid_map`
+predicts its place. Growth from the tag outwards is that of Schöps et al. (2020), arXiv:1912.02908.
 """
 
 from __future__ import annotations
@@ -45,29 +45,18 @@ class StarGrid:
     tries: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def record(self, tried: NDArray[np.int64], found: NDArray[np.int64], places: NDArray[np.float64]) -> None:
-        """Add the results of a search.
-
-        tried: (M, 2) int64, columns and rows of the nodes that were searched.
-        found: (N, 2) int64, nodes at which a star was found.
-        places: (N, 2) float64, px, image points of these stars.
-        """
+        """Add a search: (M, 2) nodes tried, (N, 2) nodes at which a star was found, and these stars' places, px."""
         for column, row in tried:
             key = (int(column), int(row))
             self.tries[key] = self.tries.get(key, 0) + 1
         self.points.update({(int(c), int(r)): place for (c, r), place in zip(found, places, strict=True)})
 
     def nodes(self) -> NDArray[np.int64]:
-        """Return the nodes of the stars found.
-
-        Returns: (N, 2) int64, columns and rows.
-        """
+        """Return the (N, 2) nodes, columns and rows, of the stars found."""
         return np.array(list(self.points), np.int64).reshape(-1, 2)
 
     def places(self) -> NDArray[np.float64]:
-        """Return the image points of the stars found.
-
-        Returns: (N, 2) float64, px, in the order of `nodes`.
-        """
+        """Return the (N, 2) image points, px, of the stars found, in the order of `nodes`."""
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 
@@ -100,17 +89,13 @@ def grow_star_grid(
     segments: int,
     exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]],
 ) -> StarGrid:
-    """Find the first stars, then those around them, until no more are found.
+    """Find the first stars, then those around them, until no more are found; none if the first nodes have no star.
 
     Growth of this kind is that of Schöps et al. (2020), arXiv:1912.02908. If the stars correlate badly with the sharp
-    pattern, the pattern is learnt from the image, and growth starts again with it; the larger result is used.
-
-    image: (H, W) float32, smoothed; white may be bright or dark.
-    start: Where growth starts.
-    segments: Number of segments of a star.
-    exists: Returns for (N, 2) int64 nodes whether each may have a star, (N,) bool.
-    Returns: Stars located to about half a pixel, to two pixels if they are out of focus; empty if the first
-      nodes have no star.
+    pattern, the pattern is learnt from the image, and growth starts again with it; the larger result is used. Stars are
+    located to about half a pixel, to two if they are out of focus. The image is smoothed; ``exists`` tells of (N, 2)
+    nodes
+    whether each may have a star.
     """
     grown, scores = _grow(image, start, StarTemplate.of(segments, SEARCH_RADII), exists)
     if scores and np.median(scores) >= SHARP_CORRELATION:

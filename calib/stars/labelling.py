@@ -1,7 +1,7 @@
 """Labels of stars if the tag cannot be read whole: from the visible part of the tag, or from an expected pose.
 
 The stars were found on a relative grid: its origin is any star, and it is turned by any number of quarter turns. The
-module compares this grid with the print. It refuses to label stars if more than one labelling is possible.
+module refuses to label stars if more than one labelling agrees with the print.
 """
 
 from __future__ import annotations
@@ -38,11 +38,7 @@ class StarLabels(NamedTuple):
     shift: NDArray[np.int64]  # (2,) int64, columns and rows
 
     def apply(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the nodes of the target.
-
-        nodes: (N, 2) int64, nodes of the relative grid.
-        Returns: (N, 2) int64, columns and rows on the target.
-        """
+        """Return the (N, 2) nodes of the target, columns and rows, of nodes of the relative grid."""
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
 
@@ -52,31 +48,21 @@ def grid_homography(
     centre_mm: NDArray[np.float64],
     pitch_mm: float,
 ) -> NDArray[np.float64]:
-    """Return where a collimator's grid of stars is in the image of a camera, for `label_by_pose`.
+    """Return where a collimator's grid is in a camera's image, (3, 3) from [column row 1] to [u v 1] px.
 
-    H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p. The distortion of the lens, a few
-    pixels at most, is neglected.
-
-    matrix: (3, 3) float64, px, K.
-    rotation: (3, 3) float64, R, from target to camera.
-    centre_mm: (3,) float64, mm, c = (x, y, -r), centre of the spherical motion in the target frame.
-    pitch_mm: Distance p of neighbouring stars, mm.
-    Returns: (3, 3) float64, from [column row 1] to [u v 1] px.
+    H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p, mm, rotation R, camera <- target,
+    and
+    centre c = (x, y, -r) of the spherical motion, mm. The distortion of the lens, a few pixels at most, is neglected.
     """
     columns = np.column_stack([rotation[:, 0], rotation[:, 1], -rotation @ centre_mm])
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
 
 
 def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) -> StarLabels:
-    """Label stars by the positions at which a pose lets them be expected.
+    """Label stars, found on a relative grid, by the positions at which a pose lets them be expected.
 
     Own rule: the quarter turn with the least scatter about a common shift, and the whole nodes next to the median
-    shift.
-
-    grown: Stars found, on a relative grid.
-    expected: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px, right to a third of a
-      pitch.
-    Returns: The only labelling that agrees with the expected pose.
+    shift. ``expected`` is from [column row 1] of the target's grid to [u v 1] px, right to a third of a pitch.
     Raises StarsUnnamed: If the stars do not lie on the expected grid, or lie half-way between two labellings.
     """
     nodes = grown.nodes()
@@ -101,18 +87,12 @@ def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) 
 def label_by_tag(
     image: NDArray[np.float32], grown: StarGrid, sign: float, target: StarTarget, *, name: str
 ) -> StarLabels:
-    """Label stars by the part of the tag that is in view.
+    """Label stars, found on a relative grid, by the part of the tag that is in view.
 
     Every gap in the grid of stars that may hold the tag is compared with the print, module by module, in all four
     orientations. Own rule: the labelling with the largest share of right modules, if it exceeds all others by
-    `MIN_MARGIN`.
-
-    image: (H, W) float32, smoothed.
-    grown: Stars found, on a relative grid.
-    sign: +1 if white is bright in the image, -1 if it is dark.
-    Returns: The only labelling that agrees with the tag.
-    Raises StarsUnnamed: If too little of the tag is visible, it is another tag, or two labellings agree with
-      it.
+    `MIN_MARGIN`. The image is smoothed; the sign is +1 if white is bright, -1 if it is dark.
+    Raises StarsUnnamed: If too little of the tag is visible, it is another tag, or two labellings agree with it.
     """
     nodes = grown.nodes()
     h = fit_homography(nodes.astype(float), grown.places())
@@ -160,10 +140,7 @@ def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
 def _white_and_black(
     image: NDArray[np.float32], grown: StarGrid, h: NDArray[np.float64], sign: float
 ) -> tuple[float, float]:
-    """Return the typical brightness of white and of black around the stars, times the sign.
-
-    Own estimate: the quantiles 0.8 and 0.2 of the brightness on circles around the stars.
-    """
+    """Return white's and black's brightness times the sign: quantiles 0.8 and 0.2 on circles around the stars (own)."""
     around = np.array([[np.cos(a), np.sin(a)] for a in np.arange(64) * np.pi / 32]) * 0.4
     at = apply_homography(h, (grown.nodes()[:, None, :] + around[None]).reshape(-1, 2))
     values = sign * _values(image, at)

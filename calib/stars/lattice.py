@@ -55,15 +55,12 @@ class _Candidates(NamedTuple):
 
 
 def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | None:
-    """Find a star with neighbours on all four sides.
+    """Find a star with neighbours on all four sides, at either contrast; None if there is none.
 
     The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square of neighbours is
-    this project's own.
-
-    image: (H, W) float32, smoothed; white may be bright or dark.
-    segments: Number of segments of a star.
-    Returns: Its grid is relative: node (0, 0) is the star found, and the directions are those of the target
-      up to quarter turns. None if there is no such star.
+    this project's own. The grid is relative: node (0, 0) is the star found, and the directions are those of the target
+    up
+    to quarter turns. The image is smoothed.
     """
     for found in _candidates_by_pitch(image, segments):
         # Stars respond more strongly than the corners of their cells, but not in all kinds of image.
@@ -79,10 +76,7 @@ def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | Non
 
 
 def _candidates_by_pitch(image: NDArray[np.float32], segments: int) -> list[_Candidates]:
-    """Return the candidates of each pitch with five or more of them, the pitch with the largest total first.
-
-    Own criterion: the sum of the squared responses times the squared pitch.
-    """
+    """Return the candidates of each pitch with five or more, the largest total (`_Candidates`, own) first."""
     found: list[_Candidates] = []
     for pitch in reversed(PITCHES_PX):  # the coarsest first, because it costs least
         scale = SMALL_PITCH_PX / pitch
@@ -130,10 +124,7 @@ def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _steps_to_neighbours(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | None:
-    """Return the steps to the right and to the lower neighbour as columns, (2, 2); None without four neighbours.
-
-    Own rule: a neighbour lies within `SQUARENESS` pitches of each corner of a square.
-    """
+    """Return the steps to the right and lower neighbour, in columns; they are within `SQUARENESS` of a square."""
     off = places - places[number]
     distance = np.linalg.norm(off, axis=1)
     distance[number] = np.inf

@@ -98,16 +98,14 @@ def refine_by_likelihood(
     target: StarTarget,
     is_open: NDArray[np.bool_] | None = None,
 ) -> LikelihoodFit:
-    """Move stars to their most likely centres.
+    """Move stars to their most likely centres, in their order.
 
     Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
-    likelihood, which is this project's own.
-
-    levels: (H, W) uint8, from `quantise`, of the image before smoothing.
-    centres: (N, 2) float64, px, right to about 0.1 px. Several dozen stars are needed, because P is learnt
-      from them.
-    is_open: (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars.
-    Returns: In the order of ``centres``.
+    likelihood, which is this project's own. The levels are those of the image before smoothing; the centres are right
+    to
+    about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
+    `calib.stars.open_sides`;
+    None if all stars lie between stars.
     """
     pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
@@ -135,15 +133,12 @@ def refine_by_likelihood(
 def edge_width_px(
     levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, target: StarTarget
 ) -> float:
-    """Measure how wide the edges of stars are: the blur of lens and pixel together.
+    """Measure the standard deviation, px, of the stars' blur by lens and pixel together, between `EDGE_WIDTHS_PX`.
 
     The printed star is blurred by Gaussians of several widths. The width is that with which the pixels near the edges
     give most information about the centres (own criterion). On simulated recordings, it is 0.8 to 1.0 of the blur by
-    lens and pixel up to 2 px, under a square and under a sine flicker; it does not grow beyond that.
-
-    levels: (H, W) uint8, from `quantise`, of the image before smoothing.
-    centres: (N, 2) float64, px, right to about 0.1 px.
-    Returns: Standard deviation of the blur, px, between `EDGE_WIDTHS_PX`.
+    lens and pixel up to 2 px, under a square and under a sine flicker; it does not grow beyond that. Levels and centres
+    are those of `refine_by_likelihood`.
     """
     every = np.arange(len(centres))
     return edge_widths_px(levels, centres, local_map, target, [every])[0]
@@ -162,7 +157,6 @@ def edge_widths_px(
     """Measure how wide the edges of several groups of stars are, each as `edge_width_px` does.
 
     The blurred printed stars are shared by all groups, and kept for the next call with the same pitch.
-
     levels: (H, W) uint8, from `quantise`, of the image before smoothing.
     centres: (N, 2) float64, px, right to about 0.1 px.
     groups: Indices of the stars of each group, (M,) int64 each, at least one star.
@@ -181,10 +175,7 @@ def edge_widths_px(
 
 
 def typical_pitch_px(local_map: LocalMap) -> float:
-    """Return the distance of neighbouring stars: the root of the median Jacobian determinant.
-
-    Returns: Distance, px.
-    """
+    """Return the distance of neighbouring stars: the root of the median Jacobian determinant. Returns: Distance, px."""
     return float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
 
 

@@ -41,7 +41,6 @@ def stencil_residuals(
 
     The stencil is the mask of Immerkær (1996). The covariance of e is the sum of w^2 V over the stars, with their
     weights w and covariances V (JCGM 100:2008, section 5.1).
-
     nodes: (N, 2) int64, columns and rows.
     points: (N, 2) float64, px, centres.
     nominal: (N, 2, 2) float64, px^2, covariances of the centres up to a factor.
@@ -66,12 +65,10 @@ def variance_factor(
 
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
     freedom. The result is the mean of those squares that are not far above it. This estimator is this project's own.
-
     nodes: (N, 2) int64, columns and rows.
     points: (N, 2) float64, px, centres.
     nominal: (N, 2, 2) float64, px^2, covariances of the centres up to the factor.
-    typical: Typical value of the factor. It is mixed in if fewer than `TRUSTED_FROM` stars have all eight
-      neighbours.
+    typical: Typical value of the factor. It is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
     """
     residuals, covariances = stencil_residuals(nodes, points, nominal)
     count, total = 0.0, 0.0

@@ -25,10 +25,9 @@ def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_
 
     A star that touches the plain paper with one corner counts as open along the columns: the strips on its left and on
     its right hold all its corners. Own rule.
-
     nodes: (N, 2) int64, columns and rows of the stars.
-    Returns: (N, 2) bool: whether the left or the right neighbour is missing, and whether the upper or the
-      lower one is. A node without a star counts as not open.
+    Returns: (N, 2) bool: whether the left or the right neighbour is missing, and whether the upper or the lower one is.
+      A node without a star counts as not open.
     """
     columns, rows = nodes[:, 0], nodes[:, 1]
 

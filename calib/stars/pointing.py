@@ -111,14 +111,12 @@ def predict_grid(
 
     Robot-world and hand-eye calibration: Dornaika and Horaud (1998). The parametrisation is this project's own; the
     head of the module gives the equations.
-
     seen: Earlier views, in at least two directions.
     reading_deg: Present angles of the gimbal, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
     image_size: Width and height of the image, px.
     pitch_mm: Distance of neighbouring stars, mm.
     Returns: With a standard uncertainty of `MAX_SIGMA_PITCHES` or less.
-    Raises DegenerateViews: If there are no earlier views, or the uncertainty is larger than
-      `MAX_SIGMA_PITCHES`.
+    Raises DegenerateViews: If there are no earlier views, or the uncertainty is larger than `MAX_SIGMA_PITCHES`.
     """
     if not seen:
         raise DegenerateViews(
@@ -151,10 +149,7 @@ def _image_points(image_size: tuple[int, int]) -> Array:
 
 
 def _matrix(focal_px: float, image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) camera matrix K.
-
-    Source: Hartley and Zisserman (2004), section 6.1.
-    """
+    """Return the (3, 3) camera matrix K. Source: Hartley and Zisserman (2004), section 6.1."""
     cx, cy = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
     return np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
 

@@ -41,7 +41,6 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
     """Draw the print around a star that has all eight neighbours, on the grid of an `EdgeMap`.
 
     The print is that of `calib.target.StarTarget.reflectance`.
-
     pitch_px: Distance of neighbouring stars in the image, px.
     Returns: (S, S) float32, brightness from 0 to 1. Half a turn about the centre does not change it.
     """
@@ -72,7 +71,6 @@ def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float,
 
     A straight edge blurred by a Gaussian of standard deviation sigma has the brightness Phi(tau / sigma) at distance
     tau, so tau = sigma Phi^-1(brightness). Own derivation: the Gaussian is integrated over the white side of the edge.
-
     sharp: (S, S) float32, brightness, from `render_star` with the same pitch.
     segments: Number of segments of a star.
     pitch_px: Distance of neighbouring stars in the image, px.

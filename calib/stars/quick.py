@@ -62,10 +62,9 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
     """Find tag and stars of a live picture, in about half of the time of `calib.stars.detect.detect_stars`.
 
     Own procedure, of the steps of `calib.stars.detect`: tag, growth, one refinement by symmetry.
-
     image: (H, W) of any integer or floating type; white may be bright or dark.
-    Returns: In no particular order; with no stars if fewer than `MIN_STARS` of them are seen, or if they are
-      out of focus and nothing identifies them.
+    Returns: In no particular order; with no stars if fewer than `MIN_STARS` of them are seen, or if they are out of
+      focus and nothing identifies them.
     Raises TargetNotFound: If the image shows another tag, or the tag more than once.
     """
     tag = find_tag(image, target, name="live")
@@ -106,10 +105,9 @@ def follow_stars(image: NDArray[np.generic], last: QuickStars, target: StarTarge
     Own procedure: the tag's modules must still agree with the print, nearly all stars must be found by symmetry and
     look like stars, and their typical shift must be small. So a camera that has turned is noticed, also by exactly one
     pitch. It takes a tenth of the time of `find_stars_quickly`. Stars that have come into view are not found.
-
     image: (H, W) of any integer or floating type.
-    Returns: None if the stars must be searched: something moved, or the earlier stars were out of focus or
-      not labelled by the whole tag.
+    Returns: None if the stars must be searched: something moved, or the earlier stars were out of focus or not labelled
+      by the whole tag.
     """
     if last.tag is None or last.blurred or last.local_map is None or len(last.points_px) < MIN_STARS:
         return None

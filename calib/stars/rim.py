@@ -74,10 +74,9 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
     """Find the rim of the beam in the image in which the stars of a view were found.
 
     Own procedure; the head of the module describes it.
-
     image: (H, W), any numeric dtype, grey values: an event image or a photograph.
-    Returns: Points at which the light ends, and points at which the frame ends inside the beam; None if the
-      stars are too few for a map, or bright and dark print do not differ.
+    Returns: Points at which the light ends, and points at which the frame ends inside the beam; None if the stars are
+      too few for a map, or bright and dark print do not differ.
     """
     try:
         mapped = _map_nodes(view, target)

@@ -57,13 +57,11 @@ def rim_in_sections(
     """Divide a circle into sections of one pitch and find the rim in each; elsewhere find the last bright point.
 
     Own procedure; the head of the module describes it.
-
     border_mm: (B, 2) float64, mm, places between neighbouring bright and dark cells.
     centre: (2,) float64, mm, centre of the circle.
     radius: Radius of the circle, mm.
     pitch_mm: Distance of neighbouring stars, mm.
-    Returns: One point for each section that shows the rim, and one for each that is bright out to the frame's
-      border.
+    Returns: One point for each section that shows the rim, and one for each that is bright out to the frame's border.
     """
     count = max(int(np.ceil(2.0 * np.pi * radius / pitch_mm)), 8)
     middle = (np.arange(count) + 0.5) * (2.0 * np.pi / count) - np.pi

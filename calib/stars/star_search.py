@@ -133,7 +133,6 @@ def search_stars(
     """Find the best place of a star around each guess, in steps of one pixel.
 
     Criterion: normalised cross-correlation (Lewis, 1995).
-
     image: (H, W) float32, smoothed.
     guesses: (N, 2) float64, px.
     linear: (N, 2, 2) float64, px per pitch, linear map around each star.

@@ -40,10 +40,7 @@ def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
 
 @njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the derivatives of `_spline_weights`, 1/px.
-
-    Derivative of the cubic B-spline of Unser (1999).
-    """
+    """Return the derivatives of `_spline_weights`, 1/px. Derivative of the cubic B-spline of Unser (1999)."""
     b = _ONE - a
     return (-_HALF * b * b, a * (_THREE * _HALF * a - _TWO), b * (_TWO - _THREE * _HALF * b), _HALF * a * a)
 
@@ -67,7 +64,6 @@ def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any,
 
     ``pixels`` are its rows, one after the other. The point lies ``a`` px to the right of and ``b`` px below pixel
     number ``at``; ``width`` and ``at`` are int32. The point must be more than a pixel inside of the image.
-
     The spline blurs a little more than bilinear interpolation, but it has no kinks at pixels. Bilinear values would
     pull edges that run along the pixel grid towards the grid. Cubic B-spline: Unser (1999), with the pixels as
     coefficients.
@@ -104,7 +100,6 @@ def normal_equations(
 
     Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of `calib.stars.centring`
     gives the equations.
-
     pixels: (H W,) float32, rows of the smoothed image, one after the other.
     centres: (N, 2) float64, px, current centres.
     linear, quadratic: (N, 2, 2) px per pitch and (N, 2, 3) px per square pitch, local maps.

@@ -45,10 +45,9 @@ def find_tag(
 
     The detector gets the image reduced, blurred, unchanged and median filtered, until it finds the tag. Detector:
     Garrido-Jurado et al. (2014). Tags: Olson (2011).
-
     image: (H, W) of any integer or floating type.
-    reduced_only: Whether the detector gets only the reduced pictures, which takes a fifth of the time, if the
-      image is large enough for any. Other tags in them are then no reason to refuse the image.
+    reduced_only: Whether the detector gets only the reduced pictures, which takes a fifth of the time, if the image is
+      large enough for any. Other tags in them are then no reason to refuse the image.
     Returns: None if the image shows no tag.
     Raises TargetNotFound: If the image shows the tag more than once, or only another tag.
     """
@@ -139,7 +138,6 @@ def modules_correlation(
     """Return the correlation of the modules, at their centres, with the print.
 
     It is Pearson's correlation coefficient (NumPy's ``corrcoef``).
-
     picture: (h, w), the image at some scale.
     homography: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px of the full image.
     Returns: -1 to 1; 0 if the modules are all equally bright.

@@ -50,7 +50,6 @@ class StarTemplate(NamedTuple):
         """Sample a star whose segments are counted from +Y, the first one white.
 
         The pattern is that of `calib.target`, sampled at the shares `TEMPLATE_ACROSS` of each segment.
-
         segments: Number of segments of a star.
         """
         across = np.array(TEMPLATE_ACROSS)
@@ -81,7 +80,6 @@ class StarTemplate(NamedTuple):
         black segments are short. The sharp pattern then correlates badly and is best a pixel or two off the centre.
         Own procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black
         and white), as the print is. So the learnt pattern cannot move a centre.
-
         image: (H, W) float32, smoothed.
         centres: (N, 2) float64, px, right to a few pixels.
         linear: (N, 2, 2) float64, px per pitch, linear map around each star.
@@ -129,14 +127,13 @@ def learnt_contrasts(
     """Measure how strongly each octant of each star shows a learnt pattern.
 
     Own measure: the slope of the image over ``template.expected``, by least squares in each octant.
-
     image: (H, W) float32, smoothed.
     centres: (N, 2) float64, px.
     linear: (N, 2, 2) float64, px per pitch, linear map around each star.
     template: From `StarTemplate.learnt`.
     sign: +1 if white is bright in the image, -1 if it is dark.
-    Returns: (N, OCTANTS) float64, brightness; nan if a part lies outside of the image. An octant in which the
-      learnt pattern is nearly flat gets the median of the star's others.
+    Returns: (N, OCTANTS) float64, brightness; nan if a part lies outside of the image. An octant in which the learnt
+      pattern is nearly flat gets the median of the star's others.
     """
     seen = sign * _samples(image, centres, linear, template)
     slopes, squares = np.empty((len(centres), OCTANTS)), np.empty(OCTANTS)
@@ -209,16 +206,14 @@ def star_contrasts(
     """Measure how well each star correlates with its pattern, and its contrast in each octant.
 
     Correlation: Lewis (1995). The contrast by octants is this project's own.
-
     image: (H, W) float32, smoothed.
     centres: (N, 2) float64, px.
     linear: (N, 2, 2) float64, px per pitch, linear map around each star.
     template: Samples of a star.
     sign: +1 if white is bright in the image, -1 if it is dark.
     Returns: (N,) float64, -1 to 1; nan if too much of the star lies outside of the image.
-    Returns: (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each
-      octant. An octant with more white than black, or one of them only, is compared with the mean of the
-      star.
+    Returns: (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each octant. An
+      octant with more white than black, or one of them only, is compared with the mean of the star.
     """
     n = len(centres)
     score, contrast = np.empty(n), np.empty((n, OCTANTS))

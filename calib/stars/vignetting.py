@@ -28,11 +28,10 @@ def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
     """Find the stars that lack a neighbour although the neighbour would lie inside the frame.
 
     Own rule. The neighbour must be expected more than `_BORDER_PITCHES` pitches from the border.
-
-    Returns: (N,) bool, True for the outermost stars of the beam. A star next to the border of the frame or to
-      the tag is not one for that reason.
-    Raises TooFewStars, DegenerateViews: From `calib.model.homography.view_homography`, if the stars do not
-      determine a homography.
+    Returns: (N,) bool, True for the outermost stars of the beam. A star next to the border of the frame or to the tag
+      is not one for that reason.
+    Raises TooFewStars, DegenerateViews: From `calib.model.homography.view_homography`, if the stars do not determine a
+      homography.
     """
     mapping = view_homography(view)
     nodes = target.node_of(view.ids)
@@ -51,7 +50,6 @@ def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNE
     """Increase the covariances of the vignetted stars of a view.
 
     Own model of the shift, as an independent error: variances add up.
-
     sigma_px: Standard uncertainty to add, px, per axis.
     Returns: The same stars. The variances of the vignetted ones are larger by the square of ``sigma_px``.
     Raises TooFewStars, DegenerateViews: As `vignetted_stars`.

@@ -105,8 +105,8 @@ def check_camera(
 ) -> CameraCheck:
     """Compare the camera of new views with a stated one.
 
-    stated_covariance, found_covariance: (K, K) covariance in the order of `CameraModel.parameter_names`; None
-      counts as exact.
+    stated_covariance, found_covariance: (K, K) covariance in the order of `CameraModel.parameter_names`; None counts as
+      exact.
     rng: Draws the changes that the uncertainties allow; the factor k follows from their largest ones.
     Raises InputMismatch: If the images have another size.
     """

@@ -206,10 +206,7 @@ class PoseGains:
         return Sigmas(float(np.sqrt(max(camera[0, 0], 0.0))), float(np.sqrt(max(worst, 0.0))))
 
     def with_pose(self, covariance: Array, place: int, weight: float) -> Sigmas:
-        """Return what a further pose leaves.
-
-        covariance: (S, S) without it.
-        """
+        """Return what a further pose leaves. covariance: (S, S) without it."""
         moved, own = self._maps[place] @ covariance, weight * self._own[place]
         inside = np.eye(len(own)) + own @ moved @ self._maps[place].T
         at = moved[:, : self._camera]

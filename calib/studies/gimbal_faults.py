@@ -58,7 +58,6 @@ def search_faults(
 
     Forward selection with F tests (Efroymson, 1960) and Bonferroni's bound for the number of faults tried. A bad pose
     is removed, so that it cannot hide or imitate a slip.
-
     first: Explanation without faults.
     Returns: The faults, the most significant first.
     """

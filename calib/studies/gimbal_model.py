@@ -83,8 +83,8 @@ class GimbalModel:
         """Return the rotations of the head that the readings and the errors give, and their derivatives.
 
         values: (p,) scales, slips (rad), squareness (rad) and coefficients of the bends (rad).
-        Returns: (n, 3, 3) rotations, gimbal's head <- base; and (n, 3, d) derivatives by the values before
-          the bends, as rotation vectors about the head's axes.
+        Returns: (n, 3, 3) rotations, gimbal's head <- base; and (n, 3, d) derivatives by the values before the bends,
+          as rotation vectors about the head's axes.
         """
         read, count = np.deg2rad(self.angles), len(self.free)
         turned = read.copy()
@@ -124,7 +124,6 @@ def pair_ratios(
 
     The ratio of each axis minimises the sum of the absolute differences of the angles (least absolute deviations, by
     iteratively reweighted least squares; Holland and Welsch, 1977).
-
     rotations: (n, 3, 3) rotations seen, camera <- target.
     covariance: (3 n, 3 n) covariance of the rotation vectors, rad^2.
     offsets: (s,) slips of the model, rad; None for no slip.
@@ -158,7 +157,6 @@ def weighted_median(values: Array, weights: Array) -> float:
     """Return the weighted median: half of the weight lies below it.
 
     Source: Edgeworth (1888).
-
     values: (n,) values.
     weights: (n,) weights, positive.
     """

@@ -120,13 +120,11 @@ def seen_minus_read(
     Own derivation: with R = E A G B, a rotation vector a on the left of A turns R by E a, and b on the left of B turns
     it by E A G b. A motor turns the head about its own axis.
     The bends are small, so that their derivative is taken at E = 1.
-
     rotations: (n, 3, 3) rotations seen, camera <- target.
     camera_from_head: (3, 3) rotation A.
     base_from_target: (3, 3) rotation B.
     values: (p,) values of the errors.
-    Returns: (3 n,) seen minus read, rad; and (3 n, 6 + p) derivatives of the read rotations by A, B and the
-      values.
+    Returns: (3 n,) seen minus read, rad; and (3 n, 6 + p) derivatives of the read rotations by A, B and the values.
     """
     bends = model.bends
     direct = model.parameter_count - bends.shape[2]
@@ -189,8 +187,8 @@ def global_fit(rotations: Array, model: GimbalModel, metric: Metric, values: Arr
 
     rotations: (n, 3, 3) rotations seen, camera <- target.
     values: (p,) start of the errors.
-    Returns: Minima by increasing chi-square. Minima with a scale below half or above twice its start are
-      last, because a pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
+    Returns: Minima by increasing chi-square. Minima with a scale below half or above twice its start are last, because
+      a pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
     """
     tried: list[Array] = []
     found = []
@@ -206,7 +204,6 @@ def mirrored_forward(rotations: Array, fit: GimbalFit, metric: Metric) -> Gimbal
 
     Half a turn of A and B about x reverses pan and roll, about y tilt and roll, about z pan and tilt. The rotations of
     the camera stay the same.
-
     rotations: (n, 3, 3) rotations seen, camera <- target.
     Returns: The fit itself if no mirror image has positive scales only.
     """
@@ -299,7 +296,6 @@ class SeenRotations:
 
         The additional variance makes the chi-square equal to its degrees of freedom (Paule and Mandel, 1982). It is
         zero if the chi-square is below its 99.9 % quantile without it.
-
         kept: (k,) int64 increasing indices of the poses used.
         values: (p,) start of the values.
         Returns: The fit with the additional variance.

@@ -94,7 +94,6 @@ def calibrate_once(
     """Calibrate predicted views with the noise of one run of a study.
 
     Draws from the stated distributions: JCGM 101:2008.
-
     bench: True camera, collimator, beam and star noise.
     poses_deg: For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
     seed: Random seed of the study; with the number of a run it gives the seed of that run.

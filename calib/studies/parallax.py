@@ -117,7 +117,6 @@ class PupilWalk:
 
         Product of two independent quantities: `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the
         opposite share of fx.
-
         defocus, defocus_sigma: Defocus of the collimator and its standard uncertainty, dimensionless.
         r_mm: Radius of the collimator, mm.
         fx_px: Focal length of the camera, px.
@@ -134,7 +133,6 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
     The walk is the posterior mean of the motion in the joint fit of all rims. Mean of x and y: generalised least
     squares (Aitken, 1935) with weights from 0 to 1. Errors of the rotations and of the collimator's radius change the
     walk by their own share of it only, and are neglected.
-
     views: Views of one bench. Views whose images were not searched for the rim take no part.
     rotations: (n, 3, 3) rotation of each view, camera <- target.
     Raises InputMismatch: If there is not one rotation for each view.

@@ -46,8 +46,7 @@ def next_poses(
     """Return the poses that lower the worst projection uncertainty most, before a gimbal that stands straight.
 
     taken_deg: Poses already planned, degrees; may be empty.
-    candidates_deg: Poses to choose from, degrees, within the station's limits; those that show too little are
-      skipped.
+    candidates_deg: Poses to choose from, degrees, within the station's limits; those that show too little are skipped.
     count: Number of poses to choose; each candidate is chosen at most once.
     Returns: The chosen poses, the best first.
     Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
@@ -63,7 +62,6 @@ def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
 
     Without three or more views turned about two axes, the camera is assumed to be mounted straight, and only the base
     is fitted: the mean of the rotations that the views give, projected on the rotations (Moakher, 2002).
-
     rotations: (n, 3, 3) rotations of the views, camera <- target.
     readings_deg: For each view, ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
     Returns: The gimbal; without views, one that stands straight before the target.
@@ -91,7 +89,6 @@ class PoseWeigher:
 
     Uncertainties are those of the joint adjustment for the expected amplitudes. The discount for neighbouring poses is
     this project's own.
-
     bench: Bench as it is known now: camera and collimator of the last calibration, or the expected ones.
     taken_deg: Angles of the poses recorded so far, degrees.
     refused_deg: Angles of the poses that failed, degrees.
@@ -132,7 +129,6 @@ class PoseWeigher:
         """Return the poses that leave the least at the worst point, chosen one after the other (greedy).
 
         No pose repeats another one. The greedy choice is this project's own.
-
         Raises DegenerateViews: If too few of the poses show the target.
         """
         shown = self._possible(candidates_deg)

@@ -49,11 +49,11 @@ class CollimatorErrors:
 
     rms_px: Root mean square length of the errors that follow the collimator, star noise included, px; 0 for an ideal
       collimator.
-    pupil_wander_mm: Random displacement of the camera's entrance pupil across the beam from pose to pose, 1
-      sigma per axis, mm: 0 if a gimbal holds the camera.
+    pupil_wander_mm: Random displacement of the camera's entrance pupil across the beam from pose to pose, 1 sigma per
+      axis, mm: 0 if a gimbal holds the camera.
     defocus: The collimator's defocus (`calib.model.gimbal_readings.ParallaxBound`).
-    pose_rms_px: Root mean square length of the errors that differ from pose to pose, star noise included, px; 0 if
-      they are as small as those of a good collimator.
+    pose_rms_px: Root mean square length of the errors that differ from pose to pose, star noise included, px; 0 if they
+      are as small as those of a good collimator.
     Raises InputMismatch: If a size is negative, or a number is not finite.
     """
 

@@ -92,9 +92,8 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
     """Calibrate by OpenCV's ``calibrateCamera`` (the method of Zhang, 2000), with the same distortion coefficients.
 
     A fisheye lens is calibrated by OpenCV's ``fisheye.calibrate``, which states no uncertainties.
-
-    Returns: OpenCV's result. The mean residual and that of left-out views are those of Starbench's planar
-      model, which has the same optimum.
+    Returns: OpenCV's result. The mean residual and that of left-out views are those of Starbench's planar model, which
+      has the same optimum.
     Raises DegenerateViews: If OpenCV fails, or its result is not finite.
     Raises InputMismatch: If the options ask for skew, which OpenCV's model does not have.
     """
@@ -130,7 +129,6 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
     """Calibrate by the published recipe of arXiv:2512.16092: closed form (eq. 5), then Huber loss (eqs. 6 and 7).
 
     The uncertainties come from J^T J alone.
-
     Raises DegenerateViews: If the views do not constrain a parameter.
     Raises NotConverged: If the adjustment did not reach an optimum.
     """
@@ -245,7 +243,6 @@ def calibrate_by_angles(
 
     Constraint: arXiv:2512.16113. Covariance by propagation of the stars' noise through the solution (Hartley and
     Zisserman, 2004, section 5.2).
-
     r_mm: Focal length of the collimator, mm.
     centre_mm: Foot of its axis on the target, mm.
     distortion: Distortion coefficients, such as ``k1k2``.

@@ -145,10 +145,7 @@ class Rig:
 
 
 def common_names(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
-    """Return the names that both have.
-
-    Raises DegenerateViews: If there is none.
-    """
+    """Return the names that both have. Raises DegenerateViews: If there is none."""
     common = tuple(name for name in first if name in second)
     if not common:
         raise DegenerateViews(
@@ -164,7 +161,6 @@ def through_collimator(
 
     Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T. Both looked into one
     collimator: its centre and radius are the same unknowns, and what was known of them before counts once.
-
     stated: What else is known of each camera, from other views.
     Raises DegenerateViews: If the calibrations have no view with the same name.
     Raises InputMismatch: If a stated camera contradicts the views.

@@ -274,10 +274,7 @@ def _normal_equations(
 
 
 def _inverse(information: Array) -> Array:
-    """Return the covariance.
-
-    Raises DegenerateViews: If the boards leave an unknown free.
-    """
+    """Return the covariance. Raises DegenerateViews: If the boards leave an unknown free."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     unit = information / np.outer(scale, scale)
     if np.linalg.eigvalsh(unit)[0] < _SINGULAR:

@@ -44,7 +44,6 @@ def split_half(views: Sequence[View], options: CalibrationOptions | None = None)
 
     Own statistic: the expected difference is the root of the mean of s1^2 + s2^2 over the sensor, with the projection
     uncertainties s1 and s2.
-
     views: Views of one camera, at least 4.
     options: How to calibrate; None for the defaults.
     Raises DegenerateViews: If there are fewer than 4 views, or a half does not constrain the camera.

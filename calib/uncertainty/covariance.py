@@ -79,10 +79,9 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     """Return the covariance of the shared parameters at the optimum, if the model is right (Huber, 1981, chapter 7).
 
     The Birge ratio of the views is tested by an F test.
-
     Returns: Covariance that is not yet enlarged, and the result of the test.
-    Raises DegenerateViews: If there are no more measurements than parameters, or if the views do not
-      constrain a parameter.
+    Raises DegenerateViews: If there are no more measurements than parameters, or if the views do not constrain a
+      parameter.
     """
     residuals = bundle.weighted_residuals(parameters)
     from scipy import special
@@ -124,7 +123,6 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     block inverse of the normal equations (Schur complement; Triggs et al., 2000, section 6.1): let L be the block of
     the local parameters, S their coupling to the shared ones, C the covariance of the shared ones, and v the variance
     of star noise. Then the covariance is v L^-1 + L^-1 S^T C S L^-1.
-
     Returns: (3 n, 3 n) covariance of rotation vectors on the camera's side, rad^2.
     """
     whole = replace(bundle, names=nominal.names)
@@ -174,7 +172,6 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
 
     The inverse of the information is the Cramér-Rao bound (Rao, 1945). The scaling reduces the condition number (van
     der Sluis, 1969).
-
     information: (G, G) information on the parameters.
     Returns: (G, G) covariance.
     Raises DegenerateViews: If a parameter is not constrained; names it, or the two that cannot be separated.
@@ -195,10 +192,7 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
 
 
 def views_of_poses(bundle: Bundle) -> list[list[int]]:
-    """Return the views of each pose.
-
-    bundle: Bundle with `Bundle.poses`; without, each view is a pose of its own.
-    """
+    """Return the views of each pose. bundle: Bundle with `Bundle.poses`; without, each view is a pose of its own."""
     return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
 
 
@@ -225,7 +219,6 @@ def propagate_passport(
     Star noise is multiplied by the Birge ratio of these views or of those from which the passport was made, whichever
     is larger. Otherwise the small errors of a model would appear as knowledge. Consider covariance: Tapley, Schutz and
     Born (2004), chapter 6. The factor on star noise is this project's own.
-
     bundle: Bundle that was adjusted with the passport's values held.
     nominal: Uncertainty of the free parameters (`covariance_at_optimum`).
     Returns: Uncertainty of the camera's and the collimator's parameters.
@@ -261,7 +254,6 @@ def consider_covariance(information: Array, names: Sequence[str], passport: Pass
     This is a consider covariance (Tapley, Schutz and Born, 2004, chapter 6). With the information S, free parameters f
     and held parameters p, a change of p moves f by -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1
     S_fp)^T.
-
     information: (G, G) information of the views on all parameters.
     Returns: (G, G) covariance, in the order of the names.
     Raises DegenerateViews: If the views do not constrain a free parameter.

@@ -55,7 +55,6 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
 
     With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
     Cross-validation: Stone (1974).
-
     bundle: Bundle of at least 3 poses.
     Returns: Estimates without each pose, and the predicted residuals of its views.
     """

@@ -102,7 +102,6 @@ def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tupl
     """Return how image points over the sensor follow the camera's parameters, without the implied rotation.
 
     They are the derivatives that `projection_uncertainty` uses.
-
     Returns: (P, 2) image points of the grid, px, without those beyond the fold of the distortion; (P, 2, K)
       derivatives, px per unit of each parameter, in the order of `CameraModel.parameter_names`.
     """
