@@ -16,10 +16,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class RimPoints:
-    """The rim of the beam as the image of a pose shows it: points on the target's plane.
-
-    Raises InputMismatch: If shapes disagree, or a number is not finite.
-    """
+    """The rim of the beam as the image of a pose shows it: finite points on the target's plane."""
 
     # (K, 2) float64, mm, points at which the light ends; K is 0 if the rim is out of the frame.
     points_mm: NDArray[np.float64]

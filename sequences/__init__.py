@@ -1,5 +1,4 @@
-"""The script language of the bench: what a sequence file may contain, and its strict reader.
+"""The script language of the bench: what a sequence file may contain, its strict reader, and the shipped ``*.yaml``.
 
-The package imports nothing of bench, calib, drivers or simulators. The shipped sequences are the ``*.yaml``
-files beside this one.
+The package imports nothing of bench, calib, drivers or simulators.
 """

@@ -29,12 +29,11 @@ def _one_stop(text: str) -> str:
 
 
 class DocumentFaults(SequencesError):
-    """A document that cannot be used, with every fault in it.
+    """A document that cannot be used, with every fault in it, in the order of their places.
 
     The message has one line for each fault. Of a single fault, ``what`` is its message and ``where`` its place; of
     several, ``what`` holds all lines, each with its own place. ``remedy`` is empty: each message says what to write.
-    faults: Every fault found, at least one; kept once each, in the order of their places.
-    tree: The document as far as it could be read, for a caller with more to check; None if nothing could be read.
+    ``tree`` is the document as far as it could be read, for a caller with more to check.
     """
 
     def __init__(self, faults: Iterable[Fault], tree: Tree | None = None) -> None:

@@ -1,7 +1,6 @@
 """From a sequence to its script: unfold repeats, sets of poses and defaults into numbered steps.
 
-The module does not depend on a station; the bench compares the steps with its station. The same document always
-gives the same steps with the same numbers, so that a resumed run finds its place.
+The module does not depend on a station. A document always gives the same numbers, so a resumed run finds its place.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ from sequences.wording import did_you_mean
 
 
 def axes_named(sequence: Sequence) -> tuple[str, ...]:
-    """Return the axes that any pose of the sequence names. Returns: The axes in the order pan, tilt, roll."""
+    """Return the axes that any pose of the sequence names, in the order pan, tilt, roll."""
     named: set[str] = set()
     for poses in sequence.poses.values():
         named.update(_axes_of_set(poses))
@@ -70,10 +69,7 @@ def axes_named(sequence: Sequence) -> tuple[str, ...]:
 def distortion_terms(
     chosen: DistortionSet | tuple[DistortionTerm, ...],
 ) -> tuple[DistortionTerm, ...] | Literal["auto"]:
-    """Return the lens coefficients that a solve step estimates.
-
-    chosen: Name of a set, or coefficients of one lens model in any order.
-    Returns: The coefficients in the order of their lens model; ``auto`` if the data are to choose them.
+    """Return the coefficients of a set or a list, in the order of their lens model; ``auto`` if the data choose them.
 
     Examples
     --------
@@ -88,10 +84,7 @@ def distortion_terms(
 
 
 def merged(given: StrictModel, default: StrictModel) -> dict[str, Any]:
-    """Return the settings of a step: its own settings, and the defaults for all others.
-
-    default: The sequence's defaults for this kind of step.
-    """
+    """Return the settings of a step: its own, and the sequence's defaults for all others."""
     settings = {name: getattr(default, name) for name in type(default).model_fields}
     settings |= {name: getattr(given, name) for name in given.model_fields_set}
     for name, value in settings.items():
@@ -122,10 +115,7 @@ MOST_FAULTS = 1000
 
 
 def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
-    """Unfold a sequence as far as possible, for a caller that adds its own faults.
-
-    Returns: The valid steps, and every fault once.
-    """
+    """Unfold a sequence as far as possible: the valid steps, and every fault once, for a caller that adds its own."""
     unfolding = _Unfolding(document)
     try:
         unfolding.add_all(document.value.steps, ("steps",), here=None)
@@ -136,10 +126,7 @@ def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
 
 
 def grid_angles(grid: Grid) -> Iterator[dict[str, float]]:
-    """Yield the angles of a grid's poses in the order of the visits.
-
-    grid: Angles by axis, and the order.
-    Yields: Angle by axis, degrees.
+    """Yield the angles by axis, degrees, of a grid's poses in the order of the visits.
 
     Examples
     --------
@@ -239,8 +226,9 @@ class _Unfolding:
     def _until(self, given: UntilConfig, path: DocumentPath) -> None:
         """Unfold an ``until``: the poses of its start, then rounds of choose, move, settle and record.
 
-        There are enough rounds for all accepted recordings and all failed poses; the run leaves out those it does not
-        need. So steps and poses have numbers before anything is recorded.
+        There are rounds for all accepted recordings and all failed poses, so that steps and poses have numbers before
+        anything
+        is recorded; the run leaves out those it does not need.
         """
         starts = [] if given.start is None else self._places(given.start, (*path, "start"))
         if len(starts) > given.at_most:

@@ -1,7 +1,7 @@
 """Numbers of a document: plain decimals only, within a stated range.
 
 Python reads ``6_0`` as 60 and ``074`` as 74; YAML reads ``074`` as octal and ``6_0`` as 60. Such a number is probably a
-slip, so it is refused. The module defines the check of the text and the check of the range.
+slip, so it is refused.
 """
 
 from __future__ import annotations
@@ -19,10 +19,7 @@ _ODD = re.compile(r"[+-]?[0-9][0-9_]*(?:\.[0-9_]*)?(?:[eE][+-]?[0-9_]+)?")
 
 
 def is_plain_number(text: str) -> bool:
-    """Return whether a text is a plain decimal number.
-
-    Returns: False for leading zeros, underscores, spaces, ``inf``, ``nan``, hexadecimal digits and digits of
-      other scripts.
+    """Return whether a text is a plain decimal number, in digits 0 to 9 and without leading zeros.
 
     Examples
     --------
@@ -33,11 +30,9 @@ def is_plain_number(text: str) -> bool:
 
 
 def require_plain_number(value: Any) -> Any:
-    """Refuse a text that Python would read as a number, but that is not a plain decimal number.
+    """Refuse a text such as ``074`` or ``6_0`` that Python would read as a number, but that is not a plain decimal.
 
-    value: A value of a document; only texts are checked.
-    Raises PydanticCustomError: For a text such as ``074`` or ``6_0``. A text that is no number at all is left to the
-      field's own check.
+    A text that is no number at all is left to the field's own check.
     """
     if not isinstance(value, str) or is_plain_number(value):
         return value

@@ -1,8 +1,4 @@
-"""The queue file as a pydantic model: the jobs of a night, their order, start times, repeats and failures.
-
-A second model describes a file with one job, which can be added to a running batch. The module opens no file and no
-device.
-"""
+"""The queue file, and that of one job for a running batch, as pydantic models; no file or device is opened."""
 
 from __future__ import annotations
 
@@ -69,7 +65,7 @@ class JobFile(JobConfig):
     format: Literal["starbench/job/1"]
 
     def job(self) -> JobConfig:
-        """Return the job in the form of a queue's jobs. Returns: The same settings, without ``format``."""
+        """Return the job in the form of a queue's jobs, without ``format``."""
         return JobConfig(**self.model_dump(exclude={"format"}))
 
 

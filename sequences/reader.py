@@ -34,12 +34,9 @@ class Located(Generic[Model]):
     set_paths: tuple[str, ...] = ()  # Dotted paths whose values were given by settings, not by the file
 
     def file_at(self, path: DocumentPath, name: str) -> Path:
-        """Return the file that a value of the document names.
+        """Return the file that the value at a path names, relative to the document's folder.
 
-        path: The value's path.
-        name: Path of a file, as the value gives it.
-        Returns: The path, relative to the document's folder; relative to the working directory if a setting gave the
-          value, or if the document is not in a file.
+        It is relative to the working directory if a setting gave the value, or if the document is not in a file.
         """
         dotted = ".".join(map(str, path)) + "."
         if self.folder is None or any(dotted.startswith(f"{given}.") for given in self.set_paths):
@@ -47,24 +44,16 @@ class Located(Generic[Model]):
         return self.folder / name
 
     def position(self, path: DocumentPath) -> Spot:
-        """Return where the value at a path begins.
-
-        path: The value's path; the document need not contain it.
-        Returns: The place of the value, or of the nearest value around it if the document does not contain the path.
-        """
+        """Return where the value at a path begins, or the nearest value around it if the document has no such path."""
         return self.tree.spot(path)
 
     def where(self, path: DocumentPath) -> str:
-        """Return where the value at a path begins, as text.
-
-        path: As `position` takes it.
-        Returns: ``file:line:column``.
-        """
+        """Return where the value at a path begins, as `position`, as ``file:line:column``."""
         spot = self.position(path)
         return f"{self.file}:{spot.line}:{spot.column}"
 
     def fault(self, path: DocumentPath, message: str) -> Fault:
-        """Return a fault of the value at a path. path: As `position` takes it."""
+        """Return a fault of the value at a path, as `position` takes it."""
         spot = self.position(path)
         return Fault(self.file, spot.line, spot.column, path_text(path), message)
 
@@ -72,11 +61,11 @@ class Located(Generic[Model]):
 def read_document(
     path: Path | str, model: type[Model], settings: Mapping[str, str] | None = None
 ) -> Located[Model]:
-    """Read and check a YAML file.
+    """Read and check a YAML file; settings (`sequences.settings`) replace values of the returned text.
 
-    settings: Values that replace the file's own (`sequences.settings`); the returned text contains them.
     Raises DocumentFaults: With every fault found: a file that cannot be opened, text that is not plain YAML, values
-      that the model refuses.
+      that the
+    model refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
     read = check_document(data, file_with_settings(str(path), settings or {}), model)
@@ -84,10 +73,9 @@ def read_document(
 
 
 def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:
-    """Check a YAML document's bytes: `read_document` for text that need not be in a file.
+    """Check a YAML document's bytes, UTF-8: `read_document` for text that need not be in a file.
 
     The model's validators find the whole mapping, as text, under ``document`` in their context.
-    data: The document; UTF-8.
     """
     tree = parse(data, file)
     faults = list(tree.faults)
@@ -104,12 +92,8 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
 
 
 def find_document(name_or_path: str, shipped: Path) -> Path:
-    """Find a file by its path, or a shipped file by its bare name.
+    """Find a file by its path, which need not exist, or a shipped ``*.yaml`` by its bare name, if no file has it.
 
-    name_or_path: A path, or a name without folder and ending.
-    shipped: The folder of the shipped ``*.yaml`` files.
-    Returns: The shipped file if a bare name was given and no file of that name exists; else the path itself, which need
-      not exist.
     Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
     """
     path = Path(name_or_path)

@@ -59,10 +59,7 @@ class LightConfig(FlickerConfig):
 
 
 class MoveConfig(StrictModel):
-    """A pose to move to; without angles, the pose of the surrounding ``repeat``.
-
-    An axis that the pose does not name goes to 0 degrees.
-    """
+    """A pose to move to, 0 degrees for axes that it does not name; without angles, that of the ``repeat``."""
 
     name: Name | None = None
     pan_deg: Angle | None = None
@@ -70,7 +67,7 @@ class MoveConfig(StrictModel):
     roll_deg: Angle | None = None
 
     def angles_deg(self) -> dict[str, float]:
-        """Return the angles that are given. Returns: Angle by axis, degrees."""
+        """Return the angles that are given, degrees by axis."""
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {axis: angle for axis, angle in given.items() if angle is not None}
 
@@ -93,9 +90,7 @@ class Span(StrictModel):
     count: Annotated[int, Field(ge=1, le=10_000)]
 
     def angles_deg(self) -> list[float]:
-        """Return the angles of the span.
-
-        Returns: ``count`` angles, degrees; a single angle is the middle.
+        """Return ``count`` angles, degrees; a single angle is the middle.
 
         Examples
         --------
@@ -136,7 +131,7 @@ class Grid(StrictModel):
         return self
 
     def angles_deg(self) -> dict[str, list[float]]:
-        """Return the angles of the axes that are given. Returns: List of angles by axis, degrees."""
+        """Return the angles of the axes that are given, lists of degrees by axis."""
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {
             axis: angles.angles_deg() if isinstance(angles, Span) else list(angles)
@@ -284,10 +279,7 @@ class UntilConfig(StrictModel):
         return self
 
     def goals(self) -> dict[str, float]:
-        """Return the goals that are given.
-
-        Returns: Largest expanded uncertainty allowed, px, by the name of the goal.
-        """
+        """Return the goals that are given: the largest expanded uncertainty allowed, px, by name."""
         given = {"expanded_fx_px": self.expanded_fx_px, "worst_corner_px": self.worst_corner_px}
         return {name: goal for name, goal in given.items() if goal is not None}
 

@@ -1,7 +1,4 @@
-"""The script as the bench runs it: numbered steps in order, each with all its settings.
-
-`sequences.flatten` makes the steps from a sequence; the bench runs them.
-"""
+"""The script as the bench runs it: numbered steps in order (`sequences.flatten`), each with all its settings."""
 
 from __future__ import annotations
 
@@ -63,11 +60,9 @@ class Gates:
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any], waveform: Waveform = "square") -> Gates:
-        """Make gates from a sequence's settings.
+        """Make gates from the fields of a `GateConfig`; None sets no limit.
 
-        settings: The fields of a `GateConfig` by name.
-        waveform: Waveform of the light; it chooses the defaults of `WAVEFORM_LIMITS`.
-        Returns: The gates; other settings that are None set no limit.
+        The waveform of the light chooses the defaults of `WAVEFORM_LIMITS`.
         """
         usual = WAVEFORM_LIMITS.get(waveform, WAVEFORM_LIMITS["square"])
         every: dict[str, Any] = {
@@ -162,10 +157,7 @@ class WaitStep:
 
 @dataclass(frozen=True)
 class PromptStep:
-    """Ask the operator; after ``timeout_s`` the default answer counts.
-
-    ``placement`` is the number of the placement of a board for which it asks, from 1; 0 for another question.
-    """
+    """Ask the operator; after ``timeout_s`` the default answer counts. Placements are numbered from 1; 0: none."""
 
     number: int
     where: str

@@ -1,7 +1,6 @@
 """Replace values in a YAML document: settings of a job or of the command line take the place of the file's values.
 
-Paths such as ``defaults.record.window_ms`` say which values. The module does not check what the document means; the
-reader checks the result like any document.
+Paths such as ``defaults.record.window_ms`` say which values. The reader checks the result like any document.
 """
 
 from __future__ import annotations
@@ -29,10 +28,7 @@ class OptionSettings(dict[str, str]):
 
 
 def file_with_settings(file: str, settings: Mapping[str, str]) -> str:
-    """Return the name of a file in messages; it says so if settings replace values of the file.
-
-    settings: Settings by path; may be empty.
-    Returns: Name without a line number.
+    """Return the name of a file in messages, without a line; it says so if settings replace values of the file.
 
     Examples
     --------
@@ -52,12 +48,11 @@ _Plain.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("ta
 
 
 def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
-    """Replace values in a YAML document.
+    """Replace values in a YAML document; without settings, ``data`` itself; else without the comments of the old one.
 
-    data: The document, as `reader.check_document` takes it.
-    settings: YAML texts by path. Dots separate the keys of a path; list elements count from 0. Missing
-      mappings on the way are created.
-    Returns: The new document, without the comments of the old one; ``data`` itself if there are no settings.
+    Settings are YAML texts by path. Dots separate the keys of a path; list elements count from 0. Missing mappings on
+    the way
+    are created.
     Raises DocumentFaults: If the document or a value is not plain YAML, or if a path leads through a value
       that has no such part.
 

@@ -1,7 +1,4 @@
-"""The solve step as a pydantic model: model, lens, passport, readings and limits of a calibration.
-
-The names are those of the calibration engine; a test of the bench compares them.
-"""
+"""The solve step as a pydantic model; its names are the engine's, and a test of the bench compares them."""
 
 from __future__ import annotations
 

@@ -63,24 +63,18 @@ class Tree:
     faults: list[Fault] = field(default_factory=list)  # What the reader refused; ``value`` holds the rest
 
     def spot(self, path: DocumentPath) -> Spot:
-        """Return where the value at a path begins.
-
-        path: The value's path; the document need not contain it.
-        Returns: The place of the value, or of the nearest value around it if the document does not contain the path.
-        """
+        """Return where the value at a path begins, or the nearest value around it if the document has no such path."""
         while path and path not in self.values:
             path = path[:-1]
         return self.values.get(path, Spot(1, 1))
 
     def add_fault(self, spot: Spot, path: DocumentPath, message: str) -> None:
-        """Add a fault to ``faults``. spot: Where the fault is in the file. path: Where the fault is in the document."""
+        """Add a fault to ``faults``: the spot is in the file, the path in the document."""
         self.faults.append(Fault(self.file, spot.line, spot.column, path_text(path), message))
 
 
 def path_text(path: DocumentPath) -> str:
-    """Write a path as text.
-
-    Returns: Keys joined by dots, indices in brackets; empty for the top of the document.
+    """Write a path as text: keys joined by dots, indices in brackets; empty for the top of the document.
 
     Examples
     --------

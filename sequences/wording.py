@@ -1,7 +1,4 @@
-"""From pydantic's validation errors to faults: plain words, the place in the file, and what to write instead.
-
-The module interprets the kinds of pydantic's errors, and their locations inside unions that a tag tells apart.
-"""
+"""From pydantic's errors, also inside tagged unions, to faults: plain words, the place, and what to write."""
 
 from __future__ import annotations
 
@@ -55,18 +52,12 @@ MESSAGES = {
 
 
 def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> list[Fault]:
-    """Return the faults that a model found in a document.
-
-    error: What the model's validation raised.
-    Returns: One fault for each of pydantic's errors, in pydantic's order.
-    """
+    """Return a fault for each of pydantic's errors, in its order."""
     return [_fault(issue, tree, model) for issue in error.errors(include_url=False)]
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a hint for an unknown word: the most similar known word, or a list of the known words.
-
-    Returns: A sentence that begins with a space; empty if no words are known.
+    """Return a sentence, after a space, with the known word most like an unknown one, or all; empty if none is known.
 
     Examples
     --------

@@ -29,7 +29,7 @@ class _Refused(Exception):
 
 
 def parse(data: bytes, file: str) -> Tree:
-    """Read a document's bytes. Never raises: the faults are in the returned tree. data: The file's content; UTF-8."""
+    """Read a document's bytes, UTF-8. Never raises: the faults are in the returned tree."""
     tree = Tree(file)
     with contextlib.suppress(_Refused):
         _Walk(_decoded(data, tree), tree).document()

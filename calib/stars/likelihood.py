@@ -154,15 +154,11 @@ def edge_widths_px(
     pitch_px: float | None = None,
     start_px: float | None = None,
 ) -> list[float]:
-    """Measure how wide the edges of several groups of stars are, each as `edge_width_px` does.
+    """Measure the standard deviation of the blur, px, of several groups of stars, each as `edge_width_px` does.
 
-    The blurred printed stars are shared by all groups, and kept for the next call with the same pitch.
-    levels: (H, W) uint8, from `quantise`, of the image before smoothing.
-    centres: (N, 2) float64, px, right to about 0.1 px.
-    groups: Indices of the stars of each group, (M,) int64 each, at least one star.
-    pitch_px: Distance of neighbouring stars, px; None to take it from ``local_map``.
-    start_px: Width at which the search begins, px; None for the middle of `EDGE_WIDTHS_PX`.
-    Returns: Standard deviation of the blur of each group, px, between `EDGE_WIDTHS_PX`.
+    The blurred printed stars are shared by all groups, and kept for the next call with the same pitch. Each group has a
+    star
+    at least; None for the pitch takes it from ``local_map``, None for the start is the middle of `EDGE_WIDTHS_PX`.
     """
     pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
     maps = _kept_edge_maps(target, pitch)
@@ -175,16 +171,16 @@ def edge_widths_px(
 
 
 def typical_pitch_px(local_map: LocalMap) -> float:
-    """Return the distance of neighbouring stars: the root of the median Jacobian determinant. Returns: Distance, px."""
+    """Return the distance, px, of neighbouring stars: the root of the median Jacobian determinant."""
     return float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
 
 
 def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the prior precision of the unknowns, (N, 5).
 
-    Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy distribution,
-    by the weights of iteratively reweighted least squares. The Cauchy distribution is Student's with one degree of
-    freedom; in two dimensions its weight is 3 / (s^2 + b^2) (Lange, Little and Taylor, 1989).
+    Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy distribution
+    (Student's with one degree of freedom), by iteratively reweighted least squares: in two dimensions its weight is
+    3 / (s^2 + b^2) (Lange, Little and Taylor, 1989).
     """
     prior = np.zeros_like(unknowns)
     prior[:, 2] = SHIFT_SIGMA**-2
@@ -248,10 +244,9 @@ class _InformationByBlur:
 
 
 def _best_blur(information: _InformationByBlur) -> float:
-    """Return the blur of `BLURS_PX` that gives most information about some of the centres.
+    """Return the blur of `BLURS_PX` with the largest trace of some centres' Fisher information (own criterion).
 
     The information grows with the blur up to the best one and falls beyond it, so the search ends at the first fall.
-    Own criterion: the trace of the Fisher information of the centres.
     """
     best = BLURS_PX[0]
     for blur in BLURS_PX[1:]:

@@ -37,15 +37,10 @@ _MAX_SQUARE = 20.0
 def stencil_residuals(
     nodes: NDArray[np.int64], points: NDArray[np.float64], nominal: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compare each star that has all eight neighbours with them.
+    """Compare each star that has all eight neighbours with them: (M, 2) e, px, and (M, 2, 2) covariances, px^2.
 
     The stencil is the mask of Immerkær (1996). The covariance of e is the sum of w^2 V over the stars, with their
-    weights w and covariances V (JCGM 100:2008, section 5.1).
-    nodes: (N, 2) int64, columns and rows.
-    points: (N, 2) float64, px, centres.
-    nominal: (N, 2, 2) float64, px^2, covariances of the centres up to a factor.
-    Returns: (M, 2) float64, px, the stencil's e.
-    Returns: (M, 2, 2) float64, px^2, covariances of e, up to the same factor.
+    weights w and covariances V (JCGM 100:2008, section 5.1), known up to a factor.
     """
     low = nodes.min(axis=0, initial=0) - 1
     size = nodes.max(axis=0, initial=0) - low + 2
@@ -61,14 +56,12 @@ def stencil_residuals(
 def variance_factor(
     nodes: NDArray[np.int64], points: NDArray[np.float64], nominal: NDArray[np.float64], *, typical: float
 ) -> float:
-    """Estimate the factor of the covariances from the scatter of neighbouring stars.
+    """Estimate the factor of the (N, 2, 2) covariances from the scatter of neighbouring stars.
 
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
     freedom. The result is the mean of those squares that are not far above it. This estimator is this project's own.
-    nodes: (N, 2) int64, columns and rows.
-    points: (N, 2) float64, px, centres.
-    nominal: (N, 2, 2) float64, px^2, covariances of the centres up to the factor.
-    typical: Typical value of the factor. It is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
+    The
+    ``typical`` factor is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
     """
     residuals, covariances = stencil_residuals(nodes, points, nominal)
     count, total = 0.0, 0.0

@@ -4,9 +4,8 @@ Next to the tag, and at the border of the pattern, a star has no neighbour on on
 stars, black meets white all along the border of their cells; towards plain paper it does not. So light from a bright
 neighbour, or a bright paper, reaches into the cell on one side only. In an image that is black and white at a low share
 of the light, this moves the star by 0.03 px towards dark paper, as a negative print has it. So the strip of the cell
-next to the paper is left out, and the strip on the opposite side too, so that what is left is point symmetric.
-
-The module uses the target alone. It uses no image.
+next to the paper is left out, and the strip on the opposite side too, so that what is left is point symmetric. The
+module uses the target alone, no image.
 """
 
 from __future__ import annotations
@@ -21,13 +20,10 @@ MIN_REACH = 0.25
 
 
 def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Find the stars that have no printed neighbour on a side, along the columns and along the rows.
+    """Return (N, 2) whether stars lack a printed neighbour to the left or right, and above or below.
 
     A star that touches the plain paper with one corner counts as open along the columns: the strips on its left and on
-    its right hold all its corners. Own rule.
-    nodes: (N, 2) int64, columns and rows of the stars.
-    Returns: (N, 2) bool: whether the left or the right neighbour is missing, and whether the upper or the lower one is.
-      A node without a star counts as not open.
+    its right hold all its corners. Own rule. A node without a star counts as not open.
     """
     columns, rows = nodes[:, 0], nodes[:, 1]
 
@@ -41,11 +37,7 @@ def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_
 
 
 def cell_reach(is_open: NDArray[np.bool_], reach: float, strip: float) -> NDArray[np.float64]:
-    """Return how far from its centre a star's cell is used.
-
-    is_open: (N, 2) bool, from `open_sides`.
-    reach: Half the side of the cell of a star between stars, pitches.
-    Returns: (N, 2) float64, pitches, along the columns and along the rows.
+    """Return (N, 2) how far from its centre a star's cell is used, pitches; ``reach`` is half the side between stars.
 
     Examples
     --------

@@ -1,9 +1,7 @@
 """Prediction of the grid of stars from a reading of the gimbal, by earlier views whose stars the tag labelled.
 
-The module uses homographies of views and the gimbal's readings. It uses no image and no stars. The prediction serves to
-label stars if the tag is out of view, and for nothing else: no estimate of a camera depends on it.
-
-The grid of a view is at
+The prediction serves to label stars if the tag is out of view: no estimate of a camera depends on it. The
+module uses homographies and readings, no image and no stars. The grid is at
 
     H = K [r1 r2 -R c] diag(p, p, 1),   R = A G B,
 
@@ -70,10 +68,7 @@ class _Observations(NamedTuple):
     nodes: Sequence[Array]
 
     def grid(self, values: Array, reading_deg: Mapping[str, float]) -> Array:
-        """Return the (3, 3) homography of a view for values of the unknowns.
-
-        It is H of the head of the module: arXiv:2512.16092, eqs. 1 to 3.
-        """
+        """Return H of the head of the module, (3, 3), for values of the unknowns (arXiv:2512.16092, eqs. 1 to 3)."""
         rotation = exp_map(values[_MOUNTING]) @ _gimbal_rotation(reading_deg) @ exp_map(values[_BASE])
         centre = np.array([*values[_CENTRE], -np.exp(values[_LOG_R])])
         matrix = _matrix(float(np.exp(values[_LOG_F])), self.image_size)
@@ -107,16 +102,11 @@ def predict_grid(
     image_size: tuple[int, int],
     pitch_mm: float,
 ) -> PredictedGrid:
-    """Predict the grid of stars from a reading of the gimbal.
+    """Predict the grid of stars from a reading of the gimbal, degrees, where a missing axis is at 0.
 
     Robot-world and hand-eye calibration: Dornaika and Horaud (1998). The parametrisation is this project's own; the
-    head of the module gives the equations.
-    seen: Earlier views, in at least two directions.
-    reading_deg: Present angles of the gimbal, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
-    image_size: Width and height of the image, px.
-    pitch_mm: Distance of neighbouring stars, mm.
-    Returns: With a standard uncertainty of `MAX_SIGMA_PITCHES` or less.
-    Raises DegenerateViews: If there are no earlier views, or the uncertainty is larger than `MAX_SIGMA_PITCHES`.
+    head of the module gives the equations. The earlier views look in at least two directions.
+    Raises DegenerateViews: Without earlier views, or if the uncertainty is larger than `MAX_SIGMA_PITCHES`.
     """
     if not seen:
         raise DegenerateViews(
@@ -149,7 +139,7 @@ def _image_points(image_size: tuple[int, int]) -> Array:
 
 
 def _matrix(focal_px: float, image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) camera matrix K. Source: Hartley and Zisserman (2004), section 6.1."""
+    """Return the (3, 3) camera matrix K (Hartley and Zisserman, 2004, section 6.1)."""
     cx, cy = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
     return np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
 
@@ -195,10 +185,7 @@ def _fitted(observed: _Observations, values: Array) -> _Fit:
 
 
 def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:
-    """Return the grid at a reading, with its uncertainty propagated from the fit.
-
-    Propagation: JCGM 100:2008, section 5.2.
-    """
+    """Return the grid at a reading, with its uncertainty propagated from the fit (JCGM 100:2008, section 5.2)."""
     grid = observed.grid(fit.values, reading_deg)
     nodes = apply_homography(np.asarray(np.linalg.inv(grid)), observed.points)
     jacobian = _jacobian(lambda v: apply_homography(observed.grid(v, reading_deg), nodes).ravel(), fit.values)
@@ -209,9 +196,6 @@ def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, flo
 
 
 def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
-    """Return the derivatives of a function of the unknowns, by forward differences.
-
-    Source: Abramowitz and Stegun (1972), section 25.3.
-    """
+    """Return derivatives by the unknowns, by forward differences (Abramowitz and Stegun, 1972, section 25.3)."""
     here = function(values)
     return np.column_stack([(function(values + 1e-6 * e) - here) / 1e-6 for e in np.eye(len(values))])

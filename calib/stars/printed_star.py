@@ -1,7 +1,4 @@
-"""A printed star, finely sampled: the distance of each place around it from the nearest edge, and which edge that is.
-
-The module uses the printed target, a pitch and a blur. It uses no image and no detected stars.
-"""
+"""A printed star, finely sampled: at each place the nearest edge and its distance; no image, no detected stars."""
 
 from __future__ import annotations
 
@@ -38,12 +35,7 @@ class EdgeMap(NamedTuple):
 
 
 def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
-    """Draw the print around a star that has all eight neighbours, on the grid of an `EdgeMap`.
-
-    The print is that of `calib.target.StarTarget.reflectance`.
-    pitch_px: Distance of neighbouring stars in the image, px.
-    Returns: (S, S) float32, brightness from 0 to 1. Half a turn about the centre does not change it.
-    """
+    """Draw the print around a star with all eight neighbours, (S, S) brightness 0 to 1, on the grid of an `EdgeMap`."""
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     surrounded = np.ones(columns.shape, bool)
     for dc in (-1, 0, 1):
@@ -67,14 +59,10 @@ def _steps(pitch_px: float) -> NDArray[np.float64]:
 
 
 def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float, blur_px: float) -> EdgeMap:
-    """Blur a printed star, and compute the distances from its edges from the blurred brightness.
+    """Blur a printed star, (S, S), and compute the distances from its edges from the blurred brightness.
 
     A straight edge blurred by a Gaussian of standard deviation sigma has the brightness Phi(tau / sigma) at distance
     tau, so tau = sigma Phi^-1(brightness). Own derivation: the Gaussian is integrated over the white side of the edge.
-    sharp: (S, S) float32, brightness, from `render_star` with the same pitch.
-    segments: Number of segments of a star.
-    pitch_px: Distance of neighbouring stars in the image, px.
-    blur_px: Standard deviation of the blur, px.
     """
     # Half of the star is blurred and computed; the other half is the same, turned.
     half, sigma = len(sharp) // 2, blur_px * OVERSAMPLING
@@ -94,10 +82,7 @@ def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float,
 
 @lru_cache(maxsize=1)
 def _normal_quantiles() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return Phi^-1 at `_QUANTILES` equal steps of the brightness, and its increase to the next step.
-
-    Linear interpolation in this table is right to 1e-5.
-    """
+    """Return Phi^-1 at `_QUANTILES` steps of brightness, and its increases; interpolation is right to 1e-5."""
     shares = np.arange(_QUANTILES + 1) / _QUANTILES
     values = ndtri(np.clip(shares, 0.5 * _LEAST_SHARE, 1.0 - 0.5 * _LEAST_SHARE))
     return np.asarray(values[:-1], np.float32), np.asarray(np.diff(values), np.float32)
@@ -105,9 +90,9 @@ def _normal_quantiles() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 @lru_cache(maxsize=2)
 def _nearest_edges(pitch_px: float, segments: int) -> NDArray[np.uint8]:
-    """Return the number of the nearest edge at each sample; maps of one pitch share it, and only read it.
+    """Return at each sample the number of the nearest edge, by angle (own definition).
 
-    Own definition: the edge at the nearest multiple of the angle between edges.
+    Maps of one pitch share it, and only read it.
     """
     u, v = np.meshgrid(_steps(pitch_px), _steps(pitch_px))
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments

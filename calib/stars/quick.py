@@ -1,8 +1,7 @@
 """Stars for a live picture: the same search as `calib.stars.detect`, without likelihood and covariances.
 
 The centres are those of symmetry, refined once: good to some hundredths of a pixel if the image is in focus. Stars
-that cannot be identified are also returned, without ids, if they are in focus. The module is for aiming and focusing
-only; no calibration uses it.
+that cannot be identified have no ids. The module is for aiming and focusing only; no calibration uses it.
 """
 
 from __future__ import annotations
@@ -61,10 +60,8 @@ class QuickStars(NamedTuple):
 def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickStars:
     """Find tag and stars of a live picture, in about half of the time of `calib.stars.detect.detect_stars`.
 
-    Own procedure, of the steps of `calib.stars.detect`: tag, growth, one refinement by symmetry.
-    image: (H, W) of any integer or floating type; white may be bright or dark.
-    Returns: In no particular order; with no stars if fewer than `MIN_STARS` of them are seen, or if they are out of
-      focus and nothing identifies them.
+    Own procedure, of the steps of `calib.stars.detect`: tag, growth, one refinement by symmetry. No stars if fewer than
+    `MIN_STARS` are seen, or if they are out of focus and nothing identifies them.
     Raises TargetNotFound: If the image shows another tag, or the tag more than once.
     """
     tag = find_tag(image, target, name="live")
@@ -100,14 +97,13 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
 
 
 def follow_stars(image: NDArray[np.generic], last: QuickStars, target: StarTarget) -> QuickStars | None:
-    """Measure the stars of an earlier picture again, if they are still where they were.
+    """Measure the stars of an earlier picture again, if they are still where they were; None if they must be searched.
 
     Own procedure: the tag's modules must still agree with the print, nearly all stars must be found by symmetry and
     look like stars, and their typical shift must be small. So a camera that has turned is noticed, also by exactly one
-    pitch. It takes a tenth of the time of `find_stars_quickly`. Stars that have come into view are not found.
-    image: (H, W) of any integer or floating type.
-    Returns: None if the stars must be searched: something moved, or the earlier stars were out of focus or not labelled
-      by the whole tag.
+    pitch. It takes a tenth of the time of `find_stars_quickly`. Stars that have come into view are not found. The
+    earlier
+    stars must have been in focus and labelled by the whole tag.
     """
     if last.tag is None or last.blurred or last.local_map is None or len(last.points_px) < MIN_STARS:
         return None

@@ -71,12 +71,11 @@ class _Levels(NamedTuple):
 
 
 def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints | None:
-    """Find the rim of the beam in the image in which the stars of a view were found.
+    """Find the rim of the beam in the image, of events or a photograph, in which the stars of a view were found.
 
-    Own procedure; the head of the module describes it.
-    image: (H, W), any numeric dtype, grey values: an event image or a photograph.
-    Returns: Points at which the light ends, and points at which the frame ends inside the beam; None if the stars are
-      too few for a map, or bright and dark print do not differ.
+    Points at which the light ends, and at which the frame ends inside the beam. None if the stars are too few for a
+    map, or
+    bright and dark print do not differ. Own procedure; the head of the module describes it.
     """
     try:
         mapped = _map_nodes(view, target)
@@ -106,10 +105,7 @@ def _px_per_mm(view: View) -> float:
 
 @lru_cache(maxsize=8)
 def _print_offsets(target: StarTarget, along: int, clearance: float) -> tuple[Array, Array]:
-    """Return places in the cell of a node that are white and black, (W, 2) and (B, 2) pitches from the node.
-
-    All print within the clearance of a place is of one kind. Cells of all nodes are alike.
-    """
+    """Return a cell's white (W, 2) and black (B, 2) places, pitches; print within the clearance is of one kind."""
     steps = (np.arange(along) + 0.5) / along - 0.5
     places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     turn = np.arange(12) * np.pi / 6.0
@@ -214,9 +210,9 @@ def _border_mm(cells: _Cells, pitch_mm: float) -> Array:
 def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
     """Fit a circle to the border between bright and dark cells; without a border, one about the bright samples.
 
-    Linear least squares for x^2 + y^2 = 2 a x + 2 b y + c (Kåsa, 1976). If the border is almost straight or curved
-    the other way, the circle is one of twice the size of the bright part, on its side. The circle only divides the rim
-    into sections.
+    Linear least squares for x^2 + y^2 = 2 a x + 2 b y + c (Kåsa, 1976). The circle only divides the rim into sections:
+    if the
+    border is almost straight or curved the other way, it is one of twice the size of the bright part, on its side.
     """
     lit = samples.places_mm[samples.levels > 0.5]
     middle = lit.mean(axis=0)

@@ -1,11 +1,9 @@
 """The place of the rim in each of many sections of a circle, from samples of white print.
 
-A section is as long as a pitch of the grid. In each, the level of the samples falls from 1 to 0 across the rim. The
-fall is a logistic function of the distance, with one width for all sections of a view. A section counts if it has
-enough samples on both sides, and few on the wrong side. A section without a fall shows only that the rim lies beyond
-its outermost bright sample.
-
-The module uses samples with places and levels; it uses no image.
+A section is as long as a pitch of the grid. In each, the level of the samples falls from 1 to 0 across the rim, by a
+logistic function of the distance, with one width for all sections of a view. A section counts if it has enough samples
+on both sides, and few on the wrong side. A section without a fall shows only that the rim lies beyond its outermost
+bright sample. The module uses samples with places and levels, no image.
 """
 
 from __future__ import annotations
@@ -54,14 +52,9 @@ def rim_in_sections(
     pitch_mm: float,
     px_per_mm: float,
 ) -> RimPoints:
-    """Divide a circle into sections of one pitch and find the rim in each; elsewhere find the last bright point.
+    """Find the rim in each section of a circle, one pitch long; elsewhere the last bright point in the frame.
 
-    Own procedure; the head of the module describes it.
-    border_mm: (B, 2) float64, mm, places between neighbouring bright and dark cells.
-    centre: (2,) float64, mm, centre of the circle.
-    radius: Radius of the circle, mm.
-    pitch_mm: Distance of neighbouring stars, mm.
-    Returns: One point for each section that shows the rim, and one for each that is bright out to the frame's border.
+    Own procedure; the head of the module describes it. ``border_mm`` are (B, 2) places between bright and dark cells.
     """
     count = max(int(np.ceil(2.0 * np.pi * radius / pitch_mm)), 8)
     middle = (np.arange(count) + 0.5) * (2.0 * np.pi / count) - np.pi
@@ -130,9 +123,10 @@ def _start(
 def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, start: Array) -> _Fall:
     """Fit a logistic fall of the level in each section: its place and its slope along the rim; and one width for all.
 
-    Nonlinear least squares by Gauss-Newton (Björck, 1996, section 9.2). The level is 1 / (1 + exp((rho - place - slope
-    t) / width)), where t is the distance along the rim. The width with the smallest sum of squares is taken.
-    The sums have one minimum over the width, so no falls are tried that are wider than one that is clearly worse.
+    Nonlinear least squares by Gauss-Newton (Björck, 1996, section 9.2) of 1 / (1 + exp((rho - place - slope t) /
+    width)),
+    with t along the rim. The sums have one minimum over the width, so none is tried that is wider than a clearly worse
+    one.
     """
     level = np.clip(levels, -0.3, 1.3)
     nothing = np.full(len(start), np.nan)

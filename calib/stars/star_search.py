@@ -1,7 +1,7 @@
 """Search of a star around a guess: the place, in steps of one pixel, that correlates best with its pattern.
 
-The module uses a smoothed image and a `StarTemplate`. It decides nothing about the grid. All compiled functions of the
-search are here, next to those that they call.
+It uses a smoothed image and a `StarTemplate`, and decides nothing about the grid. All compiled functions of the search
+are here, next to those that they call.
 """
 
 from __future__ import annotations
@@ -130,17 +130,11 @@ def _correlation_partly(image: Any, across: int, below: int, places: _Places) ->
 def search_stars(
     image: Any, guesses: Any, linear: Any, reach_px: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
-    """Find the best place of a star around each guess, in steps of one pixel.
+    """Find the best place, px, of a star around each guess, in steps of one pixel, and its correlation, -1 to 1.
 
-    Criterion: normalised cross-correlation (Lewis, 1995).
-    image: (H, W) float32, smoothed.
-    guesses: (N, 2) float64, px.
-    linear: (N, 2, 2) float64, px per pitch, linear map around each star.
-    reach_px: (N,) float64, radius of the search, px.
-    template: Samples of a star.
-    sign: +1 if white is bright in the image, -1 if it is dark.
-    Returns: (N, 2) float64, px; nan if no place lies sufficiently inside the image.
-    Returns: (N,) float64, -1 to 1; nan as above.
+    Normalised cross-correlation (Lewis, 1995); nan if no place lies sufficiently inside the image, (H, W) float32,
+    smoothed.
+    Guesses (N, 2), px; linear maps (N, 2, 2), px per pitch; radii (N,), px; the sign is +1 if white is bright, else -1.
     """
     n, samples = len(guesses), template.values.size
     best, score = np.empty((n, 2)), np.empty(n)

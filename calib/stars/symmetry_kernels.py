@@ -25,9 +25,9 @@ _TWO, _THREE, _FOUR = np.float32(2.0), np.float32(3.0), np.float32(4.0)
 
 @njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the cubic B-spline at the four pixels around a point that lies ``a`` px beyond the second one.
+    """Return the cubic B-spline (Unser, 1999) at four pixels around a point ``a`` px beyond the second one.
 
-    Cubic B-spline: Unser (1999). Single precision here and below: twice as many samples are computed at once.
+    Single precision here and below: twice as many samples are computed at once.
     """
     b = _ONE - a
     return (
@@ -40,17 +40,14 @@ def _spline_weights(a: Any) -> tuple[Any, Any, Any, Any]:
 
 @njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the derivatives of `_spline_weights`, 1/px. Derivative of the cubic B-spline of Unser (1999)."""
+    """Return the derivatives of `_spline_weights`, 1/px (Unser, 1999)."""
     b = _ONE - a
     return (-_HALF * b * b, a * (_THREE * _HALF * a - _TWO), b * (_TWO - _THREE * _HALF * b), _HALF * a * a)
 
 
 @njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _along_row(pixels: Any, at: Any, weights: Any, slopes: Any) -> tuple[Any, Any]:
-    """Return the spline along four pixels of a row, from number ``at`` on, and its derivative.
-
-    Cubic B-spline: Unser (1999).
-    """
+    """Return the cubic B-spline (Unser, 1999) along four pixels of a row, from number ``at`` on, and its derivative."""
     at, one = np.uint64(at), np.uint64(1)
     p, q, s, t = pixels[at], pixels[at + one], pixels[at + one + one], pixels[at + one + one + one]
     across = weights[0] * p + weights[1] * q + weights[2] * s + weights[3] * t
@@ -64,9 +61,9 @@ def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any,
 
     ``pixels`` are its rows, one after the other. The point lies ``a`` px to the right of and ``b`` px below pixel
     number ``at``; ``width`` and ``at`` are int32. The point must be more than a pixel inside of the image.
-    The spline blurs a little more than bilinear interpolation, but it has no kinks at pixels. Bilinear values would
-    pull edges that run along the pixel grid towards the grid. Cubic B-spline: Unser (1999), with the pixels as
-    coefficients.
+    The spline blurs a little more than bilinear interpolation, but it has no kinks at pixels; bilinear values would
+    pull edges
+    that run along the pixel grid towards the grid. Unser (1999), with the pixels as coefficients.
     """
     wx, sx, wy, sy = _spline_weights(a), _spline_slopes(a), _spline_weights(b), _spline_slopes(b)
     # Written out, row by row: loops over the weights would not run over several samples at once.
@@ -101,14 +98,12 @@ def normal_equations(
     Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of `calib.stars.centring`
     gives the equations.
     pixels: (H W,) float32, rows of the smoothed image, one after the other.
-    centres: (N, 2) float64, px, current centres.
-    linear, quadratic: (N, 2, 2) px per pitch and (N, 2, 3) px per square pitch, local maps.
+    linear, quadratic: (N, 2, 2) px per pitch and (N, 2, 3) px per square pitch, local maps at the centres, (N, 2) px.
     samples: (2, M) float32, pitches, offsets along the columns and along the rows, one of each pair.
     used_to: (N, 2) float64, pitches, how far from its centre each star's cell is used.
     slopes: (N, 4) float64, current relative slope g, 1/pitch, and absolute slope b, brightness/pitch.
     space: (2, M) float32, space for the samples that are used and lie in the image.
-    normal, right: (N, 6, 6) and (N, 6) float64, filled in.
-    mean_square: (N,) float64, filled in, brightness^2; nan if too few samples lie in the image.
+    normal, right, mean_square: (N, 6, 6), (N, 6), (N,) float64, filled in; nan if too few samples lie in the image.
     """
     height, count, reach = pixels.size // width, samples.shape[1], 0.0
     for i in range(count):
@@ -146,10 +141,7 @@ def _copy_inside(
     used_to: Any,
     space: Any,
 ) -> tuple[Any, Any]:
-    """Copy the used samples whose two points lie more than a pixel inside of the image.
-
-    Returns: Their number, and the number of used samples.
-    """
+    """Copy used samples with both points over a pixel inside the image; return their number, and that of used ones."""
     n = used = np.int64(0)
     x, y, u_to, v_to = centre[0], centre[1], used_to[0], used_to[1]
     a00, a01, a10, a11 = linear[0, 0], linear[0, 1], linear[1, 0], linear[1, 1]

@@ -41,14 +41,12 @@ class TagDetection:
 def find_tag(
     image: NDArray[np.generic], target: StarTarget, *, name: str, reduced_only: bool = False
 ) -> TagDetection | None:
-    """Find the target's tag, at any roll and with either contrast.
+    """Find the target's tag, at any roll and with either contrast; None if the image shows no tag.
 
-    The detector gets the image reduced, blurred, unchanged and median filtered, until it finds the tag. Detector:
-    Garrido-Jurado et al. (2014). Tags: Olson (2011).
-    image: (H, W) of any integer or floating type.
-    reduced_only: Whether the detector gets only the reduced pictures, which takes a fifth of the time, if the image is
-      large enough for any. Other tags in them are then no reason to refuse the image.
-    Returns: None if the image shows no tag.
+    The detector (Garrido-Jurado et al., 2014; tags: Olson, 2011) gets the image reduced, blurred, unchanged and median
+    filtered, until it finds the tag. With ``reduced_only`` it gets only the reduced pictures, which takes a fifth of
+    the time,
+    if the image is large enough for any; other tags in them are then no reason to refuse the image.
     Raises TargetNotFound: If the image shows the tag more than once, or only another tag.
     """
     others: set[int] = set()
@@ -135,12 +133,9 @@ def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
 def modules_correlation(
     picture: NDArray[np.generic], scale: float, homography: NDArray[np.float64], target: StarTarget
 ) -> float:
-    """Return the correlation of the modules, at their centres, with the print.
+    """Return Pearson's correlation, -1 to 1, of the modules' centres with the print; 0 if they are all equally bright.
 
-    It is Pearson's correlation coefficient (NumPy's ``corrcoef``).
-    picture: (h, w), the image at some scale.
-    homography: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px of the full image.
-    Returns: -1 to 1; 0 if the modules are all equally bright.
+    The picture is at some scale; the homography is from [column row 1] of the target's grid to px of the full image.
     """
     left, top = target.tag_corners_mm[0] / target.pitch_mm
     middles = (np.arange(target.tag_modules) + 0.5) * (target.tag_squares / target.tag_modules)
@@ -155,12 +150,11 @@ def modules_correlation(
 def _refined_corners(
     picture: NDArray[np.float32], scale: float, corners: NDArray[np.float64], target: StarTarget
 ) -> NDArray[np.float64]:
-    """Fit lines to the outer edges of the border, and return their (4, 2) intersections.
+    """Fit lines to the outer edges of the border, and return their (4, 2) intersections; old corners if these are far.
 
     The edge is black inside, over the border of one module, and white outside, over the ring of half a square. The
-    profiles are as long as the narrower of the two. The old corners are returned if an intersection is far from its
-    corner. Own procedure: a step filter finds the edge on each profile. Lines through points and their intersections
-    are cross products (Hartley and Zisserman, 2004, section 2.2).
+    profiles are as long as the narrower of the two. Own procedure: a step filter finds the edge on each profile. Lines
+    through points and their intersections are cross products (Hartley and Zisserman, 2004, section 2.2).
     """
     side = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean()
     clear = side / max(target.tag_modules, 2 * target.tag_squares)

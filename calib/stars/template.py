@@ -1,7 +1,4 @@
-"""Whether a star is at a place of an image: correlation with the pattern of its segments.
-
-The module uses a single star at a guessed place and with a guessed linear map. It does not use neighbours or ids.
-"""
+"""Whether a star is at a guessed place: correlation with the pattern of its segments; no neighbours, no ids."""
 
 from __future__ import annotations
 
@@ -47,10 +44,9 @@ class StarTemplate(NamedTuple):
 
     @classmethod
     def of(cls, segments: int, radii: tuple[float, ...] = TEMPLATE_RADII) -> StarTemplate:
-        """Sample a star whose segments are counted from +Y, the first one white.
+        """Sample a star, as `calib.target` prints it, whose segments are counted from +Y, the first one white.
 
-        The pattern is that of `calib.target`, sampled at the shares `TEMPLATE_ACROSS` of each segment.
-        segments: Number of segments of a star.
+        It is sampled at the shares `TEMPLATE_ACROSS` of each segment.
         """
         across = np.array(TEMPLATE_ACROSS)
         turns = (np.arange(segments)[:, None] + across[None, :]).ravel() / segments
@@ -74,17 +70,12 @@ class StarTemplate(NamedTuple):
         linear: NDArray[np.float64],
         sign: float,
     ) -> StarTemplate | None:
-        """Learn from stars of an image what a star looks like in it.
+        """Learn from stars, right to a few px, what a star looks like in an image; None if the places show no stars.
 
         If the lens is out of focus and the image is black and white, white covers the middle of each star, and the
         black segments are short. The sharp pattern then correlates badly and is best a pixel or two off the centre.
         Own procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black
-        and white), as the print is. So the learnt pattern cannot move a centre.
-        image: (H, W) float32, smoothed.
-        centres: (N, 2) float64, px, right to a few pixels.
-        linear: (N, 2, 2) float64, px per pitch, linear map around each star.
-        sign: +1 if white is bright in the image, -1 if it is dark.
-        Returns: None if the places show no stars.
+        and white), as the print is. So the learnt pattern cannot move a centre. Linear maps are (N, 2, 2) px per pitch.
         """
         samples = _samples(image, centres, linear, self)
         samples = sign * samples[np.isfinite(samples).all(axis=1)]
@@ -124,16 +115,10 @@ def learnt_contrasts(
     template: StarTemplate,
     sign: float,
 ) -> NDArray[np.float64]:
-    """Measure how strongly each octant of each star shows a learnt pattern.
+    """Return how strongly each octant of each star shows a learnt pattern: (N, OCTANTS) brightness.
 
-    Own measure: the slope of the image over ``template.expected``, by least squares in each octant.
-    image: (H, W) float32, smoothed.
-    centres: (N, 2) float64, px.
-    linear: (N, 2, 2) float64, px per pitch, linear map around each star.
-    template: From `StarTemplate.learnt`.
-    sign: +1 if white is bright in the image, -1 if it is dark.
-    Returns: (N, OCTANTS) float64, brightness; nan if a part lies outside of the image. An octant in which the learnt
-      pattern is nearly flat gets the median of the star's others.
+    Own measure: the slope of the image over ``template.expected``, by least squares in each octant; nan if a part lies
+    outside of the image. An octant in which the learnt pattern is nearly flat gets the median of the star's others.
     """
     seen = sign * _samples(image, centres, linear, template)
     slopes, squares = np.empty((len(centres), OCTANTS)), np.empty(OCTANTS)
@@ -149,10 +134,7 @@ def learnt_contrasts(
 
 @njit(**INNER)
 def _sample(image: Any, x: float, y: float) -> float:
-    """Return the bilinear value of the image at a point; nan outside.
-
-    Source: Abramowitz and Stegun (1972), section 25.2.
-    """
+    """Return the bilinear value of the image at a point; nan outside (Abramowitz and Stegun, 1972, section 25.2)."""
     if not (0.0 <= x < image.shape[1] - 1 and 0.0 <= y < image.shape[0] - 1):
         return np.nan
     c, r = int(x), int(y)
@@ -203,17 +185,13 @@ def _correlation(seen: Any, template: StarTemplate) -> float:
 def star_contrasts(
     image: Any, centres: Any, linear: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
-    """Measure how well each star correlates with its pattern, and its contrast in each octant.
+    """Return each star's correlation with its pattern, (N,) -1 to 1, and its contrast by octants, (N, OCTANTS).
 
-    Correlation: Lewis (1995). The contrast by octants is this project's own.
-    image: (H, W) float32, smoothed.
-    centres: (N, 2) float64, px.
-    linear: (N, 2, 2) float64, px per pitch, linear map around each star.
-    template: Samples of a star.
-    sign: +1 if white is bright in the image, -1 if it is dark.
-    Returns: (N,) float64, -1 to 1; nan if too much of the star lies outside of the image.
-    Returns: (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each octant. An
-      octant with more white than black, or one of them only, is compared with the mean of the star.
+    Correlation: Lewis (1995); nan if too much of the star lies outside of the image. Own contrast: mean of white minus
+      mean of
+    black in the outer part of each octant; an octant with more white than black, or one of them only, is compared with
+    the
+    mean of the star. Centres (N, 2), px; linear maps (N, 2, 2), px per pitch; the sign is +1 if white is bright.
     """
     n = len(centres)
     score, contrast = np.empty(n), np.empty((n, OCTANTS))

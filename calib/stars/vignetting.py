@@ -2,7 +2,7 @@
 
 At the rim of the beam the light falls off across a star, which moves its edges. The edges of all such stars move
 outwards. The covariances from a star's own pixels do not show this shift, and the focal length would absorb it.
-The module uses views and the target's grid. It uses no images and no camera model.
+The module uses no images and no camera model.
 """
 
 from __future__ import annotations
@@ -25,13 +25,9 @@ _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j)
 
 
 def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
-    """Find the stars that lack a neighbour although the neighbour would lie inside the frame.
+    """Find the outermost stars of the beam: those without a neighbour that would lie inside the frame.
 
-    Own rule. The neighbour must be expected more than `_BORDER_PITCHES` pitches from the border.
-    Returns: (N,) bool, True for the outermost stars of the beam. A star next to the border of the frame or to the tag
-      is not one for that reason.
-    Raises TooFewStars, DegenerateViews: From `calib.model.homography.view_homography`, if the stars do not determine a
-      homography.
+    Own rule: the neighbour must be expected more than `_BORDER_PITCHES` from the frame's border, and not at the tag.
     """
     mapping = view_homography(view)
     nodes = target.node_of(view.ids)
@@ -47,12 +43,6 @@ def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
 
 
 def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNETTED_SIGMA_PX) -> View:
-    """Increase the covariances of the vignetted stars of a view.
-
-    Own model of the shift, as an independent error: variances add up.
-    sigma_px: Standard uncertainty to add, px, per axis.
-    Returns: The same stars. The variances of the vignetted ones are larger by the square of ``sigma_px``.
-    Raises TooFewStars, DegenerateViews: As `vignetted_stars`.
-    """
+    """Add the variance of ``sigma_px``, per axis, to a view's vignetted stars: an independent error (own model)."""
     added = np.where(vignetted_stars(view, target), sigma_px**2, 0.0)
     return replace(view, covariances_px2=view.covariances_px2 + added[:, None, None] * np.eye(2))

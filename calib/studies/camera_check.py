@@ -103,12 +103,11 @@ def check_camera(
     found_covariance: Array,
     rng: np.random.Generator,
 ) -> CameraCheck:
-    """Compare the camera of new views with a stated one.
+    """Compare the camera of new views with a stated one, both with the same image size.
 
-    stated_covariance, found_covariance: (K, K) covariance in the order of `CameraModel.parameter_names`; None counts as
-      exact.
-    rng: Draws the changes that the uncertainties allow; the factor k follows from their largest ones.
-    Raises InputMismatch: If the images have another size.
+    Covariances are in the order of `CameraModel.parameter_names`; None is exact. The generator draws the changes that
+    the
+    uncertainties allow; the factor k follows from their largest ones.
     """
     if stated.image_size != found.image_size:
         sizes = [" x ".join(str(side) for side in one.image_size) for one in (stated, found)]

@@ -62,9 +62,8 @@ class ClockOffset:
 
 
 def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence[int] | Array) -> ClockOffset:
-    """Estimate offset and rate of the second clock by least squares, from the rising edges of one recording.
+    """Estimate offset and rate of the second clock by least squares, from the rising edges of one recording, us.
 
-    first_us, second_us: Times of the edges by each camera's own clock, us.
     Raises InputMismatch: If there are too few edges, or the two cameras did not record the same signal together.
     """
     first, second = (np.unique(np.asarray(times, np.float64)) for times in (first_us, second_us))

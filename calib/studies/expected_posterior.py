@@ -53,10 +53,7 @@ _LIMIT = 1.0
 
 
 def expected_options(bench: ExpectedBench, angles_deg: Sequence[Angles]) -> CalibrationOptions:
-    """Return the options of the calibration that a bench expects.
-
-    angles_deg: Angles of the gimbal for each view, degrees.
-    """
+    """Return the options of the calibration that a bench expects at the gimbal's angles of each view."""
     readings = bench.readings
     return CalibrationOptions(
         passport=bench.passport,
@@ -69,11 +66,7 @@ def expected_options(bench: ExpectedBench, angles_deg: Sequence[Angles]) -> Cali
 def posed_bench(
     bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
 ) -> tuple[Problem, State]:
-    """Return the adjustment of predicted views at the expected bench.
-
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg: Angles of the gimbal for each view, degrees.
-    """
+    """Return the adjustment of predicted views with (n, 3, 3) rotations, camera <- target, at the expected bench."""
     lens = lens_names(tuple(bench.camera.distortion))
     start = AdjustmentParameters(bench.camera, bench.collimator, rotations, np.zeros((len(views), 3)))
     return posed(views, expected_options(bench, angles_deg), start, lens)
@@ -116,12 +109,7 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
 def expected_posterior(
     bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
 ) -> Posterior:
-    """Return the posterior that planned views are expected to give.
-
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg: Angles of the gimbal for each view, degrees.
-    Raises DegenerateViews: If they do not determine the camera.
-    """
+    """Return the posterior that planned views with (n, 3, 3) rotations, camera <- target, are expected to give."""
     problem, state = posed_bench(bench, views, rotations, angles_deg)
     marginal = Marginal(problem, problem.bench.linearised(state, _LIMIT), state)
     hyper = problem.hyper
@@ -161,12 +149,7 @@ class Sigmas:
 
 
 class PoseGains:
-    """The information of poses, some of which will be recorded.
-
-    views: Predicted views, one for each pose.
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg: Angles of the gimbal for each view, degrees.
-    """
+    """The information of poses, a predicted view and a rotation, camera <- target, each; some will be recorded."""
 
     def __init__(
         self, bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
@@ -206,7 +189,7 @@ class PoseGains:
         return Sigmas(float(np.sqrt(max(camera[0, 0], 0.0))), float(np.sqrt(max(worst, 0.0))))
 
     def with_pose(self, covariance: Array, place: int, weight: float) -> Sigmas:
-        """Return what a further pose leaves. covariance: (S, S) without it."""
+        """Return what a further pose leaves of the (S, S) covariance without it."""
         moved, own = self._maps[place] @ covariance, weight * self._own[place]
         inside = np.eye(len(own)) + own @ moved @ self._maps[place].T
         at = moved[:, : self._camera]
@@ -264,20 +247,14 @@ SHARED_ERROR_DEG = 1.5
 
 
 def distance_deg(one: Angles, other: Angles) -> float:
-    """Return the largest difference between the angles of two poses.
-
-    one, other: Angles of the gimbal, degrees; missing angles are zero.
-    Returns: Difference, degrees.
-    """
+    """Return the largest difference, degrees, between the angles of two poses; missing angles are zero."""
     return max((abs(one.get(axis, 0.0) - other.get(axis, 0.0)) for axis in {*one, *other}), default=0.0)
 
 
 def share_of_news(pose: Angles, others: Iterable[Angles]) -> float:
-    """Return the share of a pose's information that other poses do not hold yet. Own choice of the function.
+    """Return the share of a pose's information, 0 to 1, that other poses do not hold yet.
 
-    pose: Angles of the pose, degrees.
-    others: Angles of the other poses, degrees.
-    Returns: Share, 0 to 1; 1 without other poses.
+    Own choice of the function.
     """
     nearest = min((distance_deg(pose, other) for other in others), default=np.inf)
     return float(1.0 - np.exp(-((nearest / SHARED_ERROR_DEG) ** 2)))

@@ -54,12 +54,10 @@ class GimbalFault:
 def search_faults(
     seen: SeenRotations, first: Explanation, axes: tuple[int, ...]
 ) -> tuple[Explanation, tuple[GimbalFault, ...]]:
-    """Add one fault after the other, as long as the fit improves by more than chance.
+    """Add one fault after the other, as long as the fit improves by more than chance; the most significant is first.
 
     Forward selection with F tests (Efroymson, 1960) and Bonferroni's bound for the number of faults tried. A bad pose
     is removed, so that it cannot hide or imitate a slip.
-    first: Explanation without faults.
-    Returns: The faults, the most significant first.
     """
     current, faults = first, []
     for _ in range(_ROUNDS):

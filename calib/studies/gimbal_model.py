@@ -33,12 +33,11 @@ _MAD = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class GimbalModel:
-    """The readings of a gimbal and the errors of it that are estimated.
+    """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, and the errors of it that are estimated.
 
-    angles: (n, 3) float64 readings of pan, tilt and roll, degrees.
-    slips: For each slip the index of its axis, and the index of the first pose after it.
-    squareness: Whether the error of the right angle between the pan axis and the tilt axis is estimated.
-    smooth: Whether an error of the rotations that is quadratic in the angles is estimated.
+    A slip has the index of its axis and of the first pose after it; squareness is the error of the right angle of pan
+    and tilt;
+    smooth is an error of the rotations that is quadratic in the angles.
     """
 
     angles: Array
@@ -71,20 +70,16 @@ class GimbalModel:
         return np.concatenate([column[:, None, None] * np.eye(3) for column in products], axis=2)
 
     def subset(self, kept: NDArray[np.int64]) -> GimbalModel:
-        """Return the model of a part of the poses.
-
-        kept: (k,) int64 increasing indices of the poses kept.
-        Returns: Model with the same errors; a slip begins at the first kept pose after it.
-        """
+        """Return the model of (k,) poses, increasing; a slip begins at the first kept pose after it."""
         slips = tuple((axis, int(np.searchsorted(kept, first))) for axis, first in self.slips)
         return replace(self, angles=self.angles[kept], slips=slips)
 
     def heads(self, values: Array) -> tuple[Array, Array]:
-        """Return the rotations of the head that the readings and the errors give, and their derivatives.
+        """Return the (n, 3, 3) rotations, head <- base, by readings and errors, and their (n, 3, d) derivatives.
 
-        values: (p,) scales, slips (rad), squareness (rad) and coefficients of the bends (rad).
-        Returns: (n, 3, 3) rotations, gimbal's head <- base; and (n, 3, d) derivatives by the values before the bends,
-          as rotation vectors about the head's axes.
+        The derivatives are rotation vectors about the head's axes.
+        The (p,) values are scales, slips, squareness and coefficients of the bends (rad); derivatives are by those
+        before these.
         """
         read, count = np.deg2rad(self.angles), len(self.free)
         turned = read.copy()
@@ -120,14 +115,12 @@ class PairRatios:
 def pair_ratios(
     rotations: Array, model: GimbalModel, covariance: Array, offsets: Array | None = None
 ) -> PairRatios | None:
-    """Compare seen and read angles of all pairs of poses.
+    """Compare seen and read angles of all pairs of poses; None if no pair turned by half a degree or more.
 
     The ratio of each axis minimises the sum of the absolute differences of the angles (least absolute deviations, by
-    iteratively reweighted least squares; Holland and Welsch, 1977).
-    rotations: (n, 3, 3) rotations seen, camera <- target.
-    covariance: (3 n, 3 n) covariance of the rotation vectors, rad^2.
-    offsets: (s,) slips of the model, rad; None for no slip.
-    Returns: None if no pair turned by half a degree or more.
+    iteratively reweighted least squares; Holland and Welsch, 1977). Rotations are camera <- target, covariances of
+    rotation
+    vectors (3 n, 3 n), rad^2; offsets are (s,) slips, rad.
     """
     i, j = np.triu_indices(len(rotations), 1)
     turns = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))
@@ -154,12 +147,7 @@ def pair_ratios(
 
 
 def weighted_median(values: Array, weights: Array) -> float:
-    """Return the weighted median: half of the weight lies below it.
-
-    Source: Edgeworth (1888).
-    values: (n,) values.
-    weights: (n,) weights, positive.
-    """
+    """Return the weighted median: half of the weight, which is positive, lies below it (Edgeworth, 1888)."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(below, 0.5 * below[-1])])
@@ -184,10 +172,7 @@ def _regression(
     pairs: tuple[NDArray[np.int_], NDArray[np.int_], Array],
     answer: Array,
 ) -> tuple[dict[int, float], dict[int, Array]]:
-    """Return the ratio of each axis, and its derivatives by the rotations.
-
-    Least absolute deviations: Holland and Welsch (1977).
-    """
+    """Return the ratio of each axis, and its derivatives by the rotations (as `pair_ratios`)."""
     i, j, seen = pairs
     count = len(model.free)
     if not count or len(seen) < count:

@@ -103,10 +103,7 @@ class Findings:
 
 
 def judge(found: Findings) -> Verdict:
-    """Return the verdict.
-
-    Returns: Faults come first, then reasons not to claim a scale, then the scale, then scatter.
-    """
+    """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
     kinds: list[VerdictKind] = []
     says: list[str] = []
     for fault in found.faults:
@@ -140,20 +137,13 @@ def judge(found: Findings) -> Verdict:
 
 
 def angle(degrees: float) -> str:
-    """Print an angle: degrees from 0.1 degrees on, arc seconds below.
-
-    degrees: The angle, degrees; the sign is not printed.
-    """
+    """Print an angle without its sign: degrees from 0.1 degrees on, arc seconds below."""
     size = abs(degrees)
     return f"{size:#.2g} degrees" if size >= 0.1 else f"{_plain(3600 * size)} arc seconds"
 
 
 def angle_and_uncertainty(degrees: float, sigma_deg: float) -> str:
-    """Print an angle and its expanded uncertainty, in the unit that `angle` takes for the angle.
-
-    degrees: The angle, degrees; the sign is not printed.
-    sigma_deg: Its standard uncertainty, degrees.
-    """
+    """Print an angle without its sign, and its expanded uncertainty (from 1-sigma), in the unit that `angle` takes."""
     factor, unit = (1.0, "degrees") if abs(degrees) >= 0.1 else (3600.0, "arc seconds")
     expanded = 2 * factor * sigma_deg
     decimals = _decimals(expanded)

@@ -97,19 +97,14 @@ def check_hand_eye(
     birge_ratio: float = 1.0,
     names: Sequence[str] = (),
 ) -> HandEyeCheck:
-    """Compare the readings of a gimbal with the rotations of a calibration.
+    """Compare the readings of a gimbal, in the order in which they were taken, with the rotations of a calibration.
 
     The unknown rotations and scales are estimated by generalised least squares. Robot-world and hand-eye equation:
     Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
-    covariance: Paule and Mandel (1982).
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    covariance: (3 n, 3 n) joint covariance of their rotation vectors, rad^2 (`Calibration.rotation_covariance`).
-    readings_deg: For each view the readings of its axes, degrees, in the order in which they were taken: any of
-      ``pan_deg``, ``tilt_deg``, ``roll_deg``.
-    focal_uncertainty: Expanded uncertainty U of the calibration's focal length as a share of it; None for twice the
-      1-sigma of the scales.
-    birge_ratio: How many times more than star noise explains the views of the calibration differ
-      (`Calibration.birge_ratio`).
+    covariance: Paule and Mandel (1982). Rotations, covariance (of `Calibration.rotation_covariance`) and Birge ratio
+      are those
+    of a `Calibration`. ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the 1-sigma of
+    the scales.
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """

@@ -42,12 +42,7 @@ _SAME = 1e-3
 
 @dataclass(frozen=True)
 class Metric:
-    """Covariance of the rotations, ready for weighting.
-
-    eigenvalues: (3 n,) float64 eigenvalues of the stated covariance, rad^2.
-    vectors: (3 n, 3 n) float64 its eigenvectors, as columns.
-    excess: Additional variance of each component of each rotation, rad^2.
-    """
+    """Covariance of the rotations, ready for weighting: eigenvalues, eigenvectors in columns, and excess, all rad^2."""
 
     eigenvalues: Array
     vectors: Array
@@ -55,11 +50,7 @@ class Metric:
 
     @classmethod
     def of(cls, covariance: Array) -> Metric:
-        """Return the metric of a covariance.
-
-        covariance: (3 n, 3 n) covariance of the rotation vectors, rad^2.
-        Returns: Without additional variance.
-        """
+        """Return the metric of a (3 n, 3 n) covariance of rotation vectors, rad^2, without additional variance."""
         eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
         return cls(np.maximum(eigenvalues, 0.0), vectors)
 
@@ -94,10 +85,7 @@ class GimbalFit:
         return len(self.off) - int(np.linalg.matrix_rank(_unit_columns(self.jacobian)[0], tol=_DETERMINED))
 
     def undetermined_scales(self) -> bool:
-        """Return whether a direction that the rotations do not determine changes a scale.
-
-        Returns: True if different scales give the same rotations.
-        """
+        """Return whether different scales give the same rotations: an undetermined direction changes a scale."""
         columns, _ = _unit_columns(self.jacobian)
         _, singular, vt = np.linalg.svd(columns)
         null = vt[np.append(singular, np.zeros(len(vt) - len(singular))) <= _DETERMINED * singular[0]]
@@ -115,16 +103,11 @@ class GimbalFit:
 def seen_minus_read(
     rotations: Array, model: GimbalModel, camera_from_head: Array, base_from_target: Array, values: Array
 ) -> tuple[Array, Array]:
-    """Return the differences between seen and read rotations, and their derivatives.
+    """Return (3 n,) seen minus read rotations, rad, and (3 n, 6 + p) derivatives of the latter by A, B and values.
 
     Own derivation: with R = E A G B, a rotation vector a on the left of A turns R by E a, and b on the left of B turns
-    it by E A G b. A motor turns the head about its own axis.
-    The bends are small, so that their derivative is taken at E = 1.
-    rotations: (n, 3, 3) rotations seen, camera <- target.
-    camera_from_head: (3, 3) rotation A.
-    base_from_target: (3, 3) rotation B.
-    values: (p,) values of the errors.
-    Returns: (3 n,) seen minus read, rad; and (3 n, 6 + p) derivatives of the read rotations by A, B and the values.
+    it by E A G b. A motor turns the head about its own axis. The bends are small, so their derivative is taken at E =
+    1.
     """
     bends = model.bends
     direct = model.parameter_count - bends.shape[2]
@@ -145,13 +128,7 @@ def refine(
     base_from_target: Array,
     values: Array,
 ) -> GimbalFit:
-    """Refine a start by the method of Levenberg (1944) and Marquardt (1963).
-
-    rotations: (n, 3, 3) rotations seen, camera <- target.
-    camera_from_head: (3, 3) start of A.
-    base_from_target: (3, 3) start of B.
-    values: (p,) start of the errors.
-    """
+    """Refine a start of A, B and the (p,) values by the method of Levenberg (1944) and Marquardt (1963)."""
 
     def at(a: Array, b: Array, p: Array) -> GimbalFit:
         off, jacobian = seen_minus_read(rotations, model, a, b, p)
@@ -183,12 +160,11 @@ def refine(
 
 
 def global_fit(rotations: Array, model: GimbalModel, metric: Metric, values: Array) -> list[GimbalFit]:
-    """Refine from all mountings that fit the rotations, and return the minima that were found.
+    """Refine from all mountings that fit the rotations; return the minima that were found, by increasing chi-square.
 
-    rotations: (n, 3, 3) rotations seen, camera <- target.
-    values: (p,) start of the errors.
-    Returns: Minima by increasing chi-square. Minima with a scale below half or above twice its start are last, because
-      a pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
+    Minima with a scale below half or above twice its start are last, because a pan-tilt head with both A and the sign
+    of an
+    axis reversed gives the same rotations.
     """
     tried: list[Array] = []
     found = []
@@ -200,12 +176,10 @@ def global_fit(rotations: Array, model: GimbalModel, metric: Metric, values: Arr
 
 
 def mirrored_forward(rotations: Array, fit: GimbalFit, metric: Metric) -> GimbalFit:
-    """Return the mirror image of a fit whose scales are positive, if the fit has negative scales.
+    """Return the mirror image of a fit whose scales are positive, if the fit has negative scales and there is one.
 
     Half a turn of A and B about x reverses pan and roll, about y tilt and roll, about z pan and tilt. The rotations of
     the camera stay the same.
-    rotations: (n, 3, 3) rotations seen, camera <- target.
-    Returns: The fit itself if no mirror image has positive scales only.
     """
     model, count = fit.model, len(fit.model.free)
     negative = fit.values[:count] < 0
@@ -227,10 +201,9 @@ def mirrored_forward(rotations: Array, fit: GimbalFit, metric: Metric) -> Gimbal
 
 
 def scales_near(fit: GimbalFit, values: Array) -> bool:
-    """Return whether all scales lie between half and twice their start.
+    """Return whether all scales, which come first, lie between half and twice their start, the (p,) values.
 
-    values: (p,) start of the errors; the scales come first.
-    Returns: False for a scale that is negative or absurd, and for axes half a turn away from a right angle.
+    False for a scale that is negative or absurd, and for axes half a turn away from a right angle.
     """
     model, count = fit.model, len(fit.model.free)
     ratio = fit.values[:count] / values[:count]
@@ -267,22 +240,14 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class SeenRotations:
-    """Rotations seen, with their stated covariance.
-
-    rotations: (n, 3, 3) float64 rotations, camera <- target.
-    covariance: (3 n, 3 n) float64 joint covariance of the rotation vectors, rad^2.
-    """
+    """Rotations seen, (n, 3, 3), camera <- target, and the (3 n, 3 n) covariance, rad^2, of their rotation vectors."""
 
     rotations: Array
     covariance: Array
     _metrics: dict[tuple[int, ...], Metric] = field(default_factory=dict, init=False, repr=False)
 
     def metric(self, kept: NDArray[np.int64]) -> Metric:
-        """Return the stated metric of a part of the poses.
-
-        kept: (k,) int64 indices of the poses.
-        Returns: Without additional variance.
-        """
+        """Return the stated metric of (k,) poses, without additional variance."""
         key = tuple(kept.tolist())
         if key not in self._metrics:
             rows = (3 * kept[:, None] + np.arange(3)).ravel()
@@ -295,10 +260,7 @@ class SeenRotations:
         """Fit a model, and estimate the scatter that the stated covariance does not explain.
 
         The additional variance makes the chi-square equal to its degrees of freedom (Paule and Mandel, 1982). It is
-        zero if the chi-square is below its 99.9 % quantile without it.
-        kept: (k,) int64 increasing indices of the poses used.
-        values: (p,) start of the values.
-        Returns: The fit with the additional variance.
+        zero if the chi-square is below its 99.9 % quantile without it. The (k,) poses used increase.
         """
         seen, stated = self.rotations[kept], self.metric(kept)
         start = replace(stated, excess=1.0)
@@ -330,11 +292,7 @@ class SeenRotations:
         return Explanation(kept, fit, metric, self.information_criterion(fit, kept, metric.excess))
 
     def chi_square(self, known: Explanation, excess: float) -> float:
-        """Return the chi-square of an explanation with another additional variance.
-
-        excess: Additional variance, rad^2.
-        Returns: Chi-square of its fit, refined with this variance.
-        """
+        """Return the chi-square of an explanation, refined with another additional variance, rad^2."""
         fit = known.fit
         return refine(
             self.rotations[known.kept],
@@ -346,11 +304,7 @@ class SeenRotations:
         ).chi_square
 
     def information_criterion(self, fit: GimbalFit, kept: NDArray[np.int64], excess: float) -> float:
-        """Return the Bayesian information criterion (Schwarz, 1978); each left-out pose counts three parameters.
-
-        kept: (k,) int64 indices of the poses kept.
-        excess: Additional variance, rad^2.
-        """
+        """Return the Bayesian information criterion (Schwarz, 1978); each left-out pose counts three parameters."""
         variances = self.metric(np.arange(len(self.rotations))).eigenvalues + excess
         count = 3 * len(self.rotations)
         parameters = len(fit.off) - fit.degrees_of_freedom() + count - 3 * len(kept)
@@ -359,11 +313,7 @@ class SeenRotations:
 
 
 def first_explanation(seen: SeenRotations, model: GimbalModel, values: Array) -> Explanation:
-    """Fit the gimbal without faults from several starts.
-
-    values: (p,) start of the scales.
-    Returns: The lowest minimum. The first search uses equal weights for all rotations.
-    """
+    """Fit the gimbal without faults from several starts; the first search weighs all rotations equally."""
     kept = np.arange(len(seen.rotations))
     equal = replace(seen.metric(kept), excess=1.0)
     wide = global_fit(seen.rotations, model, equal, values)[0]

@@ -1,6 +1,6 @@
 """Monte Carlo studies: a calibration repeated on predicted views with noise, to test the stated uncertainties.
 
-The principle is that of JCGM 101:2008. Each run has its own random seed, so that a single run can be repeated.
+The principle is that of JCGM 101:2008. Each run has its own random seed, so that it can be repeated.
 """
 
 from __future__ import annotations
@@ -91,16 +91,12 @@ def calibrate_once(
     drift_mm: float = 0.0,
     outliers: float = 0.0,
 ) -> Repetition:
-    """Calibrate predicted views with the noise of one run of a study.
+    """Calibrate predicted views with the noise of one run, from 0, of a study; return the result, or why there is none.
 
-    Draws from the stated distributions: JCGM 101:2008.
-    bench: True camera, collimator, beam and star noise.
-    poses_deg: For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-    seed: Random seed of the study; with the number of a run it gives the seed of that run.
-    run: Number of the run, from 0.
-    drift_mm: 1-sigma per axis of each view's centre about the shared one, mm.
-    outliers: Share of the stars that are outliers, with an error of 2 px (1 sigma per axis).
-    Returns: The result, or why there is none.
+    Draws from the stated distributions: JCGM 101:2008. Seed of the study and number of the run give the run's seed.
+    ``drift_mm`` is 1-sigma per axis of each view's centre about the shared one. ``outliers`` is the share of stars with
+      an
+    error of 2 px (1 sigma per axis).
     """
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     rng = np.random.default_rng([seed, run])
@@ -117,12 +113,7 @@ def calibrate_once(
 
 
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
-    """Put the runs of a study together.
-
-    bench: True camera and collimator.
-    outcomes: The runs, in their order.
-    Raises NotConverged: If no calibration has a result.
-    """
+    """Put the runs of a study together, in their order; at least one must have a result."""
     good = [one for one in outcomes if not one.failed]
     failed = tuple(one.failed for one in outcomes if one.failed)
     if not good:

@@ -72,10 +72,8 @@ class OneViewCheck:
 
 @on_one_thread
 def check_one_view(camera: CameraModel, covariance: Array | None, view: View) -> OneViewCheck:
-    """Check a stated camera by one view.
+    """Check a stated camera by one view; covariance as `CameraModel.parameter_names`, None is exact.
 
-    covariance: (K, K) of the stated camera in the order of `CameraModel.parameter_names`; None counts as exact.
-    Raises InputMismatch: If the image has another size.
     Raises DegenerateViews: If there are too few points, or the stated camera sees no plane target there.
     """
     if camera.image_size != view.image_size:
@@ -130,10 +128,7 @@ class _Seen:
 def _best_pose(
     camera: CameraModel, points: Array, target: Array, whitening: Array
 ) -> tuple[Array, Array, Array]:
-    """Adjust the pose with the camera held, by Gauss and Newton.
-
-    Returns: Whitened (2 N,) residuals, (2 N, 6) derivatives by the pose, (2 N, K) by the camera.
-    """
+    """Adjust the pose; return whitened (2 N,) residuals, derivatives by the pose, (2 N, 6), and by the camera."""
     rays = camera.rays(points)
     plane = np.column_stack([target, np.zeros(len(target))])
     homography = fit_homography(target, rays[:, :2] / rays[:, 2:])
@@ -161,10 +156,7 @@ def _best_pose(
 def _judge(
     camera: CameraModel, covariance: Array | None, points: Array, seen: _Seen, least: float
 ) -> OneViewCheck:
-    """Compare what changes of the camera explain with the noise and with the stated covariance.
-
-    least: Least variance of a whitened residual.
-    """
+    """Compare what changes of the camera explain with the noise, of variance ``least`` or more, and its covariance."""
     along = seen.basis.T @ seen.residuals
     over = seen.residuals - seen.basis @ along
     freedom = len(over) - 6 - len(along)

@@ -113,14 +113,10 @@ class PupilWalk:
         return found, pivot
 
     def parallax(self, defocus: float, defocus_sigma: float, *, r_mm: float, fx_px: float) -> Parallax:
-        """Return the parallax that follows from the defocus of the collimator.
+        """Return the parallax that follows from the collimator's defocus, dimensionless, and its standard uncertainty.
 
         Product of two independent quantities: `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the
         opposite share of fx.
-        defocus, defocus_sigma: Defocus of the collimator and its standard uncertainty, dimensionless.
-        r_mm: Radius of the collimator, mm.
-        fx_px: Focal length of the camera, px.
-        Raises InputMismatch: If a number is not finite, or the uncertainty is negative.
         """
         bound = ParallaxBound(defocus, defocus_sigma, self.pupil_off_pivot_mm, self.sigma_mm)
         share, sigma = bound.mean_and_sigma(r_mm)
@@ -128,14 +124,12 @@ class PupilWalk:
 
 
 def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) -> PupilWalk:
-    """Measure how the disc of the beam moves when the camera turns.
+    """Measure how the disc of the beam moves when the camera turns, from rotations camera <- target.
 
     The walk is the posterior mean of the motion in the joint fit of all rims. Mean of x and y: generalised least
     squares (Aitken, 1935) with weights from 0 to 1. Errors of the rotations and of the collimator's radius change the
-    walk by their own share of it only, and are neglected.
-    views: Views of one bench. Views whose images were not searched for the rim take no part.
-    rotations: (n, 3, 3) rotation of each view, camera <- target.
-    Raises InputMismatch: If there is not one rotation for each view.
+    walk by their own share of it only, and are neglected. Views whose images were not searched for the rim take no
+    part.
     Raises DegenerateViews: If fewer than three views show the rim, or if the rims do not determine the walk.
     """
     if len(rotations) != len(views):

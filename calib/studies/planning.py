@@ -1,7 +1,6 @@
-"""Planning: the uncertainty that a set of poses will give.
+"""Planning: the uncertainty that a set of poses will give; repeats of a pose count as one.
 
-A forecast is the posterior of the joint adjustment on predicted views (`calib.studies.expected_posterior`). Repeats of
-a pose count as one.
+A forecast is the posterior of the joint adjustment on predicted views (`calib.studies.expected_posterior`).
 """
 
 from __future__ import annotations

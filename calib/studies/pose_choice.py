@@ -43,12 +43,11 @@ def next_poses(
     candidates_deg: Sequence[Angles],
     count: int = 1,
 ) -> tuple[WeighedPose, ...]:
-    """Return the poses that lower the worst projection uncertainty most, before a gimbal that stands straight.
+    """Return the poses that lower the worst projection uncertainty most, the best first, before a straight gimbal.
 
-    taken_deg: Poses already planned, degrees; may be empty.
-    candidates_deg: Poses to choose from, degrees, within the station's limits; those that show too little are skipped.
-    count: Number of poses to choose; each candidate is chosen at most once.
-    Returns: The chosen poses, the best first.
+    The candidates, degrees, lie within the station's limits; those that show too little are skipped; each is chosen at
+    most
+    once.
     Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
     Raises DegenerateViews: If too few candidates show the target.
     """
@@ -61,10 +60,9 @@ def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
     """Fit the gimbal to the poses recorded so far, well enough to predict what a pose shows.
 
     Without three or more views turned about two axes, the camera is assumed to be mounted straight, and only the base
-    is fitted: the mean of the rotations that the views give, projected on the rotations (Moakher, 2002).
-    rotations: (n, 3, 3) rotations of the views, camera <- target.
-    readings_deg: For each view, ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-    Returns: The gimbal; without views, one that stands straight before the target.
+    is fitted: the mean of the rotations that the views give, projected on the rotations (Moakher, 2002). Without views,
+      the
+    gimbal stands straight before the target. Missing angles are zero.
     """
     if not len(rotations):
         return Gimbal()
@@ -85,14 +83,10 @@ class WeighedPose:
 
 
 class PoseWeigher:
-    """Weighs possible poses against the poses recorded so far.
+    """Weighs possible poses against those recorded, not those that failed, with ``min_stars`` or more.
 
-    Uncertainties are those of the joint adjustment for the expected amplitudes. The discount for neighbouring poses is
-    this project's own.
-    bench: Bench as it is known now: camera and collimator of the last calibration, or the expected ones.
-    taken_deg: Angles of the poses recorded so far, degrees.
-    refused_deg: Angles of the poses that failed, degrees.
-    min_stars: Fewest stars that a pose must show.
+    Uncertainties are those of the joint adjustment for the expected amplitudes, with camera and collimator of the last
+    calibration, or the expected ones. The discount for neighbouring poses is this project's own.
     """
 
     def __init__(
@@ -126,9 +120,8 @@ class PoseWeigher:
             self.before = gains.sigmas(gains.covariance(self._news))
 
     def best(self, candidates_deg: Iterable[Angles], count: int) -> tuple[WeighedPose, ...]:
-        """Return the poses that leave the least at the worst point, chosen one after the other (greedy).
+        """Return the poses that leave the least at the worst point, one after the other (greedy; own), none twice.
 
-        No pose repeats another one. The greedy choice is this project's own.
         Raises DegenerateViews: If too few of the poses show the target.
         """
         shown = self._possible(candidates_deg)

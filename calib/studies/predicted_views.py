@@ -45,16 +45,14 @@ _KEYSTONE = 0.09
 
 @dataclass(frozen=True)
 class CollimatorErrors:
-    """Size of the errors of a collimator.
+    """Size of the errors of a collimator, finite and not negative.
 
-    rms_px: Root mean square length of the errors that follow the collimator, star noise included, px; 0 for an ideal
-      collimator.
-    pupil_wander_mm: Random displacement of the camera's entrance pupil across the beam from pose to pose, 1 sigma per
-      axis, mm: 0 if a gimbal holds the camera.
-    defocus: The collimator's defocus (`calib.model.gimbal_readings.ParallaxBound`).
-    pose_rms_px: Root mean square length of the errors that differ from pose to pose, star noise included, px; 0 if they
-      are as small as those of a good collimator.
-    Raises InputMismatch: If a size is negative, or a number is not finite.
+    Root mean square lengths, px, star noise included, of errors that follow the collimator (0 for an ideal one), and of
+    those that differ from pose to pose (0 if as small as those of a good collimator). The wander is a random
+    displacement of
+    the entrance pupil across the beam from pose to pose, 1 sigma per axis, mm (0 if a gimbal holds the camera). Defocus
+    as in
+    `calib.model.gimbal_readings.ParallaxBound`.
     """
 
     rms_px: float = 0.0
@@ -74,10 +72,7 @@ class CollimatorErrors:
         return max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)
 
     def pose_times_good(self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float) -> float:
-        """Return the same of the errors that differ from pose to pose.
-
-        r_mm: Radius of the collimator, mm. edge: Tangent of the half angle of the beam.
-        """
+        """Return the same of the errors that differ from pose to pose; ``edge`` is the tangent of the half angle."""
         own = _per_axis(self.pose_rms_px, star_sigma_px) / focal_px
         own = float(np.hypot(own, _KEYSTONE * edge**2 * self.pupil_wander_mm / r_mm))
         return max(own / GOOD_POSE_RAD, _STEADY * self.times_good(focal_px, star_sigma_px), _IDEAL)
@@ -165,10 +160,7 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
 
 
 def view_at(bench: ExpectedBench, rotation: Array, name: str) -> View:
-    """Return the stars that a camera will show that is turned so, as `predicted_view`.
-
-    rotation: (3, 3), camera <- target.
-    """
+    """Return the stars that a camera shows at a rotation, camera <- target, as `predicted_view`."""
     ids = bench.target.ids
     stars = bench.target.positions_mm(ids)
     pixels, shown = _visible(bench, stars, rotation)
@@ -187,11 +179,7 @@ def view_at(bench: ExpectedBench, rotation: Array, name: str) -> View:
 
 
 def rim_share(bench: ExpectedBench, rotation: Array) -> float:
-    """Return the share of the rim of the beam's disc that is in view at a pose.
-
-    rotation: (3, 3) rotation of the pose, camera <- target.
-    Returns: Share of the circumference, 0 to 1.
-    """
+    """Return the share, 0 to 1, of the circumference of the beam's disc that is in view at a rotation."""
     angles = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)
     radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
     # The rim as seen from the collimator's centre (x, y, -r).

@@ -1,7 +1,6 @@
 """Reference methods on the same points: OpenCV, the published recipe of the paper, and angle invariance of one image.
 
-The uncertainties that they state contain star noise only. A smaller reprojection error is not a better calibration:
-compare the residuals of left-out views.
+Their uncertainties contain star noise only. Compare residuals of left-out views, not reprojection errors.
 """
 
 from __future__ import annotations
@@ -60,10 +59,9 @@ class MethodFailure:
 def reference_results(
     views: Sequence[View], options: CalibrationOptions, *, at_infinity: bool = True
 ) -> list[MethodResult | MethodFailure]:
-    """Calibrate the same points by every reference method; a method that fails gives its reason.
+    """Calibrate by every reference method: the published recipe, which needs a target at infinity; then OpenCV.
 
-    at_infinity: Whether a collimator puts the target at infinity. The published recipe needs this.
-    Returns: The published recipe, if the target is at infinity; then OpenCV.
+    A method that fails gives its reason.
     """
     rows: list[MethodResult | MethodFailure] = []
     methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
@@ -91,9 +89,9 @@ def starbench_result(calibration: Calibration) -> MethodResult:
 def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
     """Calibrate by OpenCV's ``calibrateCamera`` (the method of Zhang, 2000), with the same distortion coefficients.
 
-    A fisheye lens is calibrated by OpenCV's ``fisheye.calibrate``, which states no uncertainties.
-    Returns: OpenCV's result. The mean residual and that of left-out views are those of Starbench's planar model, which
-      has the same optimum.
+    A fisheye lens is calibrated by OpenCV's ``fisheye.calibrate``, which states no uncertainties. The mean residual and
+    that
+    of left-out views are those of Starbench's planar model, which has the same optimum.
     Raises DegenerateViews: If OpenCV fails, or its result is not finite.
     Raises InputMismatch: If the options ask for skew, which OpenCV's model does not have.
     """
@@ -129,8 +127,6 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
     """Calibrate by the published recipe of arXiv:2512.16092: closed form (eq. 5), then Huber loss (eqs. 6 and 7).
 
     The uncertainties come from J^T J alone.
-    Raises DegenerateViews: If the views do not constrain a parameter.
-    Raises NotConverged: If the adjustment did not reach an optimum.
     """
     bundle, start = initialize(views, options, "spherical")
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)
@@ -183,8 +179,8 @@ def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, A
 def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
     """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens, and no uncertainties.
 
-    OpenCV starts with a field of view of 180 degrees, far from lenses that look into a collimator. The best of our
-    closed forms is used as start instead.
+    The start is our best closed form: OpenCV's, with a field of 180 degrees, is far from lenses that look into a
+      collimator.
     """
     start = initialize(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
     held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
@@ -239,15 +235,10 @@ _STEP_PX = 1e-3
 def calibrate_by_angles(
     view: View, r_mm: float, centre_mm: tuple[float, float], distortion: str = "k1k2"
 ) -> MethodResult:
-    """Calibrate a camera from one image of a collimator that is known.
+    """Calibrate a camera from one image, with 20 stars or more, of a collimator whose focal length and axis are known.
 
     Constraint: arXiv:2512.16113. Covariance by propagation of the stars' noise through the solution (Hartley and
     Zisserman, 2004, section 5.2).
-    r_mm: Focal length of the collimator, mm.
-    centre_mm: Foot of its axis on the target, mm.
-    distortion: Distortion coefficients, such as ``k1k2``.
-    Raises TooFewStars: If the view has fewer than 20 stars.
-    Raises NotConverged: If the adjustment did not converge.
     """
     if len(view) < _FEWEST_STARS:
         raise TooFewStars(

@@ -103,11 +103,7 @@ class Rig:
     def compared(
         self, rotation: Array, translation_mm: Array | None, covariance: Array | None
     ) -> RigDifference:
-        """Compare with a stated rig, in what both hold.
-
-        rotation: (3, 3) second <- first. translation_mm: (3,) or None. covariance: As `pose_covariance`; None if
-        not stated.
-        """
+        """Compare with a stated rig, in what both hold: rotation second <- first, covariance as `pose_covariance`."""
         turn = log_map((self.rotation @ rotation.T)[None])[0]
         known = self.pose_covariance
         size = 3 if self.translation_mm is None or translation_mm is None else 6
@@ -145,7 +141,7 @@ class Rig:
 
 
 def common_names(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
-    """Return the names that both have. Raises DegenerateViews: If there is none."""
+    """Return the names that both have, or raise `DegenerateViews`."""
     common = tuple(name for name in first if name in second)
     if not common:
         raise DegenerateViews(
@@ -159,9 +155,9 @@ def through_collimator(
 ) -> Rig:
     """Estimate the rotation from all poses that both cameras saw, by generalised least squares.
 
-    Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T. Both looked into one
-    collimator: its centre and radius are the same unknowns, and what was known of them before counts once.
-    stated: What else is known of each camera, from other views.
+    Aitken (1936), for the rotation vectors of R_second R_first^T. Both looked into one collimator: its centre and
+    radius are
+    the same unknowns, and what was known of them before counts once. ``stated`` is what other views say of each camera.
     Raises DegenerateViews: If the calibrations have no view with the same name.
     Raises InputMismatch: If a stated camera contradicts the views.
     """
@@ -216,8 +212,7 @@ def through_collimator(
 def _known(calibration: Calibration, stated: CameraModel, covariance: Array | None) -> tuple[Array, Array]:
     """Return information and pull of a stated camera, at the values that the views give.
 
-    A coefficient that the stated camera does not have is zero in its model.
-    Raises InputMismatch: If it is of another sensor or lens model, or contradicts the views.
+    A coefficient that the stated camera lacks is zero in its model. Sensor and lens model must be the same.
     """
     found, names = calibration.camera, calibration.camera.parameter_names
     held = dict(zip(stated.parameter_names, stated.values, strict=True))
@@ -278,10 +273,7 @@ def _shared(one: RotationErrors, other: RotationErrors) -> tuple[str, ...]:
 
 
 def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return information and pull of the unknowns of both calibrations, with one collimator.
-
-    Returns: (U, U) information; (U,) pull, at the means; (S,) places of the second calibration's unknowns.
-    """
+    """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns."""
     shared = _shared(one, other)
     size = len(one.names)
     places = np.zeros(len(other.names), np.int64)
@@ -307,10 +299,7 @@ def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, 
 def stated_cameras(
     first: CameraModel, second: CameraModel, covariances: Sequence[Array | None] = (None, None)
 ) -> Rig:
-    """Return two cameras whose intrinsics are known and whose rig is not, to start from.
-
-    covariances: Of their values; None holds them.
-    """
+    """Return cameras with known intrinsics and an unknown rig, to start from; covariance None holds the values."""
     blocks = [
         np.diag((_EXACT * np.maximum(np.abs(camera.values), 1.0)) ** 2) if one is None else one
         for camera, one in zip((first, second), covariances, strict=True)
@@ -320,10 +309,9 @@ def stated_cameras(
 
 @on_one_thread
 def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, free: bool = False) -> Rig:
-    """Adjust the rig to boards at finite distance that both cameras saw at once.
+    """Adjust the rig to boards that both cameras saw at once; if ``free``, intrinsics are only a start.
 
-    start: What is known already: of the cameras, and of the rotation if it has poses behind a collimator.
-    free: Whether nothing is known of the intrinsics but their start.
+    ``start`` is what is known of the cameras, and of the rotation if it has poses behind a collimator.
     Raises DegenerateViews: If no board was seen by both; or too few points.
     Raises InputMismatch: If image sizes differ, or a board was not seen at the same time by both.
     """
@@ -367,10 +355,7 @@ def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, fr
 
 
 def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> None:
-    """Refuse boards that moved between the two recordings.
-
-    together, apart: (m,) sums of squares of each board: with one pose for both cameras, and with one for each.
-    """
+    """Refuse boards that moved: (m,) sums of squares with one pose for both cameras, and with one for each."""
     times = np.sqrt(together / np.maximum(apart, np.median(apart)))
     if (times > _CONTRADICTS).any():
         worst = int(times.argmax())

@@ -87,10 +87,9 @@ def adjusted(
     information: Array,
     pairs: Sequence[BoardPair],
 ) -> BoardsFound:
-    """Return cameras, rig and their covariance.
+    """Return cameras, rig, with the rotation second <- first, and their covariance.
 
-    rotation: Second <- first, if it is known.
-    information: (G, G) what is known of both cameras' values, rotation vector and translation, about the start.
+    ``information`` is (G, G), of both cameras' values, rotation vector and translation, about the start.
     Raises DegenerateViews: If a view has too few points, or the boards do not determine the rig.
     """
     for pair in pairs:
@@ -274,7 +273,7 @@ def _normal_equations(
 
 
 def _inverse(information: Array) -> Array:
-    """Return the covariance. Raises DegenerateViews: If the boards leave an unknown free."""
+    """Return the covariance, or raise `DegenerateViews` if the boards leave an unknown free."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     unit = information / np.outer(scale, scale)
     if np.linalg.eigvalsh(unit)[0] < _SINGULAR:

@@ -1,7 +1,4 @@
-"""Split-half test: two halves of the views are calibrated separately and compared.
-
-The halves share no view, so their difference shows whether the stated uncertainties are right.
-"""
+"""Split-half test: two halves share no view, so their difference shows whether the uncertainties are right."""
 
 from __future__ import annotations
 
@@ -40,13 +37,10 @@ class SplitHalf:
 
 
 def split_half(views: Sequence[View], options: CalibrationOptions | None = None) -> SplitHalf:
-    """Calibrate every other view, and the rest, and compare.
+    """Calibrate every other view of at least 4, and the rest, and compare.
 
     Own statistic: the expected difference is the root of the mean of s1^2 + s2^2 over the sensor, with the projection
-    uncertainties s1 and s2.
-    views: Views of one camera, at least 4.
-    options: How to calibrate; None for the defaults.
-    Raises DegenerateViews: If there are fewer than 4 views, or a half does not constrain the camera.
+    uncertainties s1 and s2. Each half must constrain the camera.
     """
     if len(views) < _MIN_VIEWS:
         raise DegenerateViews(f"{len(views)} views; two halves need at least {_MIN_VIEWS}.")

@@ -62,11 +62,7 @@ class Uncertainty:
 
 
 def coverage_factor(degrees_of_freedom: float) -> float:
-    """Return the k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G).
-
-    degrees_of_freedom: Degrees of freedom of sigma; may be infinite.
-    Returns: 2 for infinitely many; more for few.
-    """
+    """Return the k for 95.45 % (Student; JCGM 100:2008, annex G): 2 for infinite degrees of freedom, else more."""
     from scipy import special
 
     tail = 0.5 + 0.5 * _COVERAGE
@@ -76,12 +72,10 @@ def coverage_factor(degrees_of_freedom: float) -> float:
 
 
 def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:
-    """Return the covariance of the shared parameters at the optimum, if the model is right (Huber, 1981, chapter 7).
+    """Return the covariance, not enlarged yet, of shared parameters, if the model is right (Huber, 1981, chapter 7).
 
     The Birge ratio of the views is tested by an F test.
-    Returns: Covariance that is not yet enlarged, and the result of the test.
-    Raises DegenerateViews: If there are no more measurements than parameters, or if the views do not constrain a
-      parameter.
+    Raises DegenerateViews: If there are no more measurements than parameters, or a parameter is not constrained.
     """
     residuals = bundle.weighted_residuals(parameters)
     from scipy import special
@@ -117,13 +111,12 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
 
 
 def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty) -> Array:
-    """Return the joint covariance of the rotations of all views.
+    """Return the joint (3 n, 3 n) covariance of the rotation vectors of all views on the camera's side, rad^2.
 
     It holds the star noise of each view, and the shared uncertainty of camera and collimator. Own derivation from the
     block inverse of the normal equations (Schur complement; Triggs et al., 2000, section 6.1): let L be the block of
     the local parameters, S their coupling to the shared ones, C the covariance of the shared ones, and v the variance
     of star noise. Then the covariance is v L^-1 + L^-1 S^T C S L^-1.
-    Returns: (3 n, 3 n) covariance of rotation vectors on the camera's side, rad^2.
     """
     whole = replace(bundle, names=nominal.names)
     equations = whole.equations(parameters, Loss("l2"))
@@ -168,12 +161,8 @@ def _birge(information: Array, scores: Array, variance: float, count: int) -> tu
 
 
 def inverse_information(information: Array, names: Sequence[str]) -> Array:
-    """Invert an information matrix, scaled to a unit diagonal.
+    """Invert (G, G) information, scaled to a unit diagonal (van der Sluis, 1969): the Cramér-Rao bound (Rao, 1945).
 
-    The inverse of the information is the Cramér-Rao bound (Rao, 1945). The scaling reduces the condition number (van
-    der Sluis, 1969).
-    information: (G, G) information on the parameters.
-    Returns: (G, G) covariance.
     Raises DegenerateViews: If a parameter is not constrained; names it, or the two that cannot be separated.
     """
     diagonal = np.diag(information)
@@ -192,16 +181,12 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
 
 
 def views_of_poses(bundle: Bundle) -> list[list[int]]:
-    """Return the views of each pose. bundle: Bundle with `Bundle.poses`; without, each view is a pose of its own."""
+    """Return the views of each pose; without `Bundle.poses`, each view is a pose of its own."""
     return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
 
 
 def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
-    """Return the information and the score of each pose: the sums over its views.
-
-    scores: Information and scores of its views.
-    Returns: (P, G, G) information and (P, G) scores of P poses.
-    """
+    """Return the (P, G, G) information and (P, G) score of each pose: the sums over its views."""
     poses = views_of_poses(bundle)
     if len(poses) == len(scores.score):
         return scores.information, scores.score
@@ -214,15 +199,11 @@ def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
 def propagate_passport(
     bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty, passport: Passport
 ) -> Uncertainty:
-    """Return the uncertainty of all parameters if a passport held some of them.
+    """Return the uncertainty of all parameters of a bundle that was adjusted with the passport's values held.
 
     Star noise is multiplied by the Birge ratio of these views or of those from which the passport was made, whichever
     is larger. Otherwise the small errors of a model would appear as knowledge. Consider covariance: Tapley, Schutz and
-    Born (2004), chapter 6. The factor on star noise is this project's own.
-    bundle: Bundle that was adjusted with the passport's values held.
-    nominal: Uncertainty of the free parameters (`covariance_at_optimum`).
-    Returns: Uncertainty of the camera's and the collimator's parameters.
-    Raises DegenerateViews: If the views do not constrain a free parameter.
+    Born (2004), chapter 6. The factor on star noise is this project's own. ``nominal`` is of the free parameters.
     """
     names, information = _whole_information(bundle, parameters, passport)
     growth = max(nominal.birge_ratio if nominal.inconsistent else 1.0, passport.birge_ratio)
@@ -249,14 +230,11 @@ def _whole_information(
 
 
 def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:
-    """Return the covariance of all parameters if some are held at the values of a passport.
+    """Return the (G, G) covariance of all parameters if some are held at a passport's values.
 
     This is a consider covariance (Tapley, Schutz and Born, 2004, chapter 6). With the information S, free parameters f
     and held parameters p, a change of p moves f by -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1
     S_fp)^T.
-    information: (G, G) information of the views on all parameters.
-    Returns: (G, G) covariance, in the order of the names.
-    Raises DegenerateViews: If the views do not constrain a free parameter.
     """
     held = [list(names).index(name) for name in passport.names]
     free = [i for i in range(len(names)) if i not in held]

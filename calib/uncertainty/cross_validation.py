@@ -1,7 +1,6 @@
 """Leave-one-out cross-validation over views, and the jackknife.
 
-Views that were left out measure how well a model predicts. The estimates without them measure how much the views differ
-(the jackknife).
+Left-out views measure how well a model predicts; the estimates without them, how much the views differ.
 """
 
 from __future__ import annotations
@@ -51,12 +50,10 @@ class CrossValidation:
 
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
-    """Adjust without each pose in turn, from the optimum of all views.
+    """Adjust without each of at least 3 poses in turn, from the optimum of all views, and predict its views.
 
     With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
     Cross-validation: Stone (1974).
-    bundle: Bundle of at least 3 poses.
-    Returns: Estimates without each pose, and the predicted residuals of its views.
     """
     poses = views_of_poses(bundle)
     at_optimum = bundle.costs(parameters, loss)
@@ -101,10 +98,7 @@ def _rms_left_out(
     without: Sequence[AdjustmentParameters],
     parameters: AdjustmentParameters,
 ) -> list[float]:
-    """Return the rms residuals of the views of each pose, px, with the camera and the centre without the pose.
-
-    Of a view only the rotation is adjusted; of a board, its whole pose.
-    """
+    """Return the rms residuals, px, of each pose left out: of a view only the rotation is adjusted; of a board, all."""
     found = []
     for views, one in zip(poses, without, strict=True):
         others, by_hand = one, False

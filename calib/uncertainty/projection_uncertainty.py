@@ -99,11 +99,11 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
 
 
 def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, Array]:
-    """Return how image points over the sensor follow the camera's parameters, without the implied rotation.
+    """Return how image points over the sensor follow the camera's parameters, as `projection_uncertainty` uses it.
 
-    They are the derivatives that `projection_uncertainty` uses.
-    Returns: (P, 2) image points of the grid, px, without those beyond the fold of the distortion; (P, 2, K)
-      derivatives, px per unit of each parameter, in the order of `CameraModel.parameter_names`.
+    Without the implied rotation: (P, 2) points, px, none beyond the fold of the distortion; (P, 2, K) derivatives, in
+      the
+    order of `CameraModel.parameter_names`.
     """
     pixels = sensor_grid(camera.image_size, points_across).reshape(-1, 2)
     left, _, _, seen = _without_turn(camera, pixels)
@@ -113,8 +113,7 @@ def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tupl
 def _without_turn(camera: CameraModel, pixels: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Return the derivatives of image points by parameters without the implied rotation, and what they rest on.
 
-    (P, 2, K) derivatives, (P, 2, 3) derivatives by the rays, (P, 3) rays, and (N,) bool, which of the pixels have a
-    ray.
+    (P, 2, K) derivatives, (P, 2, 3) derivatives by the rays, (P, 3) rays, and (N,) bool: pixels that have a ray.
     """
     rays = camera.rays(pixels)
     seen = np.asarray(np.isfinite(rays).all(axis=1))
@@ -150,11 +149,7 @@ def camera_difference(first: CameraModel, second: CameraModel, points_across: in
 
 
 def sensor_grid(image_size: Sequence[int], points_across: int) -> Array:
-    """Return a grid of image points, from the centre of the first pixel to that of the last one.
-
-    image_size: Width and height, px.
-    Returns: (h, w, 2) image points, px.
-    """
+    """Return an (h, w, 2) grid of image points, px, from the centre of the first pixel to that of the last one."""
     width, height = image_size
     down = max(2, round(points_across * height / width))
     across = max(2, points_across)
@@ -176,10 +171,7 @@ def _across(rays: Array) -> Array:
 
 
 def worst_point(camera: CameraModel, covariance: Array) -> Array:
-    """Return the (K,) gradient of the point of the sensor, and its direction, with the largest projection uncertainty.
-
-    covariance: (K, K) of the camera's parameters.
-    """
+    """Return the (K,) gradient of the point and direction of the sensor with the largest projection uncertainty."""
     derivatives = projection_derivatives(camera)[1]
     spread = derivatives @ covariance @ np.swapaxes(derivatives, 1, 2)
     values, vectors = np.linalg.eigh(spread)
