@@ -1,7 +1,6 @@
 """Fit of a reference method to given views, and its result: starting values, adjustment, covariance, notes.
 
-The methods are the spherical model of arXiv:2512.16092, in which all views share one centre, and the planar model of
-Zhang (2000), in which each view has its own.
+The methods are the spherical model of arXiv:2512.16092 and the planar model of Zhang (2000).
 """
 
 from __future__ import annotations

@@ -13,10 +13,7 @@ R = TypeVar("R")
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Let the linear algebra of a function use one thread; after it, as many as before.
-
-    On two processors with other work, a calibration of three poses then takes 1 s instead of 16.
-    """
+    """Let a function's linear algebra use one thread: a calibration then takes 1 s, not 16, on two busy processors."""
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

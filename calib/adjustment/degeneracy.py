@@ -41,10 +41,7 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
 def require_constrained(
     parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str = ""
 ) -> None:
-    """Refuse a result with a focal length whose 1-sigma is more than 5 % of it (own limit).
-
-    ``covariance`` is (G, G); ``why`` explains the geometry in the message, and may be empty.
-    """
+    """Refuse a focal length with a 1-sigma over 5 % (own limit); ``why`` explains the geometry, and may be empty."""
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
         if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:

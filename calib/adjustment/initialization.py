@@ -87,8 +87,7 @@ def passport_starts(
 ) -> Iterator[AdjustmentParameters]:
     """Yield starting values for a known collimator: from its centre alone, then those of the spherical model.
 
-    The camera follows from the known centre by arXiv:2512.16092, eq. 5. ``homographies`` are (n, 3, 3) from
-    `calib.model.homography.view_homography`; n >= 1.
+    The camera follows from the known centre by arXiv:2512.16092, eq. 5, from one homography or more.
     """
     spherical = list(spherical_starts(homographies, image_size, distortion))
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)

@@ -1,7 +1,6 @@
 """The parameters of the adjustment: a camera, a collimator, and the rotation and centre of each view.
 
-This module applies steps to the parameters. It does not compare them with observations. Views between which the camera
-hardly turned belong to one pose: they share the errors of the collimator and of the pixel grid.
+Views between which the camera hardly turned belong to one pose: they share the errors of collimator and pixel grid.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """How often each pixel of a recording blinks: the period between the starts of its ON bursts.
 
-A pixel that sees a blinking light sends ON events when the light goes on and OFF events when it goes off. The first ON
-event after an OFF event starts a period. One pass counts these starts, a second one keeps their times.
+The first ON event after an OFF event starts a period. One pass counts these starts, a second one keeps their times.
 """
 
 from __future__ import annotations
@@ -34,12 +33,10 @@ def blink_periods(
     p: NDArray[np.uint8],
     size: tuple[int, int],
 ) -> BlinkPeriods:
-    """Measure the period of each pixel.
+    """Measure the period of each pixel from (N,) events in the order of their times, us; polarity 1 is ON.
 
     Own procedure: the median interval numbers the starts, so that a missed or an additional one does not matter; the
     least-squares line through the numbered starts gives the period.
-    t_us, x, y, p: (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
-    size: Width and height of the sensor, px.
     """
     width, height = size
     counts = _count_starts(x, y, p, width, height)
@@ -51,11 +48,7 @@ def blink_periods(
 
 @njit(cache=True)
 def _count_starts(x: Any, y: Any, p: Any, width: int, height: int) -> Any:
-    """Measure the period of each pixel from (N,) events in the order of their times, us; polarity 1 is ON.
-
-    Own procedure: the median interval numbers the starts, so that a missed or an additional one does not matter; the
-    least-squares line through the numbered starts gives the period.
-    """
+    """Count the ON events of each pixel whose event before was OFF, or that are its first event."""
     last = np.full((height, width), -1, np.int8)
     counts = np.zeros((height, width), np.int32)
     for i in range(len(x)):

@@ -1,8 +1,7 @@
 """What placements of a board show together: which part of the image, which tilts; and where the board is needed next.
 
 A planar calibration is determined by boards over the whole image (distortion) and by tilts (focal length and principal
-point; Zhang, 2000, section 3.4). The rules that turn this into advice are this project's own. This module uses image
-points alone, because the camera is not known yet.
+point; Zhang, 2000, section 3.4). The rules are this project's own. It uses image points alone: no camera is known yet.
 """
 
 from __future__ import annotations
@@ -118,7 +117,7 @@ def advice(seen: Sequence[Seen], board: Board) -> str:
 
 
 def turned_upside_down(points_px: Array, board: Board) -> bool:
-    """Return whether the first of (N, 2) rows is lower and runs left; false if half a turn changes nothing."""
+    """Return whether a board's first row, of (N, 2) points, is lower and runs left; false if half a turn hides it."""
     if board.symmetric:
         return False
     grid = points_px.reshape(board.rows, board.columns, 2)

@@ -1,7 +1,4 @@
-"""All checks of wrong data, in two lists: those that need only the views, and those that need an adjustment of them.
-
-An engine calls `find_gross_stars` first, `check_views` before its adjustment and `check_adjustment` after it.
-"""
+"""All checks of wrong data: `check_views` before an adjustment of them, `check_adjustment` after it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Views whose ids are shifted: each star bears the name of a neighbour one or two columns or rows away.
 
 A shift of all ids of a view is, to first order, a rotation of the camera. Only the perspective of the target separates
-them, so the module compares joint adjustments of all views: if the residuals nearly vanish for one shift of one view,
-that view is named. If two hypotheses do about as well, the data cannot decide, and both are named.
+them: joint adjustments of all views are compared. If two hypotheses do about as well, both are named.
 """
 
 from __future__ import annotations

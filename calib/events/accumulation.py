@@ -152,10 +152,7 @@ class LitPixels(NamedTuple):
 
 @njit(**KERNEL)
 def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
-    """Find the pixels that fire in enough bursts of both polarities, in one pass.
-
-    hot: (H, W) bool, pixels that do not count.
-    """
+    """Find the pixels that fire in enough bursts of both polarities, in one pass; ``hot`` pixels do not count."""
     on_count, off_count, on_fired, off_fired = sums.on_count, sums.off_count, sums.on_fired, sums.off_fired
     height, width = hot.shape
     on_latency, latency_us = sums.on_latency, np.empty(hot.size, np.float32)

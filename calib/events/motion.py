@@ -1,7 +1,4 @@
-"""Whether the camera stood still: stars in the first half of a recording are compared with those in the second.
-
-The module splits a window of whole periods into halves and compares two views of one pose.
-"""
+"""Whether the camera stood still: the stars of both halves of a window of whole periods are compared."""
 
 from __future__ import annotations
 

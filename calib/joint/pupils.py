@@ -39,7 +39,7 @@ class Pupils:
 def rims_and_pupils(
     views: Sequence[View], poses: NDArray[np.int64], r_mm: float
 ) -> tuple[tuple[Disc, ...], Pupils | None]:
-    """Return the visible discs, none if the rim is not in view, and the pupils if they wander farther than on a gimbal.
+    """Return the visible discs, none if out of view, and the pupils if they wander farther than on a gimbal.
 
     On a gimbal the pupil follows the turn, which is known far better than a disc.
     """

@@ -32,10 +32,7 @@ def visible_discs(views: Sequence[View]) -> list[Disc]:
 
 
 def discs_of(views: Sequence[View]) -> Discs | None:
-    """Fit the discs of views of different poses; None if the rim is nowhere in view.
-
-    To the rims found, if all images were searched for them and one shows a rim; otherwise to the stars.
-    """
+    """Fit the discs of views to their rims if all were searched, else to stars; None if no rim is in view."""
     rims = [view.rim for view in views if view.rim is not None]
     if len(rims) < len(views) or all(len(rim.points_mm) < _FEWEST_POINTS for rim in rims):
         rims = rims_of_stars(views)

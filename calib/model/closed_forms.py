@@ -90,8 +90,8 @@ def _solution_from_entries(
 ) -> ClosedFormSolution | None:
     """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real.
 
-    Own solution of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2 and fy^2 = w22 - w23^2 with W = K K^T; r^2 is the mean
-    of its two values on the right side.
+    Own, of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2 and fy^2 = w22 - w23^2 with W = K K^T; r^2 is a mean of two
+    values.
     """
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
     squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])

@@ -146,8 +146,7 @@ def _fisheye(points: Array, k: Array) -> Array:
 def _fisheye_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
     """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Own derivatives of `_fisheye`: Kannala and Brandt (2006). In memory each derivative is one contiguous row over the
-    points.
+    Own derivatives of `_fisheye` (Kannala and Brandt, 2006), in memory as those of `_brown_with_jacobians`.
     """
     r, theta = _angles(points)
     t2 = theta * theta

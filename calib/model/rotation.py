@@ -61,10 +61,7 @@ def log_map(matrices: Array) -> Array:
 
 
 def nearest_rotation(matrices: Array) -> Array:
-    """Return the rotations nearest to matrices, (..., 3, 3), in the Frobenius norm.
-
-    This is the orthogonal Procrustes problem (Schoenemann, 1966), restricted to proper rotations (Kabsch, 1976).
-    """
+    """Return the nearest rotations, (..., 3, 3): orthogonal Procrustes problem (Schoenemann, 1966; Kabsch, 1976)."""
     u, _, vt = np.linalg.svd(np.asarray(matrices, float))
     flip = np.ones((*u.shape[:-2], 3))
     flip[..., 2] = np.sign(np.linalg.det(u @ vt))

@@ -133,7 +133,7 @@ def _circle(rim: NDArray[np.float64], lit: NDArray[np.uint8]) -> tuple[tuple[flo
 def _circle_of(
     radius: float, rim: NDArray[np.float64], lit: NDArray[np.uint8]
 ) -> tuple[tuple[float, float], float] | None:
-    """Fit the centre of a circle of a given radius, cells; None if the rim does not lie on one around the light.
+    """Fit the centre, cells, of a circle of a given radius; None if the rim does not lie on one around the light.
 
     Gauss-Newton steps of the sum of squared distances from the circle (Gander, Golub & Strebel, 1994).
     """

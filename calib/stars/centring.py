@@ -84,8 +84,7 @@ class _Steps(NamedTuple):
 def solve_steps(normal: NDArray[np.float64], right: NDArray[np.float64]) -> _Steps:
     """Solve the (N, 6, 6) normal equations of each star by the eigenvalues of its matrix.
 
-    The matrix is scaled to a unit diagonal first (van der Sluis, 1969), because the unit of some unknowns is the grey
-    value.
+    Scaled to a unit diagonal first (van der Sluis, 1969), because the unit of some unknowns is the grey value.
     """
     diagonal = np.diagonal(normal, axis1=1, axis2=2)
     lit = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))

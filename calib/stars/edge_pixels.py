@@ -127,8 +127,7 @@ def edge_scores(
 ) -> tuple[Any, Any]:
     """Sum scores, (N, edges, 5), and Fisher information, (N, edges, 5, 5), over the pixels of each edge of each star.
 
-    They are those of Fisher scoring (Osborne, 1992), each times the derivatives of tau; the unknowns are those of
-    `count_levels`.
+    Fisher scoring (Osborne, 1992), each times the derivatives of tau; unknowns as in `count_levels`.
     """
     n = len(unknowns)
     score, fisher = np.zeros((n, edges, EDGE_UNKNOWNS)), np.zeros((n, edges, EDGE_UNKNOWNS, EDGE_UNKNOWNS))

@@ -166,10 +166,7 @@ def coarse_detail(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float |
 
 
 def contrast(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
-    """Return the contrast inside the beam: (bright - dark) / (bright + dark), 0 to 1; None if nothing is lit.
-
-    Michelson's definition (Michelson, 1927), of the quantiles 0.95 and 0.05.
-    """
+    """Return Michelson's contrast (1927) inside the beam, 0 to 1, of the quantiles 0.95 and 0.05; None if unlit."""
     values = np.asarray(image[::3, ::3], np.float32)
     inside = cv2.resize(lit, (values.shape[1], values.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
     if np.count_nonzero(inside) < 100:

@@ -124,10 +124,7 @@ def label_by_tag(
 
 
 def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
-    """Return the centres, (M, 2) pitches of the relative grid, of all gaps without stars as large as the tag's.
-
-    The nodes in a square are counted by a summed-area table (Crow, 1984).
-    """
+    """Return the (M, 2) centres, pitches, of gaps as large as the tag's, by a summed-area table (Crow, 1984)."""
     side = target.tag_squares + 1
     low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
     taken = np.zeros(high - low + 1, np.int64)

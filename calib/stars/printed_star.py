@@ -90,10 +90,7 @@ def _normal_quantiles() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 @lru_cache(maxsize=2)
 def _nearest_edges(pitch_px: float, segments: int) -> NDArray[np.uint8]:
-    """Return at each sample the number of the nearest edge, by angle (own definition).
-
-    Maps of one pitch share it, and only read it.
-    """
+    """Return the number of the nearest edge, by angle, at each sample; maps of one pitch share it, read only."""
     u, v = np.meshgrid(_steps(pitch_px), _steps(pitch_px))
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments
     return np.asarray(edge, np.uint8)

@@ -84,8 +84,7 @@ def _correlation_inside(
 ) -> float:
     """Return the correlation of samples that all lie in the image with a star; nan if a pixel has no value.
 
-    Normalised cross-correlation (Lewis, 1995); the variance of the template is taken as 1. ``balance`` is the sum of
-    the template.
+    Lewis (1995), with 1 as the variance of the template; ``balance`` is the sum of the template.
     """
     total, squares, product = _sums_at(pixels, np.int32(width), np.int32(shift), level, places)
     n = places.pixel.size

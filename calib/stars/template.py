@@ -159,10 +159,7 @@ def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -
 
 @njit(**INNER)
 def _correlation(seen: Any, template: StarTemplate) -> float:
-    """Return the correlation coefficient of what was seen with a star; nan if too much of it lies outside.
-
-    Normalised cross-correlation (Lewis, 1995); the variance of the template is taken as 1.
-    """
+    """Return the correlation (Lewis, 1995) of what was seen with a star; nan if too much of it lies outside."""
     expected = template.expected
     total = squares = product = balance = 0.0
     n = 0

@@ -91,10 +91,7 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
 
 
 def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
-    """Return the weighted mean of the rates of all recordings, and its 1-sigma.
-
-    Enlarged if the rates scatter more than they state (Birge, 1932): crystals follow their temperature.
-    """
+    """Return the weighted mean of the rates, and its 1-sigma, enlarged if they scatter more (Birge, 1932)."""
     rates = np.array([one.rate for one in clocks])
     weights = np.array([one.sigma_rate for one in clocks]) ** -2.0
     mean = float(weights @ rates / weights.sum())

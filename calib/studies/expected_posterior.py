@@ -252,9 +252,6 @@ def distance_deg(one: Angles, other: Angles) -> float:
 
 
 def share_of_news(pose: Angles, others: Iterable[Angles]) -> float:
-    """Return the share of a pose's information, 0 to 1, that other poses do not hold yet.
-
-    Own choice of the function.
-    """
+    """Return the share of a pose's information, 0 to 1, that others do not hold yet (own choice of function)."""
     nearest = min((distance_deg(pose, other) for other in others), default=np.inf)
     return float(1.0 - np.exp(-((nearest / SHARED_ERROR_DEG) ** 2)))

@@ -92,10 +92,7 @@ class GimbalFit:
         return bool((np.abs(null[:, 6 : 6 + len(self.model.free)]) > _SAME).any())
 
     def estimator(self, metric: Metric) -> Array:
-        """Return the linear estimator of the parameters: generalised least squares (Aitken, 1936).
-
-        Returns: (6 + p, 3 n) change of A, B and the values by a change of the rotations.
-        """
+        """Return the (6 + p, 3 n) estimator of A, B and the values: generalised least squares (Aitken, 1936)."""
         columns, lengths = _unit_columns(metric.whitening @ self.jacobian)
         return np.asarray(np.linalg.pinv(columns, rcond=_DETERMINED) @ metric.whitening / lengths[:, None])
 

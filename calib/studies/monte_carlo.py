@@ -140,10 +140,7 @@ def _noisy(
     drift_mm: float,
     outliers: float,
 ) -> list[View]:
-    """Return views with noise, each with its own centre.
-
-    Own model: Gaussian noise of the stars and of the centres, and outliers from a wider Gaussian.
-    """
+    """Return noisy views (own model): Gaussian noise of stars and centres, and outliers of a wider Gaussian."""
     views = []
     for i, pose in enumerate(poses_deg, start=1):
         x, y, r = bench.collimator.values[:3] + drift_mm * rng.standard_normal(3)

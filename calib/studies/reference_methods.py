@@ -59,10 +59,7 @@ class MethodFailure:
 def reference_results(
     views: Sequence[View], options: CalibrationOptions, *, at_infinity: bool = True
 ) -> list[MethodResult | MethodFailure]:
-    """Calibrate by every reference method: the published recipe, which needs a target at infinity; then OpenCV.
-
-    A method that fails gives its reason.
-    """
+    """Calibrate by the published recipe, if the target is at infinity, then OpenCV; a failure gives its reason."""
     rows: list[MethodResult | MethodFailure] = []
     methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
     for name, method in methods if at_infinity else methods[1:]:
@@ -124,10 +121,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
 
 
 def published_recipe(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
-    """Calibrate by the published recipe of arXiv:2512.16092: closed form (eq. 5), then Huber loss (eqs. 6 and 7).
-
-    The uncertainties come from J^T J alone.
-    """
+    """Calibrate by arXiv:2512.16092: closed form (eq. 5), then Huber loss (eqs. 6, 7); sigmas by J^T J alone."""
     bundle, start = initialize(views, options, "spherical")
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)
     refined = refine(bundle, start, loss)
@@ -179,8 +173,7 @@ def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, A
 def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
     """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens, and no uncertainties.
 
-    The start is our best closed form: OpenCV's, with a field of 180 degrees, is far from lenses that look into a
-      collimator.
+    It starts at our best closed form: OpenCV's own start, 180 degrees, is far from lenses that look into a collimator.
     """
     start = initialize(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
     held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
@@ -237,8 +230,7 @@ def calibrate_by_angles(
 ) -> MethodResult:
     """Calibrate a camera from one image, with 20 stars or more, of a collimator whose focal length and axis are known.
 
-    Constraint: arXiv:2512.16113. Covariance by propagation of the stars' noise through the solution (Hartley and
-    Zisserman, 2004, section 5.2).
+    Constraint: arXiv:2512.16113. The stars' noise is propagated (Hartley and Zisserman, 2004, section 5.2).
     """
     if len(view) < _FEWEST_STARS:
         raise TooFewStars(
