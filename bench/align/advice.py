@@ -84,10 +84,7 @@ def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
 
 
 def dropped_share(facts: RecordingFacts | FrameFacts | None) -> float | None:
-    """Return the share of the events that the sensor's rate controller has dropped, by its own count.
-
-    Returns: 0 to 1; None if the camera does not count.
-    """
+    """Return the share, 0 to 1, of events that the rate controller dropped; None if the camera does not count."""
     if (
         not isinstance(facts, RecordingFacts)
         or not facts.rate_controller_in

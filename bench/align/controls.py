@@ -243,11 +243,10 @@ class StageControl:
     # ------------------------------------------------------------------ what a person asks for
 
     def move_by(self, steps_deg: Mapping[str, float], by: str = "") -> dict[str, float]:
-        """Turn axes by small steps. Steps given while the stage turns are added to its goal.
+        """Turn axes by small steps; return the goal of each, degrees. Steps given meanwhile are added to the goal.
 
-        Returns: Goal of each of these axes, degrees. The move itself goes on after the return.
-        Raises ControlRefused: If a goal lies outside the limits, or the stage cannot move now. Nothing is
-          moved.
+        The move itself goes on after the return. If a goal lies outside the limits, or the stage cannot move now,
+        `ControlRefused` is raised and nothing is moved.
         """
         self._check_steps(steps_deg)
         if not self.moving:
@@ -274,10 +273,7 @@ class StageControl:
         return goals
 
     def home(self, by: str = "") -> None:
-        """Search the references of all axes. The search goes on after the return.
-
-        Raises ControlRefused: If the stage moves, or is not open. Nothing is moved then.
-        """
+        """Search the references of all axes, also after the return; refused if the stage moves, or is not open."""
         with self._lock:
             if self._silent is not None and self._silent.kind == StillOpening.__name__:
                 raise ControlRefused(
@@ -319,10 +315,7 @@ class StageControl:
     # ------------------------------------------------------------------ what is read
 
     def look(self, *, thoroughly: bool = True) -> None:
-        """Read position, and on request reference and faults too.
-
-        thoroughly: Whether to ask for reference and faults; not possible while the stage moves.
-        """
+        """Read position, and if ``thoroughly`` reference and faults too: not possible while the stage moves."""
         try:
             position_deg = dict(self._stage.position_deg())
         except ReplyError:

@@ -82,10 +82,9 @@ class CameraControl:
         self._loop = loop
 
     def set_bias(self, name: str, value: int) -> Mapping[str, int]:
-        """Change one bias, and read all of them back.
+        """Change one bias (offset from the factory value, in the camera's own steps), and read all of them back.
 
-        value: Offset from the factory value, in the camera's own steps.
-        Raises ControlRefused: If there is no such bias, or the value is outside its range; nothing was sent.
+        Before a `ControlRefused` (no such bias, or outside its range) nothing was sent.
         """
         ranges = self._ranges
         if not self.is_event or name not in ranges:
@@ -117,11 +116,7 @@ class CameraControl:
         return self.biases
 
     def set_frame(self, name: str, value: float) -> Mapping[str, float | None]:
-        """Change exposure or gain of a frame camera, and read both back.
-
-        name: ``exposure`` or ``gain``.
-        Raises ControlRefused: If this camera has no such setting; nothing was sent.
-        """
+        """Change ``exposure`` or ``gain`` of a frame camera that has it (else refused), and read both back."""
         if name not in self.frame_settings:
             raise ControlRefused(
                 f"This camera has no setting {name!r}. Nothing was sent.",
@@ -210,10 +205,9 @@ class LightControl:
         duty_percent: float | None = None,
         level_percent: float | None = None,
     ) -> LightReading:
-        """Change the light, and read back what it does.
+        """Change the light, and read back what it does; None leaves a value as it is.
 
-        waveform, frequency_hz, duty_percent, level_percent: New values; None leaves a value as it is.
-        Raises ControlRefused: If a value is outside its range; nothing was sent.
+        Before a `ControlRefused` (a value outside its range) nothing was sent.
         """
         changes = {
             "waveform": waveform,

@@ -83,12 +83,10 @@ def measure_focus(
     before: FocusFigures | None = None,
     again: Sequence[str] = (),
 ) -> FocusFigures:
-    """Measure how sharp a picture is.
+    """Measure how sharp a picture, (H, W) float32 grey values, is; the sharpness alone without tag and stars.
 
-    image: (H, W) float32, grey values.
-    stars: Tag and stars in it; None if they were not searched.
-    before: Figures of a picture shortly before, whose regions are kept; None to measure all regions.
-    Returns: With the sharpness alone if there are neither tag nor stars.
+    ``stars`` is None if they were not searched. The regions of ``before``, a picture shortly before, are kept; None to
+    measure all regions.
     """
     detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
     coarse = coarse_detail(image, beam.lit) if beam.share > 0.0 else None
@@ -107,13 +105,10 @@ def measure_focus(
 
 
 def tilt_of(regions: Mapping[str, float | None]) -> str:
-    """Return which side of the field is less sharp.
+    """Return as a sentence which side of the field is less sharp, by the regions' edge widths, px (None: unknown).
 
-    regions: Edge width of each region, px; None where it is unknown.
-    Returns: A sentence; empty if no side is clearly less sharp, or a side is unknown.
+    It is empty if no side is clearly less sharp, or a side is unknown.
 
-    Examples
-    --------
     >>> tilt_of({"top left": 0.8, "top right": 1.2, "bottom left": 0.8, "bottom right": 1.2})
     'Edges are 1.2 px wide on the right and 0.8 px on the left.'
     """
@@ -208,9 +203,9 @@ class _Rest:
 
 
 class FocusCourse:
-    """The focus figures over time, with the best seen. Times come from the caller's clock.
+    """The focus figures over the last ``kept_s``, with the best seen, which are kept until `forget`.
 
-    kept_s: How long the course reaches back, s. The best values are kept until `forget`.
+    Times come from the caller's clock.
     """
 
     def __init__(self, *, kept_s: float = 600.0) -> None:
@@ -259,12 +254,10 @@ class FocusCourse:
         self._rests.clear()
 
     def better_before_px(self) -> float | None:
-        """Return the best edge width since the camera was last turned, if the present one is clearly worse.
+        """Return the best edge width since the camera was last turned, px, if the present one is clearly worse.
 
         Own rule: the median of the last `_RECENT` values is worse by more than `_CLEARLY` standard deviations and by
         more than `_LEAST_BETTER`. The deviation is that of neighbouring values from each other (von Neumann, 1941).
-
-        Returns: Best width, px; None if the present one is as good.
         """
         best, now = self._best_here_px, self._recent(1)
         if best is None or now is None:
@@ -279,9 +272,9 @@ class FocusCourse:
         self.best_sharpness = self.best_coarse_detail = None
 
     def trend(self) -> str:
-        """Return what the last turn has done: ``better``, ``worse``, or an empty text before the first one.
+        """Return what the last turn has done to the edge width: ``better``, ``worse``, or empty before the first one.
 
-        The edge width counts; without it, the coarse detail does.
+        Without an edge width, the coarse detail counts.
         """
         if len(self._rests) < 2:
             return ""

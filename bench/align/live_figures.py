@@ -55,10 +55,7 @@ class Sighting(NamedTuple):
         return cls(_reduced(values), dict(reading_deg))
 
     def differs(self, values: NDArray[np.float32], reading_deg: Mapping[str, float]) -> bool:
-        """Return whether a picture shows another view.
-
-        Returns: By the angles, or by the correlation of the pictures (Pearson's coefficient).
-        """
+        """Return whether a picture shows another view, by the angles, or by the pictures' correlation (Pearson)."""
         turned = [abs(angle - self.reading_deg.get(axis, angle)) for axis, angle in reading_deg.items()]
         if max(turned, default=0.0) > _TURNED_DEG:
             return True
@@ -111,12 +108,7 @@ class StopWatch:
 
 
 class StarWatch:
-    """Finds the stars of one slice after the other.
-
-    Not for several threads at once.
-
-    stars_every_s: As `bench.align.live_figures.LiveMeter` takes it.
-    """
+    """Finds the stars of one slice after the other, in one thread; ``stars_every_s`` as `LiveMeter` takes it."""
 
     def __init__(self, *, stars_every_s: float) -> None:
         self._stars_every_s = stars_every_s
@@ -258,8 +250,8 @@ class LiveFigures:
     def to_json(self) -> dict[str, Any]:
         """Return all figures as numbers, texts, lists and None, ready for JSON.
 
-        Returns: The attributes by name, those of ``signal`` beside them, and ``tag``, ``square`` and ``disc`` as
-          mappings or None.
+        These are the attributes by name, those of ``signal`` beside them, and ``tag``, ``square`` and ``disc`` as
+        mappings or None.
         """
         corners, square, centre = self.tag_corners_px, self.square, self.disc_centre_px
         plain = vars(self) | {name: getattr(self.signal, name) for name in _OF_SIGNAL}
@@ -277,14 +269,12 @@ class LiveFigures:
 
 
 class LiveMeter:
-    """Measures one slice after the other.
+    """Measures one slice after the other, in one thread.
 
-    Not for several threads at once.
-
-    stars_every_s: Shortest time between two searches for stars, s. In between, stars around the whole tag are
-      measured again in each picture, where they stand; if they have moved, they are searched at once. Other
-      stars are shown again as long as the picture is the same. If a search takes long, as without a tag, the
-      next one waits longer, so that pictures keep coming.
+    ``stars_every_s`` is the shortest time between two searches for stars, s. In between, stars around the whole tag are
+    measured again in each picture, where they stand; if they have moved, they are searched at once. Other stars are
+    shown again as long as the picture is the same. If a search takes long, as without a tag, the next one waits longer,
+    so that pictures keep coming.
     """
 
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
@@ -298,11 +288,9 @@ class LiveMeter:
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
         """Measure the next slice: image, signal, stars, focus, where to turn, advice.
 
-        A slice that cannot be read, or shows nothing, gives a dark image and figures whose advice says why. No error of
-        the recording or of the engine is passed on.
-
-        setting: What is known of the bench; it may change from slice to slice.
-        Returns: (H, W) uint8, tone-mapped so that faint patterns show; white print is bright.
+        The image is (H, W) uint8, tone-mapped so that faint patterns show; white print is bright. A slice that cannot
+        be read, or shows nothing, gives a dark image and figures whose advice says why. No error of the recording or of
+        the engine is passed on. The setting may change from slice to slice.
         """
         watch = StopWatch()
         try:

@@ -71,12 +71,10 @@ class SignalFigures:
 def measure_signal(
     events: Events, triggers: Triggers, data_bytes: int, expected_hz: float | None, *, compare: bool = True
 ) -> SignalFigures:
-    """Measure the signal of a slice.
+    """Measure the signal of a slice; figures without a flicker if none is found.
 
-    expected_hz: Frequency to which the light is set, Hz; None if unknown.
-    compare: Whether the frequency is measured by the events also if the sync edges give it. That takes as
-      long as a third of the image.
-    Returns: Figures without a flicker if none is found.
+    ``expected_hz`` is the light's frequency as set, None if unknown. With ``compare`` the frequency is measured by the
+    events also if the sync edges give it, which takes as long as a third of the image.
     """
     ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
     duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
@@ -101,9 +99,9 @@ def measure_signal(
 def signal_of_counts(
     statistics: StreamStatistics, triggers: Triggers, data_bytes: int, expected_hz: float
 ) -> SignalFigures | None:
-    """Return the signal of a slice whose events were only counted.
+    """Return the signal of a slice whose events were only counted, without figures that need the times of events.
 
-    Returns: Without figures that need the times of events; None if only these can show the flicker.
+    None if only these can show the flicker; ``expected_hz`` is None if unknown.
     """
     count, duration_s = statistics.events, statistics.duration_s
     by_triggers, fault = _by_triggers(triggers, expected_hz)
@@ -119,8 +117,7 @@ def signal_of_counts(
 def shows_flicker(signal: SignalFigures | None) -> bool:
     """Return whether a slice is long enough for its events to show their frequency.
 
-    Returns: False for a slice of one period: its ON and its OFF burst could be two periods of twice the
-      frequency.
+    One period is not: its ON and its OFF burst could be two periods of twice the frequency.
     """
     if signal is None or signal.flicker is None or not signal.events_per_s:
         return False
@@ -128,11 +125,9 @@ def shows_flicker(signal: SignalFigures | None) -> bool:
 
 
 def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
-    """Return how far the ON bursts are from an even train.
+    """Return how far the ON bursts are from an even train, rms in us; None below three whole periods.
 
     Own estimate: the median time of the ON events of each period, against a straight line through these times.
-
-    Returns: Rms, us; None if the slice holds fewer than three whole periods.
     """
     if not len(events.t):
         return None
@@ -263,10 +258,9 @@ class LiveSetting:
         level_percent: float | None = None,
         waveform: Waveform = "square",
     ) -> LiveSetting:
-        """Take from a station file what the figures need.
+        """Take from a station file what the figures need, with the gates that a sequence has by default.
 
-        frequency_hz: Frequency of the light's flicker as set, Hz; None if unknown.
-        Returns: With the gates that a sequence has by default.
+        ``frequency_hz`` is that of the light's flicker as set; None if unknown.
         """
         expected, collimator = station.expected, station.collimator
         r_mm = collimator.nominal_r_mm or (expected.r_mm if expected else None)
@@ -335,14 +329,8 @@ def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
 
 
 def whole_periods(words: NDArray[np.uint16], period_us: float) -> tuple[int, int]:
-    """Return where the last whole period ends.
+    """Return how many whole periods, us, of (N,) uint16 EVT3 words there are, and where the last one ends.
 
-    words: (N,) uint16, EVT3 words.
-    period_us: Period, us.
-    Returns: How many periods these are; 0 if there is no whole one.
-
-    Examples
-    --------
     >>> words = np.array([0x8000, 0x6000, 0x2001, 0x6063, 0x2002, 0x6064, 0x2003], np.uint16)
     >>> whole_periods(words, 100.0)
     (5, 1)
@@ -382,23 +370,17 @@ class LiveImage(NamedTuple):
 
 
 def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> LiveImage:
-    """Read a slice and make its image.
-
-    compare: Whether the frequency is measured by the events also if the sync edges give it.
-    """
+    """Read a slice and make its image; ``compare`` as for `measure_signal`."""
     if setting.camera == "frame":
         return _read_frames(path)
     return _read_events(path, setting.frequency_hz, compare=compare)
 
 
 def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the picture for the screen: stretched between its quantiles, with faint parts made brighter.
+    """Return the picture, (H, W) float32, for the screen: stretched between its quantiles, faint parts brighter.
 
-    Own tone map: 255 u^`GAMMA`, where u is the stretched value (gamma correction: Poynton, Digital
-    Video and HD, 2012).
-
-    values: (H, W) float32, grey values.
-    Returns: (H, W) uint8; all 0 if the values are all equal.
+    The result is uint8; all 0 if the values are all equal. Own tone map: 255 u^`GAMMA`, where u is the stretched value
+    (gamma correction: Poynton, Digital Video and HD, 2012).
     """
     sample = values[::4, ::4]
     low, high = (float(q) for q in np.quantile(sample, [_CLIPPED, 1.0 - _CLIPPED]))

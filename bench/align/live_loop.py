@@ -169,10 +169,9 @@ class _Slice:
 
 
 class LiveLoop:
-    """Records and measures slices until it is closed.
+    """Records and measures slices until it is closed; only this object uses the open camera.
 
-    camera: The open camera; only this object uses it.
-    on_picture: Called after each new picture or fault, by any thread.
+    ``on_picture`` is called after each new picture or fault, by any thread.
     """
 
     def __init__(

@@ -96,11 +96,7 @@ class SimulatedHands:
         return self._simulation is not None
 
     def do(self, action: str, numbers: Mapping[str, float]) -> dict[str, Any]:
-        """Do something with the hands.
-
-        Raises ControlRefused: On a real bench, and if there is no such action or the simulated bench refuses
-          it.
-        """
+        """Do something with the hands; refused on a real bench, and for an unknown action."""
         if self._simulation is None:
             raise ControlRefused(
                 "This bench is real: nothing can be turned from here.", remedy="Use your hands."
@@ -166,9 +162,9 @@ def open_bench(
     on_change: Callable[[], None],
     say: Callable[[str], None],
 ) -> Bench:
-    """Open the devices and make their controls. The loop is not started yet.
+    """Open the devices and make their controls; the loop is not started yet.
 
-    Raises DriverError, SimulationError: If a device cannot be opened; the others are then closed.
+    If a device cannot be opened, the others are closed.
     """
     clock = BenchClock()
     meter = make_meter()  # first: its process starts while the devices open

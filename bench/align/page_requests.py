@@ -42,11 +42,7 @@ class PageFiles:
     folder: Path = field(default_factory=Path.cwd)
 
     def as_data(self) -> dict[str, Any]:
-        """Return what the page shows of the files.
-
-        Returns: Station file, why it must be copied (or an empty text), folder, and the names of the
-          sequences.
-        """
+        """Return station file, why it must be copied (or an empty text), folder, and the names of the sequences."""
         here = sorted(path.name for path in self.folder.glob("*.yaml") if _is_sequence(path))
         return {
             "station": self.station,
@@ -57,11 +53,7 @@ class PageFiles:
         }
 
     def in_folder(self, name: str) -> Path:
-        """Return the path of a file that the page names.
-
-        name: Name of the file, without a folder; the ending ``.yaml`` is added if it is missing.
-        Raises ControlRefused: If the name is not a plain file name.
-        """
+        """Return the path of a plain file name that the page gives; the ending ``.yaml`` is added if it is missing."""
         if not _FILE_NAME.fullmatch(name) or ".." in name:
             raise ControlRefused(
                 f"{name!r} is not a plain file name.",
@@ -70,11 +62,7 @@ class PageFiles:
         return self.folder / (name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
 
     def sequence(self, name: str) -> Path:
-        """Return the path of a sequence that the page names.
-
-        name: Name of a file in ``folder``, or of a shipped sequence.
-        Raises ControlRefused: If there is no such sequence.
-        """
+        """Return the path of a sequence in ``folder``, or of a shipped one, that the page names."""
         here = self.in_folder(name)
         if here.is_file():
             return here

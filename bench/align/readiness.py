@@ -48,11 +48,7 @@ class Check:
 def check_readiness(
     session: Session, *, sequence: str | None = None, station_file: str | None = None
 ) -> list[Check]:
-    """Make all checks.
-
-    sequence: Sequence that shall run on the station; None checks the bench only.
-    station_file: Path or name of the station file; None for the one of the session.
-    """
+    """Make all checks of a sequence on the station, or of the bench only; ``station_file`` None: the session's."""
     bench = session.bench
     checks = [_station(session), *_stage(bench), *_light(bench), *_camera(bench)]
     if sequence is None:

@@ -55,7 +55,7 @@ _FREE = frozenset({"stop", "take", "beat", "leave", "propose", "check"})
 def align_app(session: Session, files: PageFiles | None = None) -> Starlette:
     """Make the application of the align page.
 
-    files: Where the page may write; None for the session's station file and the working directory.
+    ``files`` is where the page may write; None for the session's station file and the working directory.
     """
     pages = _Pages(session, files or PageFiles(session.station.file))
     return page_app(
@@ -224,13 +224,10 @@ def align_on_page(
     token: PageToken | None,
     open_browser: bool = True,
 ) -> int:
-    """Serve the align page of a station until Ctrl-C.
+    """Serve the align page of a station until Ctrl-C; return 0 if every device confirmed a safe state, else 1.
 
-    settings: Values that replace those of the file, as ``PATH=VALUE``.
-    token: The token of the page; None if it needs none.
-    Returns: Exit status: 0 if every device confirmed a safe state, 1 if not.
-    Raises UsageError: If the port is in use, or other computers could use the page without a token.
-    Raises DocumentFaults: If the station file is not valid.
+    ``settings`` (``PATH=VALUE``) replace values of the file; ``token`` is None if the page needs none. Raises
+    `UsageError` if the port is in use, or other computers could use the page without a token.
     """
     session = make_session(station, settings, seed=seed)
     path = find_document(station, SHIPPED_STATIONS)
@@ -259,9 +256,7 @@ def align_on_page(
 def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> Session:
     """Read the station file and make a session; no device is opened yet.
 
-    settings: Values that replace those of the file, as ``PATH=VALUE``; ``station.`` may stand before the
-      path.
-    Raises UsageError: If a setting does not have the form ``PATH=VALUE``.
+    ``settings`` (``PATH=VALUE``, also with ``station.`` before the path) replace values of the file.
     """
     given = {}
     for text in settings:
@@ -286,12 +281,8 @@ def leave(session: Session) -> int:
 
 
 def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
-    """Return what each device confirmed, as lines for the terminal.
+    """Return what each device confirmed, a line each, for the terminal; one line if no device was open.
 
-    Returns: One line a device; one line that says so if no device was open.
-
-    Examples
-    --------
     >>> confirmation_lines([Confirmation("light", safe=True, text="off, as it reports itself.")])
     ['light: off, as it reports itself.']
     """

@@ -42,10 +42,7 @@ _SAME_S: Final = 10.0
 
 
 class Happened:
-    """The list of what happened.
-
-    clock: Returns the time, s since 1970.
-    """
+    """The list of what happened; ``clock`` returns the time, s since 1970."""
 
     def __init__(self, on_change: Callable[[], None], clock: Callable[[], float] = time.time) -> None:
         self._on_change = on_change
@@ -56,10 +53,10 @@ class Happened:
         self._count = 0
 
     def say(self, text: str, topic: str = "") -> None:
-        """Add a sentence.
+        """Add a sentence on a topic: what it is about and who did it.
 
-        topic: What it is about and who did it. If the entry before has the same topic and is some seconds old
-          at most, this one takes its place. Empty for an entry of its own, unless it says the same again.
+        If the entry before has the same topic and is some seconds old at most, this one takes its place. An empty topic
+        makes an entry of its own, unless it says the same again.
         """
         now_s = self._clock()
         topic = topic or text
@@ -86,10 +83,7 @@ _LOOK_LIGHT_S = 2.0
 
 
 class Session:
-    """One session of aligning.
-
-    changes: Told after each change of what `state` returns, and after each new picture.
-    """
+    """One session of aligning; ``changes`` is told after each change of `state`, and after each new picture."""
 
     def __init__(
         self,
@@ -176,9 +170,9 @@ class Session:
         return [] if bench is None else failures_of(bench)
 
     def close(self) -> list[Confirmation]:
-        """Leave the bench safe: stage stopped, light off, camera closed. A second call does nothing.
+        """Leave the bench safe (stage stopped, light off, camera closed); return what each open device confirmed.
 
-        Returns: What each device confirmed; empty if no device was open.
+        A second call does nothing.
         """
         if self._ended.is_set():
             return []
@@ -204,8 +198,7 @@ class Session:
     def state(self) -> dict[str, Any]:
         """Return everything besides the picture, as plain values for JSON.
 
-        Returns: ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``hands``, ``controls``,
-          ``messages``.
+        These are ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``hands``, ``controls``, ``messages``.
         """
         bench, station = self._bench, self.station.value
         condition = (
@@ -276,10 +269,7 @@ class Session:
                 self.stop("because the page that moved it is gone")
 
     def light(self, **changes: Any) -> dict[str, Any]:
-        """Change the light. See `LightControl.set`.
-
-        changes: ``on``, ``waveform``, ``frequency_hz``, ``duty_percent``, ``level_percent``.
-        """
+        """Change the light by the arguments of `LightControl.set`."""
         control = self.bench.light
         control.set(**changes)
         return control.as_data()

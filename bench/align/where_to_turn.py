@@ -67,15 +67,11 @@ class SeenMotion:
     def turn(
         self, tag_px: tuple[float, float], size: tuple[int, int], focal_px: float
     ) -> tuple[float, float] | None:
-        """Return the turns of pan and tilt that bring the tag to the middle, by the motion seen.
+        """Return the turns of pan and tilt, degrees, that bring the tag to the middle, by the motion seen.
 
         The motion of an axis that has not turned yet is taken to be rotated as that of the other one. Own procedure: a
-        linear equation with the motions as columns.
-
-        tag_px: Centre of the tag (column, row), px.
-        size: Width and height of the image, px.
-        focal_px: Focal length, px.
-        Returns: Pan and tilt, degrees; None if the signs of the bench hold, as far as was seen.
+        linear equation with the motions as columns. ``tag_px`` is the centre of the tag (column, row), ``size`` the
+        image's width and height, px. None if the signs of the bench hold, as far as was seen.
         """
         rotations = {axis: _angle_deg(_UPRIGHT[axis], motion) for axis, motion in self._learnt.items()}
         if not any(abs(angle) > _UNUSUAL_DEG for angle in rotations.values()):
@@ -152,9 +148,9 @@ class TurnFigures:
     def to_json(self) -> dict[str, object]:
         """Return the figures as plain values.
 
-        Returns: ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and
-          ``up_px``), ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``square_borders``,
-          ``focal_px``, ``rim_poses``, ``beyond``.
+        These are ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and ``up_px``),
+        ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``square_borders``, ``focal_px``,
+        ``rim_poses``, ``beyond``.
         """
         in_deg = self.unit == "°"
         return {
@@ -184,13 +180,11 @@ def where_to_turn(
     motion: SeenMotion | None = None,
     square: DarkSquare | None = None,
 ) -> TurnFigures:
-    """Find out where to turn.
+    """Find out where to turn in an image of a width and height, px.
 
-    size: Width and height of the image, px.
-    stars: Tag and stars in it; None if they were not searched.
-    reading_deg: Present angles of the stage by axis, degrees; empty if unknown.
-    motion: How the pattern was seen to move; None to rely on the signs of the bench.
-    square: A dark square that looks like the tag, if no tag was recognised.
+    ``stars`` is None if they were not searched, ``reading_deg`` (angles by axis) empty if unknown. ``motion`` is how
+    the pattern was seen to move; None to rely on the signs of the bench. ``square`` is a dark one that looks like the
+    tag, if no tag was recognised.
     """
     grid, target = grid_of(stars), setting.target
     named = stars is not None and (bool(stars.named_by) or stars.tag is not None)
@@ -247,19 +241,12 @@ def _beyond(turn: Offset, setting: LiveSetting, reading_deg: Mapping[str, float]
 def turn_to_centre(
     point_px: Offset, size: tuple[int, int], focal_px: float | None, reading_deg: Mapping[str, float]
 ) -> Offset:
-    """Return the turns of pan and tilt that bring a point of the image to its middle.
+    """Return the turns of pan and tilt, degrees, that bring a point (column, row, px) to the middle of the image.
 
-    The direction d of the point satisfies d = G(pan, tilt) b. Wanted are angles with G b along the optical axis, for
-    G = Rz(roll) Rx(tilt) Ry(pan); own solution of this equation.
+    The direction d of the point satisfies d = G(pan, tilt) b. Wanted are angles with G b along the optical axis, for G
+    = Rz(roll) Rx(tilt) Ry(pan); own solution of this equation. ``size`` is width and height, px; an axis missing in
+    ``reading_deg`` is at 0. Without a focal length: how far the point has to move right and up, px.
 
-    point_px: Column and row of the point, px.
-    size: Width and height of the image, px.
-    focal_px: Focal length, px; None if unknown.
-    reading_deg: Present angles of the stage, degrees; a missing axis is at 0.
-    Returns: Turns, degrees. Without a focal length: how far the point has to move right and up, px.
-
-    Examples
-    --------
     >>> pan, tilt = turn_to_centre((639.5 - 100, 359.5 + 50), (1280, 720), 1000.0, {})
     >>> round(pan, 3), round(tilt, 3)
     (5.711, 2.848)
@@ -277,9 +264,8 @@ def turn_to_centre(
 def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float | None:
     """Return the angle of the pattern against the pixel rows or diagonals in the middle of the image.
 
-    grid: (3, 3) float64, from [column row 1] to [u v 1] px; None if unknown.
-    size: Width and height of the image, px.
-    Returns: Degrees, -22.5 to 22.5; positive is clockwise.
+    It is -22.5 to 22.5; positive is clockwise. ``grid`` is (3, 3), from [column row 1] to [u v 1] px, or None; ``size``
+    is width and height, px.
     """
     if grid is None:
         return None
@@ -292,11 +278,8 @@ def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float |
 def roll_by_deg(roll: float) -> float:
     """Return by how much to roll the pattern so that its angle against the pixels is `ROLL_WANTED_DEG`.
 
-    roll: Present angle, degrees, -22.5 to 22.5.
-    Returns: Degrees; positive turns the pattern clockwise. 0 if the angle is at least half of the wanted one.
+    The present angle is -22.5 to 22.5 degrees; positive turns clockwise. 0 if it is at least half of the wanted one.
 
-    Examples
-    --------
     >>> roll_by_deg(1.0), roll_by_deg(-2.0), roll_by_deg(12.0)
     (9.0, -8.0, 0.0)
     """
@@ -353,11 +336,10 @@ def rim_poses(
 
 
 def grid_of(stars: QuickStars | None) -> NDArray[np.float64] | None:
-    """Return the homography of the grid: from the stars, or from the tag alone.
+    """Return the homography of the grid, (3, 3), from [column row 1] to [u v 1] px: from the stars, or the tag alone.
 
-    stars: Tag and stars; None if they were not searched.
-    Returns: (3, 3) float64, from [column row 1] to [u v 1] px. Columns and rows are those of the target if
-      the stars have ids, else of any origin and quarter turn. None if there is nothing.
+    Columns and rows are those of the target if the stars have ids, else of any origin and quarter turn. None if there
+    is nothing.
     """
     if stars is None:
         return None

@@ -52,12 +52,9 @@ def station_values(
 ) -> tuple[dict[DocumentPath, Text], list[str]]:
     """Return what a station file must state, from what a session found.
 
-    position_deg: Present angle by axis, degrees, which shall become zero; None leaves the zeros as they are.
-    biases: Offsets of the biases; None leaves them as they are.
-    frame: Exposure and gain of a frame camera by name; None leaves them as they are.
-    level_percent: Level of the light that shall become 100 %; None leaves it as it is.
-    hands: What the hands of a simulated bench have left at lens and mount; None if they did nothing.
-    Raises ControlRefused: If the present position cannot become zero.
+    ``position_deg``, by axis, shall become zero (`ControlRefused` if it cannot), ``level_percent`` of the light 100 %;
+    ``biases`` are offsets, ``frame`` exposure and gain by name, ``hands`` what those of a simulated bench have left at
+    lens and mount. None leaves values as they are.
     """
     values: dict[DocumentPath, Text] = {}
     notes = []
@@ -125,13 +122,8 @@ def _zero_values(station: Station, name: str, angle_deg: float) -> dict[Document
 
 
 def plain_number(value: float, digits: int) -> str:
-    """Return a number as a person writes it into a file.
+    """Return a number as a person writes it into a file: at most ``digits`` after the point, no needless zeros.
 
-    digits: Largest number of digits after the point.
-    Returns: Without needless zeros.
-
-    Examples
-    --------
     >>> plain_number(2.50, 4), plain_number(-0.00001, 4), plain_number(10, 2)
     ('2.5', '0', '10')
     """
@@ -187,10 +179,8 @@ class Proposal:
     def write(self, mark: str) -> None:
         """Write the file, in one step: at any moment it has its old contents or its new ones.
 
-        mark: ``mark`` of the proposal that the person saw.
-        Raises ControlRefused: If the file or the values have changed since, or a copy would replace another
-          file.
-        Raises StorageError: If it cannot be written; the file then has its old contents.
+        ``mark`` is that of the proposal that the person saw. Refused if file or values have changed since, or a copy
+        would replace another file.
         """
         where = str(self.path)
         if mark != self.mark:
@@ -210,12 +200,10 @@ class Proposal:
 def propose_values(
     source: Path, values: Mapping[DocumentPath, Text], model: type[BaseModel], *, target: Path | None = None
 ) -> Proposal:
-    """Propose to set values of a file.
+    """Propose to set values (YAML text by path) of a file; missing keys are added at the end of their mapping.
 
-    values: YAML text by path. Missing keys are added at the end of their mapping.
-    target: New file to write instead; needed where the source must not be changed.
-    Raises ControlRefused: If the file must not be changed and no new name is given, or cannot be edited.
-    Raises ScriptError: If the new text is not valid, with every fault.
+    ``target`` is a new file to write instead, needed (else `ControlRefused`) where the source must not be changed.
+    Raises `ScriptError`, with every fault, if the new text is not valid.
     """
     before = _read(source)
     document, yaml = _load(source, before)
@@ -233,16 +221,11 @@ def propose_pose(
     light: Mapping[str, str] | None = None,
     target: Path | None = None,
 ) -> Proposal:
-    """Propose to add a pose to a list of a sequence, and to set its light.
+    """Propose to add a pose to a list of a sequence, and to set its light; nothing is written.
 
-    poses: Name of the list; None for the first list of the file. A list that does not exist is made.
-    name: Name of the pose; None for none.
-    light: YAML text by key of ``defaults.light``; None leaves the light as it is.
-    target: New file to write instead; needed where the source must not be changed.
-    Returns: The change, not written.
-    Raises ControlRefused: If the set of this name is a grid, or the file must not be changed and no new name
-      is given.
-    Raises ScriptError: If the new text is not valid, with every fault.
+    ``poses`` names the list, which is made if it does not exist; None for the file's first one; a grid is refused.
+    ``name`` is that of the pose, or None; ``light`` YAML text by key of ``defaults.light``, None to leave it.
+    ``target`` and errors as for `propose_values`.
     """
     before = _read(source)
     document, yaml = _load(source, before)

@@ -21,8 +21,7 @@ MOST_VALUES: Final = 5_000_000
 def parse_json(data: bytes | str) -> Any:
     """Parse JSON of a bounded depth and number of values, which every reader reads alike.
 
-    Raises ValueError: If it is not such JSON, is nested too deeply, or has too many values; never
-      RecursionError.
+    All else raises `ValueError`, never RecursionError.
     """
     marks: tuple[Any, ...] = (b",", b"[", b"{") if isinstance(data, bytes) else (",", "[", "{")
     if sum(data.count(mark) for mark in marks) > MOST_VALUES:
@@ -41,10 +40,7 @@ def parse_json(data: bytes | str) -> Any:
 
 
 def canonical_json(found: Any, *, ascii_only: bool = True) -> bytes:
-    """Return JSON as all files of a run, a certificate or of recalculated results hold it.
-
-    Raises ValueError: When a number is not finite.
-    """
+    """Return JSON as all files of a run, a certificate or of recalculated results hold it; numbers must be finite."""
     return (json.dumps(found, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
 
 

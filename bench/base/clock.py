@@ -103,12 +103,10 @@ class BenchClock:
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
-        """Wait. A request to stop or to pause ends the wait at once, unless the clock is shielded.
+        """Wait, s (negative: 0). A request to stop or to pause ends the wait at once, unless the clock is shielded.
 
-        seconds: Duration, s; a negative one is 0.
-        Raises Aborted: When a stop is requested.
-        Raises Interrupted: When an interlock asks for a pause.
-        Raises Exception: The error given to ``request_failure``.
+        Raises `Aborted` at a stop, `Interrupted` when an interlock asks for a pause, or what ``request_failure`` was
+        given.
         """
         self._asleep = True
         try:
@@ -180,10 +178,6 @@ class BenchClock:
 class VirtualClock(BenchClock):
     """A clock whose time passes only where the work waits, so that a simulated night takes only its computing time.
 
-    begin: First moment of the clock, with its time zone.
-
-    Examples
-    --------
     >>> clock = VirtualClock(datetime(2026, 3, 1, 22, tzinfo=UTC))
     >>> clock.sleep(3600)
     >>> f"{clock.utc_now():%H:%M}", clock.monotonic()

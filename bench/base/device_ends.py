@@ -72,9 +72,9 @@ def lost_ends(why: str) -> list[DeviceEnd]:
 
 
 def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
-    """Return a sentence for stage and light each, if it did not confirm that it is safe.
+    """Return a sentence for stage and light each, if it did not confirm that it is safe, each sentence once.
 
-    Returns: Each sentence once. A camera is no reason to check the bench: it neither moves nor shines.
+    A camera is no reason to check the bench: it neither moves nor shines.
     """
     unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
     return list(dict.fromkeys(unsure))

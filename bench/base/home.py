@@ -13,14 +13,10 @@ HOME_VARIABLE = "STARBENCH_HOME"
 
 
 def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of the bench's own files.
+    """Return the folder of the bench's own files, which may not exist yet.
 
     It is ``$STARBENCH_HOME`` or, if that is not set, ``starbench`` in the user's configuration folder.
 
-    Returns: The folder; it may not exist yet.
-
-    Examples
-    --------
     >>> home_folder({"HOME": "/home/ada"}).as_posix()
     '/home/ada/.config/starbench'
     >>> home_folder({"STARBENCH_HOME": "/etc/starbench"}).as_posix()
@@ -47,15 +43,11 @@ _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 
 def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
-    """Set ``NUMBA_CACHE_DIR`` if numba would not find a folder it may write to.
+    """Set ``NUMBA_CACHE_DIR`` if numba would not find a folder it may write to, for child processes too.
 
     The folder is private to the user, in the system's folder for temporary files, and is used again by the next call.
     If another user has taken its name, a new folder is made: a kernel is a program, and a program of another user must
-    not be executed.
-
-    environ: Environment variables of the process; a value that is already set is kept. Child processes
-      inherit it.
-    Raises OSError: When no folder can be made.
+    not be executed. A value that is already set is kept.
     """
     if environ.get(VARIABLE) or _may_write(beside / "__pycache__") or _may_write(_user_cache(environ)):
         return
@@ -88,12 +80,11 @@ def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Pat
 
 
 def remove_stale_kernels(root: Path = _ROOT) -> int:
-    """Remove compiled kernels that are older than the source files in their folder, so that an update never loads them.
+    """Remove compiled kernels older than their folder's source files, so that none is loaded; return how many.
 
     numba compares ages itself, with two gaps. It first unpickles the index of the kernels, which fails where a class
     that the index names was renamed. And it does not see that another compiled function, which a kernel calls, changed.
-
-    Returns: Number of kernels removed; files that cannot be removed are left.
+    Files that cannot be removed are left.
     """
     removed = 0
     caches = (

@@ -66,10 +66,7 @@ class BatchMessages:
         self._couriers: dict[str, Courier] = {}
 
     def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
-        """Send a message about a run that failed, died or hung.
-
-        line: Hash of the line in the batch's journal that records this end.
-        """
+        """Send a message about a run that failed, died or hung, which the journal line with this hash records."""
         courier = self._courier(station)
         if courier is None or end.how not in REPORTED_BY_BATCH:
             return
@@ -83,10 +80,7 @@ class BatchMessages:
         courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
 
     def batch_ended(self, summary: Mapping[str, Any], folder: Path, line: str) -> None:
-        """Send what the terminal prints at the end of the batch to all recipients of its runs.
-
-        line: Hash of the line in the batch's journal that records the end.
-        """
+        """Send what the terminal prints at the batch's end to all; ``line`` is the hash of its journal line."""
         name, how, why = (summary[key] for key in ("queue", "how", "why"))
         what = f"{how}{': ' if why else ''}{why}"
         text = "\n".join(summary_lines(summary))
@@ -152,12 +146,10 @@ RunWork = Callable[[Item, Path, Path], WorkerEnd]
 
 
 class Batch:
-    """A batch in its folder, which this process locks.
+    """A batch in its folder, which this process locks: a new or empty folder, or that of an interrupted batch.
 
-    folder: A new or empty folder, or that of an interrupted batch.
-    queue: The runs to do. The folder keeps a copy and continues with no other queue.
-    rehearsal: Whether the batch is a rehearsal. A rehearsed batch never continues as a real one, and a real
-      one never as a rehearsed one.
+    The folder keeps a copy of the queue and continues with no other one. A rehearsed batch never continues as a real
+    one, and a real one never as a rehearsed one.
     """
 
     def __init__(
@@ -181,10 +173,7 @@ class Batch:
         self._told_of_standard = ""
 
     def run(self) -> dict[str, Any]:
-        """Do every run that is not done yet.
-
-        Raises RunFolderError: When the folder belongs to something else, or another process works on it.
-        """
+        """Do every run that is not done yet, in a folder that belongs to nothing else."""
         make_folder(self.folder / RUNS)
         lock = lock_folder(self.folder)
         try:

@@ -136,10 +136,7 @@ def _refuse_secrets(document: Located[Any]) -> None:
 
 
 def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
-    """Replace the file names of a job by full paths: beside the queue file, otherwise in the current folder.
-
-    Names of passports in the settings are file names too.
-    """
+    """Replace file names of a job, also of passports in settings, by full paths: beside the queue, else in the cwd."""
     names: dict[str, Any] = {}
     for key in ("sequence", "station"):
         if found := _beside(base, getattr(job, key)):
@@ -259,7 +256,7 @@ def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
 def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
     """Predict when each run of a queue begins and ends, if the batch begins at a given time.
 
-    paces: How long earlier runs took against their plans, by the name of the station.
+    ``paces`` are how long earlier runs took against their plans, by the name of the station.
     """
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
@@ -326,12 +323,11 @@ def refusal(request: Request, record: BatchRecord) -> str:
 
 
 class RequestInbox:
-    """Answers the requests to a batch.
+    """Answers the requests to a batch in its folder, locked by this process.
 
-    folder: Folder of the batch, locked by this process.
-    answer: Decides on a request and writes the decision to the journal. It is called with None for a file
-      that is not a request, and with the name of the file.
-    clock: Is asked to stop when answers cannot be written to the journal any more.
+    ``answer`` decides on a request and writes the decision to the journal. It is called with None for a file that is
+    not a request, and with the name of the file. The clock is asked to stop when answers cannot be written to the
+    journal any more.
     """
 
     def __init__(
@@ -367,9 +363,8 @@ def _inbox_of(folder: Path) -> Inbox[Request]:
 def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> Requested | None:
     """Send a request to a batch, and wait for the answer if a process works on it.
 
-    Returns: The answer in the journal: ``word by taken why`` and ``job`` or ``name``. None if there is no
-      answer yet; the request then stays until the batch continues.
-    Raises RunFolderError: When there is no batch in the folder, or it is a rehearsal that has ended.
+    The answer is that in the journal: ``word by taken why`` and ``job`` or ``name``; None if there is none yet: the
+    request then stays until the batch continues. A rehearsal that has ended takes none.
     """
     if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
         raise RunFolderError(
@@ -402,12 +397,8 @@ def _answer_in(folder: Path, request_id: str) -> Requested | None:
 
 
 def answer_text(answer: Requested | None) -> str:
-    """Describe the answer to a request.
+    """Describe the answer of `send_request`.
 
-    answer: Answer from `send_request`.
-
-    Examples
-    --------
     >>> answer_text({"word": "withdraw", "name": "cam7", "taken": True, "why": ""})
     'Accepted: cam7 is withdrawn; a run in progress continues.'
     """

@@ -160,9 +160,8 @@ class BatchRecord:
     def is_done(self, item: Item) -> bool:
         """Whether a run needs no further attempt.
 
-        Returns: True if it finished, was aborted or withdrawn, or its processes failed ``attempts`` times
-          without a further recorded pose. A power cut or a kill is no failure; after ``MOST_CUTS`` of them
-          the run is given up, too.
+        It finished, was aborted or withdrawn, or its processes failed ``attempts`` times without a further recorded
+        pose. A power cut or a kill is no failure; after ``MOST_CUTS`` of them the run is given up, too.
         """
         if item.key in self.withdrawn:
             return True
@@ -175,10 +174,7 @@ class BatchRecord:
         return self.failures.get(item.key, 0) >= item.job.attempts or cuts >= MOST_CUTS
 
     def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
-        """Return the expected duration of a run: the mean of its job's finished runs, otherwise the planned duration.
-
-        Returns: Expected duration, s. Only runs that finished in their first attempt enter the mean.
-        """
+        """Return the mean duration of the job's runs that finished in their first attempt, else the planned one."""
         took = [
             self.ended_attempts[key][0].duration_s
             for key, end in self.ends.items()

@@ -340,7 +340,7 @@ def follow_batch(
 ) -> Iterator[BatchStatus]:
     """Read the status whenever a run begins or ends, until no process works on the batch.
 
-    ticks: Whether to read it also when no run has begun or ended, for the course of the run in progress.
+    With ``ticks`` also in between, for the course of the run in progress.
     """
     seen, waits = -1, 0
     while True:

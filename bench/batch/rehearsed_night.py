@@ -32,13 +32,10 @@ _ROOM_BYTES = 1_000_000_000
 def rehearse_batch(
     queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Rehearse a batch from begin to end.
+    """Rehearse a batch from ``begin``, a virtual time with zone, to its end, in a new or empty folder.
 
-    folder: A new or empty folder.
-    begin: Virtual time at which the batch begins, with its time zone.
-    seed: Random seed of the runs to which the queue gives none. The same seed and begin give the same
-      journals, byte for byte.
-    Raises RunFolderError: When the folder is not empty, because a rehearsal cannot be continued.
+    The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte. A
+    rehearsal cannot be continued.
     """
     make_folder(folder)
     with storage_errors(folder):

@@ -60,15 +60,11 @@ DurationOf = Callable[[Item], float]
 
 
 def next_time(at: str, after: datetime, zone: str | None) -> datetime:
-    """Find the next moment, strictly after another, at which clocks show a time of day.
+    """Find the next moment, UTC, strictly after another with its zone, at which clocks show a time as ``22:30``.
 
-    at: Hours and minutes, as ``22:30``.
-    after: Aware of its zone.
-    zone: Whose clocks; None for those of this machine.
-    Returns: UTC. Where clocks are put forward over it, as much later as they are put forward.
+    ``zone`` None stands for the clocks of this machine. Where clocks are put forward over the time, it is as much
+    later.
 
-    Examples
-    --------
     >>> f"{next_time('22:30', datetime(2026, 3, 1, 21, 0, tzinfo=UTC), 'Europe/Berlin'):%d %H:%M}"
     '01 21:30'
     >>> f"{next_time('22:30', datetime(2026, 3, 1, 21, 30, tzinfo=UTC), 'Europe/Berlin'):%d %H:%M}"
@@ -101,12 +97,10 @@ def bounds_of(queue: Queue, begun: datetime) -> Bounds:
 def items_of(
     jobs: Sequence[JobConfig], begun: datetime, now_s: float = 0.0, zone: str | None = None
 ) -> list[Item]:
-    """List every run of some jobs.
+    """List every run of some jobs: the repetitions of each job, in the order of the jobs.
 
-    now_s: Time from which these jobs may begin, s after the begin of the batch: the opening of the batch, or
-      the time at which they were added.
-    zone: Time zone of times of day; None for this computer's.
-    Returns: The repetitions of each job, in the order of the jobs.
+    They may begin ``now_s`` after the begin of the batch: at its opening, or when the jobs were added. ``zone`` is that
+    of times of day; None for this computer's.
     """
     items = []
     for job in jobs:
@@ -126,12 +120,7 @@ def by_priority(items: Sequence[Item]) -> list[Item]:
 def choose_next(
     pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of: DurationOf
 ) -> Item | float | None:
-    """Decide what to do at a time.
-
-    at_s: The time, s after the begin of the batch.
-    Returns: The run to begin now; the time to wait before the next decision, s; None if no more run can
-      begin.
-    """
+    """Decide at a time, s after the batch's begin: the run to begin now, or the wait, s; None if none can begin."""
     return _choose(by_priority(pending), at_s, bounds, _once_a_job(duration_of))
 
 
@@ -163,16 +152,11 @@ def _choose(
 
 
 def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of: DurationOf) -> list[Slot]:
-    """Predict when each run begins and ends.
+    """Predict, at a time in s after the batch's begin, when each run that is not done begins and ends.
 
-    pending: Runs that are not done.
-    at_s: Time from which to predict, s after the begin of the batch.
-    bounds: Times between which the batch works.
-    duration_of: Returns the expected duration of a run, s.
-    Returns: Runs in the order in which they will begin; runs without time are last.
+    ``bounds`` are the times between which the batch works; ``duration_of`` returns the expected duration of a run, s.
+    Runs stand in the order of their beginning, those without time last.
 
-    Examples
-    --------
     >>> job = JobConfig(name="a", sequence="s", station="t", times=3, every_min=60)
     >>> items = items_of([job], datetime(2026, 3, 1, 20, tzinfo=UTC))
     >>> [(s.item.key, s.begin_s) for s in look_ahead(items, 0, Bounds(done_by_s=7000), lambda _: 600)]

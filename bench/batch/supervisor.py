@@ -88,11 +88,7 @@ def supervise(
     say: Callable[[str], None],
     environ: Mapping[str, str] = os.environ,
 ) -> WorkerEnd:
-    """Run a worker to its end.
-
-    clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
-    Raises Aborted: When a stop was requested; the worker has ended by then.
-    """
+    """Run a worker to its end. A stop requested from the clock ends it safely, then is raised again as `Aborted`."""
     killed_for_memory = out_of_memory_kills()
     try:
         with log.open("ab") as sink:
@@ -124,11 +120,10 @@ def supervise(
 
 
 def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> WorkerEnd | None:
-    """Supervise a worker that outlived its supervisor, to its end. Return at once if there is none.
+    """Supervise a worker that outlived its supervisor, to its end; return how it was ended if it hung, else None.
 
-    folder: Run folder; its lock shows whether a worker is alive. The folder records how the worker ended.
-    clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
-    Returns: How it was ended if it hung; None if it did not hang.
+    The folder's lock shows whether a worker is alive (if none is, this returns at once); the folder records how it
+    ended. A stop requested from the clock ends it safely and is raised again.
     """
     if not is_locked(folder):
         return None

@@ -33,13 +33,10 @@ _NEGLIGIBLE = Decimal("0.01")
 
 
 def round_expanded(expanded: float) -> Decimal:
-    """Round an expanded uncertainty to two significant digits, up unless the difference is negligible.
+    """Round an expanded uncertainty above zero to two significant digits, up unless the difference is negligible.
 
-    Returns: The rounded uncertainty; its exponent is that of its last digit.
-    Raises ValueError: If it is not above zero.
+    Its exponent is that of its last digit.
 
-    Examples
-    --------
     >>> [str(round_expanded(one)) for one in (2.4106, 2.451, 0.0164, 9.99, 105.0, 0.000123)]
     ['2.4', '2.5', '0.017', '10', '1.1E+2', '0.00013']
     """
@@ -56,8 +53,6 @@ def round_expanded(expanded: float) -> Decimal:
 def printed(number: Decimal) -> str:
     """Return a decimal number without an exponent.
 
-    Examples
-    --------
     >>> printed(Decimal("1.1E+2"))
     '110'
     """
@@ -65,12 +60,8 @@ def printed(number: Decimal) -> str:
 
 
 def print_result(value: float, expanded: float) -> tuple[str, str]:
-    """Return a value and its expanded uncertainty as printed, both to the same digit.
+    """Return a finite value and its expanded uncertainty, above zero, as printed, both to the same digit.
 
-    Raises ValueError: If a number is not finite, or the uncertainty not above zero.
-
-    Examples
-    --------
     >>> print_result(3346.4271, 2.4106)
     ('3346.4', '2.4')
     >>> print_result(-0.00004, 0.0164)
@@ -93,8 +84,6 @@ def _to_digit_of(exact: Decimal, uncertainty: Decimal) -> Decimal:
 def print_plain(value: float, digits: int = 2) -> str:
     """Return a number with some significant digits, without an exponent.
 
-    Examples
-    --------
     >>> [print_plain(one) for one in (0.61023, 0.08094, 174.05, 0.0)]
     ['0.61', '0.081', '170', '0']
     """
@@ -159,13 +148,11 @@ def row_names(calibration: CalibrationData) -> list[str]:
 
 
 def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
-    """Return the uncertainty of a result with its own degrees of freedom.
+    """Return the uncertainty of a result with its own degrees of freedom, from ``calibration`` of results.json.
 
     Formula of Welch and Satterthwaite (JCGM 100, G.4.1). The engine evaluates all sources of the adjustment that are
-    not known beforehand together; they count as one source.
-
-    calibration: ``calibration`` of results.json.
-    Returns: The uncertainty; never with more degrees of freedom, nor a smaller U, than results.json states.
+    not known beforehand together; they count as one source. There are never more degrees of freedom, nor a smaller U,
+    than results.json states.
     """
     if own_factors := calibration.get(
         "coverage_factors"
@@ -189,11 +176,7 @@ def budget_of(
     rounded: float,
     words: TargetWords = STAR_WORDS,
 ) -> Budget:
-    """Return the uncertainty budget of a result.
-
-    Raises EvidenceError: When the results have no budget, or its rows do not add up to the stated
-      uncertainty.
-    """
+    """Return the uncertainty budget of a result; `EvidenceError` if it is missing or its rows do not add up."""
     stated = expanded(calibration, symbol)
     spread = _spread_freedom(calibration)
     rows = []

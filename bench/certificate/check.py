@@ -33,7 +33,7 @@ _UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErr
 def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     """Derive the files of a certificate again and compare every byte; compare number and run with the ledger.
 
-    ledger: The laboratory's ledger; None, or one that does not have the number: nothing is compared with it.
+    Without the laboratory's ledger, or one that has the number, nothing is compared with it.
     """
     found = Findings()
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}

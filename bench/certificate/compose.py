@@ -101,8 +101,8 @@ _FISHEYE = (
 def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
     """Return the fixed texts of a certificate, in the order in which they are printed.
 
-    also: Why a second certificate is issued for the run; empty if it is the first one.
-    verified: What was verified before the issue; empty if nothing is stated.
+    ``also`` is why a second certificate is issued for the run, ``verified`` what was verified before the issue; or
+    empty.
     """
     calibration = found["calibration"]
     notes = " ".join(str(note) for note in calibration.get("notes") or [])
@@ -143,10 +143,10 @@ RULE = (
 
 
 def _rules_of(found: Results, lab: LabConfig) -> Sequence[LabRuleConfig]:
-    """Return the limits to state conformity with: the laboratory's, or those of the run if the laboratory has none.
+    """Return the limits to state conformity with: the laboratory's, or those of the run if it has none.
 
-    Limits of the collimator are left out: the certificate is about the camera.
-    Raises EvidenceError: If the run has limits of a value that it did not determine.
+    Limits of the collimator are left out: the certificate is about the camera. A value that the run did not determine
+    must have none.
     """
     if lab.decision_rules:
         return lab.decision_rules
@@ -200,7 +200,7 @@ class Identity:
 def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
     """Return the certificate of a run. Every clause is answered, and nothing contradicts the run (checked before).
 
-    Raises EvidenceError: When the uncertainty budget is missing or does not add up.
+    An uncertainty budget that is missing or does not add up raises `EvidenceError`.
     """
     simulated = bool(found["run"]["simulated"])
     supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
@@ -293,10 +293,7 @@ def _laboratory(lab: LabConfig) -> Laboratory:
 
 
 def _part(kind: Callable[..., Part], one: StrictModel | None, **other: Any) -> Part:
-    """Return a part of the certificate: what lab.yaml states under the same names, and empty texts for the rest.
-
-    other: Fields that lab.yaml does not state in this form.
-    """
+    """Return a part of the certificate: what lab.yaml states under the same names, else ``other`` or empty texts."""
     stated = {} if one is None else dict(one)
     return kind(
         **{name: other[name] if name in other else stated.get(name) or "" for name in get_type_hints(kind)}

@@ -74,11 +74,9 @@ _REF_TYPES = {
 
 
 def render_dcc(certificate: Certificate, versions: Versions = VERSIONS[0]) -> bytes:
-    """Return a certificate as a digital calibration certificate, not signed.
+    """Return a certificate as a digital calibration certificate, not signed, in one of `dcc_xml.VERSIONS`.
 
-    versions: Version of the DCC and of D-SI, one of `dcc_xml.VERSIONS`.
-    Raises UsageError: When lxml is not installed.
-    Raises ValueError: When the pair of versions is not one of `dcc_xml.VERSIONS`.
+    Without lxml, `UsageError` is raised.
     """
     if versions not in VERSIONS:
         raise ValueError(f"DCC {versions.dcc} with D-SI {versions.si} cannot be written")
@@ -231,12 +229,9 @@ def ellipsoid_factor(n: int, p: float, nu: float | None) -> float:
     """Return the coverage factor of an ellipsoidal region (JCGM 102:2011, 6.5).
 
     With the multivariate t distribution (JCGM 102:2011, 5.3.2) the squared factor over n has an F distribution with n
-    and nu degrees of freedom (Kotz and Nadarajah, Multivariate t Distributions and Their Applications, 2004).
+    and nu degrees of freedom (Kotz and Nadarajah, Multivariate t Distributions and Their Applications, 2004); nu None
+    is the normal distribution.
 
-    nu: Degrees of freedom; None for the normal distribution.
-
-    Examples
-    --------
     >>> round(ellipsoid_factor(2, 0.95, None), 3), round(ellipsoid_factor(1, 0.95, 10.0), 3)
     (2.448, 2.228)
     """
@@ -282,12 +277,8 @@ def joined(*parts: str) -> str:
 
 
 def number_text(value: float) -> str:
-    """Return a number as D-SI writes it, with all its digits.
+    """Return a finite number as D-SI writes it, with all its digits.
 
-    Raises ValueError: When it is not finite.
-
-    Examples
-    --------
     >>> number_text(-0.25), number_text(1e-7), number_text(3)
     ('-0.25', '1e-07', '3.0')
     """
@@ -298,12 +289,8 @@ def number_text(value: float) -> str:
 
 
 def plain_number(value: float, digits: int) -> str:
-    """Return a number without an exponent, as D-SI wants coverage factors and probabilities.
+    """Return a number without exponent and zeros at its end, as D-SI wants coverage factors and probabilities.
 
-    Returns: The number, without zeros at its end.
-
-    Examples
-    --------
     >>> plain_number(2.0, 4), plain_number(0.95450, 5)
     ('2', '0.9545')
     """

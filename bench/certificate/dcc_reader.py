@@ -60,11 +60,10 @@ class Reference:
 
 
 def read_reference(data: bytes, where: str, *, wanted: str = "") -> Reference:
-    """Read a length from a DCC.
+    """Read a length from a DCC by id, label or name; an empty one is the focal length, or the only length.
 
-    wanted: Id, label or name of the quantity; empty for the focal length, or for the only length.
-    Raises EvidenceError: When the DCC cannot be read, hides parts of values in comments, has no number, or
-      does not state the length unmistakably.
+    Raises `EvidenceError` if the DCC cannot be read, hides parts of values in comments, has no number, or does not
+    state the length unmistakably.
     """
     root = read_dcc(data, where)
     if next(root.iter(library("lxml.etree").Comment), None) is not None:

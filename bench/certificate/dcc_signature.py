@@ -39,10 +39,9 @@ _KEY_FORM = "Use a key in PEM: RSA of 2048 bits or more, or ECDSA on P-256, P-38
 
 
 def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> PrivateKey:
-    """Load the laboratory's key for signatures in XML.
+    """Load the laboratory's key for signatures in XML from a PEM file, which only its owner can read.
 
-    path: Its file, PEM, which only its owner can read.
-    ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
+    ``ask_passphrase`` is for a protected key; None if nobody can be asked.
     """
     with storage_errors(path):
         refuse_readable_by_others(path)
@@ -75,10 +74,7 @@ def _load_pem_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], by
 
 
 def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
-    """Load certificates in PEM: the laboratory's chain, or certificates that a reader trusts.
-
-    Raises EvidenceError: When the file has none, more than ten, or one that cannot be read.
-    """
+    """Load 1 to 10 certificates in PEM: the laboratory's chain, or certificates that a reader trusts."""
     with storage_errors(path):
         data = path.read_bytes()
     try:
@@ -99,11 +95,9 @@ def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
 
 
 def in_order(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Certificate]:
-    """Return a chain with the certificate of the key first, each followed by that of its issuer.
+    """Return a chain with the certificate of the private key first, each followed by that of its issuer.
 
-    chain: The certificates, in any order.
-    key: The private key of the first.
-    Raises EvidenceError: When none belongs to the key, or one is no part of the chain.
+    Raises `EvidenceError` if none belongs to the key, or one is no part of the chain.
     """
     public = key.public_key()
     left = list(chain)
@@ -161,8 +155,7 @@ def leads_to(
 ) -> bool:
     """Return whether a chain leads to a trusted certificate (RFC 5280, 6.1, without names and policies).
 
-    certificates: The signer's certificate, then others that came with it.
-    when: Time at which the issuers must be valid, with its time zone.
+    The signer's certificate is the first; the issuers must be valid at the time ``when``, with its zone.
     """
     current, left = certificates[0], list(certificates[1:])
     for _ in range(MOST_CERTIFICATES):
@@ -215,10 +208,9 @@ class DccSignature:
 def signer_of_files(
     key_file: Path, certificate_file: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> Callable[[bytes, datetime], bytes]:
-    """Load the laboratory's key and certificates, and return what signs a DCC with them.
+    """Load the laboratory's key and certificates; return what signs a DCC with them at a time (see `sign_dcc`).
 
-    ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
-    Returns: Takes a DCC and the time of signing; returns the signed DCC (see `sign_dcc`).
+    ``ask_passphrase`` is for a protected key; None if nobody can be asked.
     """
     library("signxml")
     key = load_signing_key(key_file, ask_passphrase=ask_passphrase)
@@ -229,14 +221,11 @@ def signer_of_files(
 def sign_dcc(
     data: bytes, key: PrivateKey, chain: Sequence[x509.Certificate], *, signed_utc: datetime
 ) -> bytes:
-    """Sign a digital calibration certificate.
+    """Sign a DCC as `render_dcc` wrote it, at a time with its zone; `without_signature` gives ``data`` again.
 
-    data: The DCC as `bench.certificate.dcc.render_dcc` wrote it.
-    chain: Its certificate, and those that lead to a certificate that readers trust, in any order.
-    signed_utc: Time of signing, with its time zone.
-    Returns: The signed DCC; `without_signature` of it gives ``data`` again.
-    Raises EvidenceError: When the DCC is signed already or not written by Starbench, no certificate of the
-      chain belongs to the key, or that certificate is not valid at the time or not meant for signatures.
+    ``chain`` holds the key's certificate, and those that lead to one that readers trust, in any order. Raises
+    `EvidenceError` if the DCC is signed already or not written by Starbench, no certificate belongs to the key, or that
+    one is not valid at the time or not meant for signatures.
     """
     root = read_dcc(data, "the DCC")
     if next(root.iter(SIGNATURE), None) is not None:
@@ -323,14 +312,11 @@ def without_signature(data: bytes) -> bytes:
 def verify_signature(
     data: bytes, where: str, *, trusted: Sequence[x509.Certificate] = (), when: datetime | None = None
 ) -> DccSignature | None:
-    """Verify the signature of a DCC.
+    """Verify the signature of a DCC; return who signed, or None if it has no signature.
 
-    trusted: Certificates that the reader trusts; empty to check only that the document belongs to the
-      signature.
-    when: Time at which the certificates must be valid; None for the time of signing that the signer states.
-    Returns: Who signed; None if the DCC has no signature.
-    Raises EvidenceError: When the signature is not valid, does not cover the whole document, or is not of a
-      trusted certificate.
+    ``trusted`` is empty to check only that the document belongs to the signature; ``when`` None stands for the time
+    that the signer states. Raises `EvidenceError` if the signature is not valid, does not cover the whole document, or
+    is not of a trusted certificate.
     """
     root = read_dcc(data, where)
     signatures = list(root.iter(SIGNATURE))

@@ -82,13 +82,10 @@ _QUOTIENT = re.compile(r"\s*([^/()]+?)\s*(?:/\s*(?:\((.+)\)|(.+)))?\s*")
 
 
 def d_si_unit(unit: str) -> str | None:
-    r"""Return the D-SI form of a unit that Starbench prints.
+    r"""Return the D-SI form of a unit that Starbench prints; None if it has none.
 
-    unit: One of `OUR_UNITS`, a quotient of these such as ``px / (mm/K)``, or a unit in D-SI's notation.
-    Returns: The unit in D-SI's notation; None if it has none.
+    That is one of `OUR_UNITS`, a quotient of these such as ``px / (mm/K)``, or a unit in D-SI's notation.
 
-    Examples
-    --------
     >>> d_si_unit("arcsec"), d_si_unit("mm/K"), d_si_unit("px / (mm/K)"), d_si_unit("furlong")
     ('\\arcsecond', '\\milli\\metre\\kelvin\\tothe{-1}', '\\milli\\metre\\tothe{-1}\\kelvin', None)
     """
@@ -102,12 +99,8 @@ def d_si_unit(unit: str) -> str | None:
 
 
 def product(first: str, second: str) -> str:
-    r"""Return the product of two units, the unit of their covariance.
+    r"""Return the unit of two units' covariance: D-SI units among the values of `OUR_UNITS` that have no power.
 
-    first, second: Units of D-SI among the values of `OUR_UNITS` that have no power.
-
-    Examples
-    --------
     >>> product(r"\one", r"\milli\metre"), product(r"\milli\metre", r"\milli\metre"), product(r"\one", r"\one")
     ('\\milli\\metre', '\\milli\\metre\\tothe{2}', '\\one')
     """
@@ -146,8 +139,6 @@ def _written(powers: dict[str, int]) -> str:
 def is_unit(text: str) -> bool:
     r"""Return whether a text is a unit of D-SI.
 
-    Examples
-    --------
     >>> [is_unit(one) for one in (r"\metre\per\second", r"\pixel", r"\milli\milli\metre", r"\one\tothe{2}")]
     [True, False, False, False]
     """
@@ -155,13 +146,8 @@ def is_unit(text: str) -> bool:
 
 
 def length_mm(value: float, unit: str) -> float | None:
-    r"""Return a length in millimetres.
+    r"""Return a length in millimetres, from D-SI's ``\metre`` with a prefix or without; None for other units.
 
-    unit: Its unit in D-SI's notation: ``\metre``, with a prefix or without.
-    Returns: The length, mm; None if the unit is not one of length.
-
-    Examples
-    --------
     >>> length_mm(0.255, r"\metre"), length_mm(255.0, r"\milli\metre"), length_mm(1.0, r"\second")
     (255.0, 255.0, None)
     """

@@ -129,12 +129,8 @@ def short(text: str, most: int = 80) -> str:
 
 
 def qualified(name: str) -> str:
-    """Return the name of an element as lxml writes it.
+    """Return the name of an element with its prefix, such as ``dcc:name``, as lxml writes it.
 
-    name: Prefix and name, such as ``dcc:name``.
-
-    Examples
-    --------
     >>> qualified("si:unit")
     '{https://ptb.de/si}unit'
     """
@@ -197,10 +193,7 @@ def schema_folder(given: Path | None, environ: Mapping[str, str] = os.environ) -
 
 
 def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
-    """Check a DCC against the schemas of its version.
-
-    Returns: One line a fault, as ``line N: what``; empty if the DCC is valid. At most 50.
-    """
+    """Check a DCC against the schemas of its version: at most 50 lines ``line N: what``, none if it is valid."""
     root = read_dcc(data, where)
     schema = load_schema(folder, versions_of(root, where))
     if schema.validate(root):
@@ -214,11 +207,9 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
 
 
 def load_schema(folder: Path, versions: Versions) -> XMLSchema:
-    """Load the schemas of a folder.
+    """Load the schemas of a folder, which must have these versions.
 
-    versions: The versions that the schemas must have.
-    Raises UsageError: When a file is missing, is not a schema or has another version, or lxml is not
-      installed.
+    Raises `UsageError` when a file is missing, is not a schema or has another version, or lxml is not installed.
     """
     etree = library("lxml.etree")
     if not folder.is_dir():

@@ -88,7 +88,7 @@ def certificate_files(
 ) -> dict[str, bytes]:
     """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
 
-    sign: Returns the DCC with a signature in it; None for none.
+    ``sign`` returns the DCC with a signature in it; None for none.
     """
     from bench.certificate.dcc import render_dcc
     from bench.certificate.pdf import render_pdf
@@ -197,12 +197,9 @@ def issue(
 ) -> Issued:
     """Issue the certificate of a sealed run.
 
-    also: Why a second certificate of the run is needed; empty: a second one is refused.
-    accept_not_compared: Whether a run may have parts that could not be made again from the recordings.
-    Raises DocumentFaults: With all faults of lab.yaml: clauses without an answer, and contradictions to the
-      run.
-    Raises EvidenceError: When the run is refused, it has a certificate already, or the series of numbers is
-      not in order.
+    ``also`` is why a second certificate of the run is needed; empty: a second one is refused. With
+    ``accept_not_compared`` the run may have parts that could not be made again from the recordings. Raises
+    `DocumentFaults` with all faults of lab.yaml: clauses without an answer, and contradictions to the run.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -224,9 +221,8 @@ def make_certificate(
 ) -> Issued:
     """Make, seal and enter a certificate of a run that was verified.
 
-    also: Why a second certificate of the run is needed; empty if it is the first one.
-    amended: Returns what the certificate amends, given the certificate without that; None if it amends none.
-    amends: Number of the certificate that it replaces; empty if none.
+    ``also`` is why a second certificate is needed, or empty. ``amended`` returns what the certificate amends, given the
+    certificate without that; None if it amends none. ``amends`` is the number that it replaces, or empty.
     """
     folder = folder.absolute()
     try:
@@ -330,11 +326,7 @@ _MOST_CHARACTERS = 300
 
 
 def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str) -> Issued:
-    """Issue a certificate that replaces another one.
-
-    Raises EvidenceError: When the old certificate does not verify, is not the newest one, or nothing would
-      change.
-    """
+    """Issue a certificate that replaces another one: it verifies, is the newest one, and something changes."""
     require_libraries()
     refuse_occupied(folder)
     lab = read_lab(lab_file)

@@ -87,10 +87,6 @@ def _is_printable(one: str) -> bool:
 def with_codes(text: str) -> str:
     """Return a text with the code of each character that cannot be printed in its place.
 
-    Returns: The text; it has only characters that can be printed.
-
-    Examples
-    --------
     >>> with_codes("pose 山 1")
     'pose [U+5C71] 1'
     """
@@ -160,12 +156,9 @@ def render_pdf(
     attachments: Mapping[str, bytes],
     plots: Mapping[str, str] | None = None,
 ) -> bytes:
-    """Render a certificate as PDF/A-3a with its files attached.
+    """Render a certificate as PDF/A-3a with files attached by name: ``dcc.xml`` and ``results.json``.
 
-    results: Content of the run's results.json.
-    attachments: Files to attach, by name: ``dcc.xml`` and ``results.json``.
-    plots: SVG by name, from `bench.certificate.pdf.plots_of_run`; None to draw what follows from
-      ``results`` alone.
+    ``plots`` is SVG by name, from `plots_of_run`; None to draw what follows from ``results``, results.json, alone.
     """
     _typst()
     content = json.loads(certificate.to_json())
@@ -347,13 +340,10 @@ def _printed(text: str) -> str:
 
 
 def compact(value: float | None, digits: int = 3) -> str:
-    """Print a computed number with a number of significant digits, as a power of ten where it is very small or large.
+    """Print a computed number with a true minus sign and significant digits, as a power of ten if very small or large.
 
-    value: The number; None is printed as a dash.
-    Returns: The number with a true minus sign.
+    None is printed as a dash.
 
-    Examples
-    --------
     >>> compact(0.4149821), compact(-1.2345e-7), compact(0.0), compact(None)
     ('0.415', '−1.23·10⁻⁷', '0', '–')
     """
@@ -366,13 +356,8 @@ def compact(value: float | None, digits: int = 3) -> str:
 
 
 def stated(value: float | None, digits: int = 9) -> str:
-    """Print a number that somebody stated, with all its digits.
+    """Print a number that somebody stated, with all its digits and a true minus sign; None as a dash.
 
-    value: The number; None is printed as a dash.
-    Returns: The number with a true minus sign.
-
-    Examples
-    --------
     >>> stated(255.0), stated(4.5e-06), stated(-0.5)
     ('255', '4.5·10⁻⁶', '−0.5')
     """
@@ -386,13 +371,8 @@ def stated(value: float | None, digits: int = 9) -> str:
 
 
 def percent(share: float) -> str:
-    """Print a share in percent, with one decimal.
+    """Print a share, 0 to 1, in percent with one decimal; below 0.05 % as ``< 0.1``.
 
-    share: The share, 0 to 1.
-    Returns: The share; a share below 0.05 % as ``< 0.1``.
-
-    Examples
-    --------
     >>> percent(0.3731), percent(1e-7), percent(0.0), percent(1.0)
     ('37.3', '< 0.1', '0', '100.0')
     """

@@ -202,7 +202,7 @@ def camera_identity(found: Results, item: ItemConfig) -> Camera:
 def conditions_of(found: Results) -> tuple[Condition, ...]:
     """Return the conditions that the run recorded.
 
-    Returns: Temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
+    These are temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
     """
     light, camera = _light_and_camera(found)
     attempts = [one for pose in found["poses"] for one in pose["attempts"] if one["accepted"]]
@@ -303,13 +303,8 @@ def _gate_name(gate: GateData, found: Results) -> str:
 
 
 def utc_seconds(moment: str) -> str:
-    """Return a time in UTC to whole seconds.
+    """Return a time in ISO 8601, with its zone, in UTC to whole seconds.
 
-    moment: A time in ISO 8601, with its zone.
-    Returns: ``2026-03-31T09:15:00Z``.
-
-    Examples
-    --------
     >>> utc_seconds("2026-11-21T01:06:35.918509Z")
     '2026-11-21T01:06:35Z'
     """

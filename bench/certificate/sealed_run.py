@@ -45,10 +45,9 @@ _SHOWN = 16
 
 @functools.cache
 def written_with() -> tuple[Software, ...]:
-    """Return what writes a certificate here.
+    """Return what writes a certificate here: ``certificate_form`` and the libraries that are installed.
 
-    Returns: ``certificate_form``, which is the first 16 characters of a SHA-256 over the files, and the
-      libraries; those that are not installed are missing.
+    The form is the first 16 characters of a SHA-256 over the files.
     """
     import bench
 
@@ -165,12 +164,10 @@ class Source:
 
 
 def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool = False) -> Source:
-    """Verify a run, and read what a certificate needs.
+    """Verify a run, and read what a certificate needs; ``verify`` does as the command `verify`.
 
-    verify: Verifies a sealed folder, as the command `verify` does.
-    accept_not_compared: Whether a run may have parts that could not be made again.
-    Raises EvidenceError: When the run is not sealed, does not verify, was not finished, is a rehearsal, or
-      has no converged result.
+    With ``accept_not_compared`` the run may have parts that could not be made again. Raises `EvidenceError` when it is
+    not sealed, does not verify, was not finished, is a rehearsal, or has no converged result.
     """
     if not is_sealed(folder):
         raise EvidenceError(

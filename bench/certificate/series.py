@@ -33,11 +33,8 @@ _FORMAT = re.compile(
 def is_number_format(text: str) -> bool:
     """Return whether a text is the format of a series of numbers.
 
-    Returns: Whether it has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters
-      and ``{year}``.
+    It has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters and ``{year}``.
 
-    Examples
-    --------
     >>> [is_number_format(one) for one in ("SB-{year}-{number:05d}", "SB", "{number.__class__}")]
     [True, False, False]
     """
@@ -45,13 +42,8 @@ def is_number_format(text: str) -> bool:
 
 
 def number_of(text: str, *, year: int, number: int) -> str:
-    """Return a number of a series.
+    """Return a number, from 1, of a series in its format.
 
-    number: The number in the series, from 1.
-    Raises ValueError: When this is not a format of a series.
-
-    Examples
-    --------
     >>> number_of("SB-{year}-{number:05d}", year=2026, number=17)
     'SB-2026-00017'
     """
@@ -67,10 +59,6 @@ def number_of(text: str, *, year: int, number: int) -> str:
 def series_of(text: str, *, year: int, simulated: bool) -> str:
     """Return the name of a series: numbers count from 1 in each, and in each year if the format names the year.
 
-    simulated: Whether devices were simulated.
-
-    Examples
-    --------
     >>> series_of("SB-{year}-{number:05d}", year=2026, simulated=True)
     'SIMULATED-SB-2026-{number:05d}'
     """
@@ -78,13 +66,8 @@ def series_of(text: str, *, year: int, simulated: bool) -> str:
 
 
 def number_pattern(text: str) -> re.Pattern[str]:
-    """Return what a number of a series looks like.
+    """Return what a number of a series looks like, in any year: it may be used in the year after its reservation.
 
-    Returns: Matches the numbers of any year: a number may be used in the year after it was reserved.
-    Raises ValueError: When this is not a format of a series.
-
-    Examples
-    --------
     >>> bool(number_pattern("SB-{year}-{number:05d}").fullmatch("SB-2026-00017"))
     True
     """
@@ -216,11 +199,10 @@ def one_at_a_time(home: Path) -> Iterator[None]:
 
 
 def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
-    """Reserve the next number, or take the open one of the same run.
+    """Reserve the next number on the disk, or take the open one of the same run.
 
-    Returns: The number, on the disk as reserved. Numbers that were lost before it are entered as lost.
-    Raises EvidenceError: When the clock was set back, another number is open, the run has a certificate
-      already, or what is to be amended is not the newest one.
+    Numbers that were lost before it are entered as lost. Raises `EvidenceError` when the clock was set back, another
+    number is open, the run has a certificate already, or what is to be amended is not the newest one.
     """
     with ledger.locked() as journal:
         found = numbers(journal.entries)

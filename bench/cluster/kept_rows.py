@@ -39,12 +39,8 @@ def require_program_of(program: str) -> None:
 
 
 def content_key(parts: Mapping[str, Any]) -> str:
-    """Return the hash of all that decides a result.
+    """Return the hash of all that decides a result: 64 hexadecimal digits.
 
-    Returns: 64 hexadecimal digits.
-
-    Examples
-    --------
     >>> content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
     True
     """
@@ -52,11 +48,7 @@ def content_key(parts: Mapping[str, Any]) -> str:
 
 
 class Table:
-    """Rows in one file of a folder.
-
-    folder: The folder; it is made if it does not exist.
-    Raises UsageError: If the folder holds other things, but not the file.
-    """
+    """Rows in one file of a folder, which is made if it does not exist, and holds nothing else without the file."""
 
     foreign = "The folder holds something else"
 

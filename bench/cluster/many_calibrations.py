@@ -32,10 +32,7 @@ def run_blocks(
     kept: KeptRows | None = None,
     done: Callable[[int], None] = lambda _more: None,
 ) -> MonteCarloStudy:
-    """Run a study.
-
-    kept: Blocks on the disk: those of an earlier command are used, new ones are kept; None for neither.
-    """
+    """Run a study; blocks ``kept`` on the disk by an earlier command are used, new ones are kept; None for neither."""
     program = forms()["program"]
     blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
     what = hashlib.sha256(pickle.dumps(planned)).hexdigest()

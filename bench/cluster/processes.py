@@ -54,10 +54,9 @@ def _started(memory_bytes: int | None) -> _Worker:
 
 
 class Processes(Workers):
-    """Workers on this computer.
+    """Workers on this computer: ``count`` of them, or (None) one for each processor.
 
-    count: Number of processes; None for one for each processor.
-    memory_bytes: Memory that each may use; None for no limit. Only Linux limits it.
+    ``memory_bytes`` is what each may use, None for no limit; only Linux limits it.
     """
 
     size = 1
@@ -208,11 +207,9 @@ _REMEDY = "Start it, check the address, then repeat the command: what was done i
 
 
 class DaskWorkers(Workers):
-    """Workers of a Dask scheduler.
+    """Workers of a Dask scheduler, ``tcp://host:8786`` or ``tls://host:8786``, with Dask's own certificates.
 
-    address: Address of the scheduler, as ``tcp://host:8786`` or ``tls://host:8786``. The certificates are
-      those of Dask's configuration.
-    without_worker_s: How long to wait while the scheduler has no worker, s.
+    ``without_worker_s`` is how long to wait while the scheduler has no worker.
     """
 
     most_deaths = 3  # how often Dask may give a piece of work up, each time after several deaths

@@ -54,12 +54,10 @@ _KEY_SHOWN = 8
 
 
 class ResultsFolders(Table):
-    """The folder of a recalculation; one process at a time works in it.
+    """The folder of a recalculation, made if it does not exist; one process at a time works in it.
 
-    folder: The folder; it is made if it does not exist. What an earlier, interrupted recalculation did is
-      used.
-    key: The bench's key; None leaves the results drafts.
-    table_only: True writes the table alone, and no folder for a run.
+    What an earlier, interrupted recalculation did is used. ``key`` is the bench's; None leaves the results drafts.
+    ``table_only`` writes no folder for a run.
     """
 
     foreign = "The folder is not that of a recalculation"
@@ -189,11 +187,10 @@ class Counts:
 
 
 class Recalculation:
-    """Calibrates many runs again.
+    """Calibrates many runs again; ``output`` is the folder for results, or None.
 
-    output: The folder for results; None to write nothing.
-    ended: Called with the row of each run when it ends.
-    progress: Called with the counts, and the seconds left if known, when anything ends or time passes.
+    ``ended`` is called with the row of each run, ``progress`` with the counts, and the seconds left if known, when
+    anything ends or time passes.
     """
 
     def __init__(
@@ -342,8 +339,8 @@ class Recalculation:
 def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, None]:
     """List the recordings of the next runs in threads while earlier ones are calibrated, if they are behind URLs.
 
-    Yields: Number of the run from 0, the run, and a function that returns what `list_recordings` returns, or
-      raises what it raises. A run on a disk is listed in that call.
+    Yields the number of the run from 0, the run, and a function that returns or raises what `list_recordings` does. A
+    run on a disk is listed in that call.
     """
     pool = ThreadPoolExecutor(_AHEAD)
     waiting: deque[_Next] = deque()

@@ -67,10 +67,9 @@ class Place:
 
     @contextmanager
     def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
-        """Give the folder as a path on this computer.
+        """Give the folder as a path on this computer; for a URL a copy, which exists only in the block.
 
-        only: Names of the small files that are needed; None for all. On a disk all are there.
-        Yields: The folder itself; for a URL a copy, which exists only in the block.
+        ``only`` names the small files that are needed, None for all; on a disk all are there.
         """
         if not self.is_remote:
             yield Path(self.name)
@@ -313,8 +312,8 @@ def calibrate_found(
 ) -> Recalculated:
     """Calibrate from the views of a place.
 
-    sealed_by: Who will seal the results; None if nobody does.
-    files: Whether the files of the results are wanted, which takes longer.
+    ``sealed_by`` will seal the results, or nobody does. ``files``: the files of the results are wanted, which takes
+    longer.
     """
     require_program_of(task.program)
     with place.folder() as folder, _named(place, folder):

@@ -96,10 +96,9 @@ def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Convert
 def convert_one(
     source: Path, target: Path, kind: str, known: Mapping[str, Any] | None, program: str
 ) -> tuple[dict[str, Any], bool]:
-    """Convert one file on a worker, unless it is done already.
+    """Convert one file on a worker, unless ``known``, the row of an earlier conversion to the same name, is it.
 
-    known: The row of an earlier conversion to the same name; None if there is none.
-    Returns: The row, and whether the file was made before.
+    Also return whether the file was made before.
     """
     # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
     from drivers.camera.formats.event_conversion import convert
@@ -162,10 +161,9 @@ class Checked:
 
 
 def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Checked:
-    """Check one sealed folder on a worker.
+    """Check one sealed folder on a worker, without the ledger, which only the bench has.
 
-    folder: The folder. The ledger of the bench is not compared here, because only the bench has it.
-    known: Key and findings of an earlier command; None if there are none.
+    ``known`` are key and findings of an earlier command; None if there are none.
     """
     require_program_of(check.program)
     made: list[Checked] = []

@@ -75,10 +75,9 @@ class Workers:
         """Cancel what is in progress, and end the workers that were started here."""
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
-        """Wait for the end of any piece of work.
+        """Wait for the end of any piece of work; empty after the time, or if a worker died whose work is done again.
 
-        Returns: What ended; empty after the time, or if a worker died whose work is done again.
-        Raises WorkersLost: If nobody is left who could do the work.
+        Raises `WorkersLost` if nobody is left who could do the work.
         """
         done = wait(self._busy, timeout_s, FIRST_COMPLETED).done
         return [end for one in done if (end := self._end(self._busy.pop(one), one)) is not None]
@@ -140,14 +139,10 @@ class Serial(Workers):
 def map_work(
     function: Callable[..., Any], items: Iterable[tuple[Any, ...]], workers: Workers
 ) -> Iterator[tuple[int, Finished]]:
-    """Call a function for many items. Few items at a time are read and handed out, so there may be very many.
+    """Call a pure function at the top of a module for many items; yield each number from 0 and its end, as they end.
 
-    function: A pure function at the top of a module.
-    Yields: Number of the item, from 0, and the end of its work, in the order in which the calls end.
-    Raises WorkersLost: If nobody is left who could do the work.
+    Few items at a time are read and handed out, so there may be very many.
 
-    Examples
-    --------
     >>> sorted((number, end.value) for number, end in map_work(abs, [(-1,), (2,)], Serial()))
     [(0, 1), (1, 2)]
     """
@@ -173,10 +168,7 @@ def map_work(
 def results_of(
     function: Callable[..., Any], items: Iterable[tuple[Any, ...]], workers: Workers
 ) -> Iterator[tuple[int, Any]]:
-    """Call a function for many items, as `map_work`; the first call that fails ends it.
-
-    Yields: Number of the item, from 0, and what the function returned, in the order in which the calls end.
-    """
+    """Call a function for many items, as `map_work`, and yield what it returned; the first call that fails ends it."""
     for number, end in map_work(function, items, workers):
         if end.failure is not None:
             failed = end.failure

@@ -45,8 +45,8 @@ def calibrate_each(
 ) -> int:
     """Calibrate runs, and print a line for each; return 1 if a run failed.
 
-    output: Folder for a table of all runs, and for the results of each unless ``table_only``.
-    find_again: Whether to use no views that an earlier command has kept.
+    ``output`` is for a table of all runs, and for the results of each unless ``table_only``; ``find_again`` uses no
+    views that an earlier command has kept.
     """
     if table_only and output is None:
         raise UsageError("There is no folder for the table.", where="--table-only", remedy="Give one: -o.")
@@ -99,10 +99,9 @@ def _sum_lines(counts: Counts, output: Path | None) -> Iterator[str]:
 
 
 def run_text(row: Mapping[str, Any]) -> str:
-    """Return one line about a run.
+    """Return one line about a run: values with U and k, and the largest change; or why it failed.
 
-    Returns: Values with their expanded uncertainty and its k, and the largest change against the run's own
-      results; or why it failed.
+    The change is against the run's own results.
     """
     name = Path(str(row["folder"]).rstrip("/")).name
     if row["state"] != "done":

@@ -95,9 +95,8 @@ def _stamp_folder(
 ) -> int:
     """Add a time stamp beside the seal, after checking it.
 
-    what: ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is
-      of.
-    tsa_certificates: Root certificates of trusted authorities; this bench's own where None.
+    ``what`` is ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is of.
+    ``tsa_certificates`` are root certificates of trusted authorities; this bench's own where None.
     """
     from bench.evidence.seal import add_beside
     from bench.evidence.timestamp import UncheckedError, as_reply, read_authorities

@@ -89,10 +89,7 @@ def _plugins() -> list[dict[str, str]]:
 
 
 def _show_wiring(station_name: str, seed: int, *, yes: bool) -> int:
-    """Ask, test the wiring, and print the result.
-
-    Returns: Exit status: 0 if the wiring is right, 1 if it is not, 3 if the person refused.
-    """
+    """Ask, test the wiring, print the result; exit status 0: right, 1: not, 3: the person refused."""
     from bench.run.wiring import FREQUENCY_HZ, check_wiring
     from bench.stations.devices import Devices
     from bench.stations.station import load_station

@@ -34,10 +34,7 @@ QUEUE_STATUS = (
 
 
 def status_text(words: str) -> str:
-    """Return exit statuses of a command that differ from the usual ones, completed by these.
-
-    words: As ``0 shown{invalid}{ctrl_c}``.
-    """
+    """Return exit statuses of a command that differ from the usual ones, completed as ``0 shown{invalid}{ctrl_c}``."""
     return words.format(invalid=f", {_INVALID}", ctrl_c=f", {_CTRL_C}")
 
 
@@ -196,10 +193,9 @@ class OutputFolder(_Path):
 
 
 class RunFolder(_Path):
-    """The folder of a run.
+    """The folder of a run, or with ``batch`` of a batch.
 
-    batch: Whether the folder of a batch is accepted too.
-    journal: Whether the run must have begun: the folder holds a journal, or a process has it locked.
+    ``journal``: the run must have begun: the folder holds a journal, or a process has it locked.
     """
 
     name = "folder"

@@ -65,7 +65,7 @@ def show(
 ) -> None:
     """Print a result: ``data`` as JSON if that is wanted, else the lines of ``text``.
 
-    data, text: A function or a generator does its work only if it is printed.
+    A function or a generator does its work only if it is printed.
     """
     if wants_json():
         print_json(data() if callable(data) else data)
@@ -103,8 +103,7 @@ def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> 
 def print_error(error: Exception, arguments: Sequence[str]) -> int:
     """Print an error in plain words; with ``--json``, also as an object on standard output.
 
-    arguments: Words of the call. With ``--debug`` among them, the traceback is printed, as always for a
-      defect.
+    With ``--debug`` among the words of the call, the traceback is printed, as always for a defect.
     """
     if isinstance(error, DocumentFaults):
         error = ScriptError([str(fault) for fault in error.faults])

@@ -121,10 +121,7 @@ def resume(run_folder: Path, dry_run: bool) -> int:
 
 
 def show_run(end: RunEnd) -> int:
-    """Print how a run ended.
-
-    Returns: Exit status: 0 finished, 3 stopped on request, 4 finished but FAIL by its limits, 1 failed.
-    """
+    """Print how a run ended; exit status 0 finished, 3 stopped on request, 4 finished but FAIL, 1 failed."""
     early = end.outcome is None and end.how != "finished"
     show(lambda: _run_dict(end), _early_end_lines(end) if early else _ended_lines(end), err=early)
     if end.how != "finished":

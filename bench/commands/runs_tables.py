@@ -46,10 +46,7 @@ def find_runs(choice: RunChoice) -> MergedRuns:
 
 
 def export_runs(choice: RunChoice, path: Path) -> int:
-    """Write the table of runs, and say what was written.
-
-    Returns: Exit status: 1 if ledgers and folders do not agree, else 0; the table is written in both cases.
-    """
+    """Write the table of runs, and say so; return 1 if ledgers and folders do not agree, else 0."""
     require_writable_table(path)
     merged = find_runs(choice)
     count = write_table(path, _rows(merged), merged.faults)
@@ -74,12 +71,10 @@ def _rows(merged: MergedRuns) -> Iterator[dict[str, Any]]:
 def chart_runs(
     choice: RunChoice, parameter: str | None, by: Level | None, baseline: int | None, page: Path
 ) -> int:
-    """Write the page of control charts, and print the verdict.
+    """Write the page of control charts, and print the verdict; None stands for all parameters, or all runs.
 
-    parameter: Name of the parameter; all where None.
-    baseline: Number of first runs from which the limits come; all where None.
-    Returns: Exit status: 1 if a parameter is out of control or drifts, or ledgers and folders do not agree;
-      else 0.
+    Exit status: 1 if a parameter is out of control or drifts, or ledgers and folders do not agree; else 0. The limits
+    come from the first ``baseline`` runs.
     """
     _require_page(page)
     merged = find_runs(choice)

@@ -193,7 +193,7 @@ def follow(
 ) -> Iterator[Status]:
     """Read the status of a run after every change, as long as a process works on the run.
 
-    ticks: Whether to yield also when nothing has changed, with the remaining time counted down.
+    With ``ticks`` also when nothing has changed, with the remaining time counted down.
     """
     for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
         yield status

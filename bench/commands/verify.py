@@ -125,10 +125,9 @@ def verify(
 
 
 def show_verification(found: Verification) -> int:
-    """Print what the verification of a sealed folder found.
+    """Print what the verification of a sealed folder found; the exit status is 0 without fault, 1 with one.
 
-    Returns: Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything
-      was compared.
+    It is 4 without a fault if not everything was compared.
     """
     show(found.to_dict, _valid_lines(found) if found.ok else _fault_lines(found), err=not found.ok)
     if not found.ok:
@@ -167,7 +166,7 @@ def _valid_lines(found: Verification) -> Iterator[str]:
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
     """Check folders by many workers, and print a line for each; the exit status is as for one folder.
 
-    output: Folder that keeps what was derived again; None to keep nothing.
+    ``output`` keeps what was derived again; None to keep nothing.
     """
     from bench.cluster.kept_rows import KeptRows
     from bench.cluster.verifications import VERIFIED, check_one
@@ -240,9 +239,9 @@ def _with(found: Verification, more: Findings) -> Verification:
 
 
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
-    """Return what checks each kind of sealed folder further: ledger, recordings, and with --again the numbers.
+    """Return what checks each kind of sealed folder further, for `bench.evidence.verify.verify_folder`.
 
-    Returns: Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
+    These are ledger, recordings, and with ``again`` the numbers.
     """
     from bench.cluster.verifications import derivations_of
 

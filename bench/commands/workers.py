@@ -51,11 +51,10 @@ WORKERS = click.option(
 
 
 def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
-    """Return who does the work; they must be closed.
+    """Return who does the work, to be closed: a number of processes (None: one a processor) or a Dask scheduler.
 
-    who: Number of processes, or address of a Dask scheduler; None for one process for each processor.
-    most: Number of pieces of work, if it is known: no more processes are started. A single piece is done by
-      the command itself, unless a number of processes is asked for.
+    ``most`` is the number of pieces of work, if it is known: no more processes are started. A single piece is done by
+    the command itself, unless a number of processes is asked for.
     """
     if isinstance(who, str):
         from bench.cluster.processes import DaskWorkers
@@ -111,10 +110,7 @@ class LiveLine:
 
 
 class CountLine(LiveLine):
-    """Shows how many things of one kind are done, and the time left.
-
-    before: How many were done before the command began.
-    """
+    """Shows how many things of one kind are done, ``before`` of them by earlier commands, and the time left."""
 
     def __init__(self, total: int, things: str, *, before: int = 0, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)

@@ -66,13 +66,10 @@ def bench_time_s(column: ColumnConfig) -> float:
 def gimbal_ratio_error(
     camera: CameraModel, views: Sequence[View], readings_deg: Sequence[Mapping[str, float]]
 ) -> float | None:
-    """Return by what share the camera turns more than the gimbal says.
+    """Return by what share the camera turns more than the gimbal says; None without two views and readings.
 
     Rotation between two images by Kabsch (1976), from the rays of their common stars; the shares of all pairs of poses
-    are weighted by the square of their angle.
-
-    readings_deg: Readings of the gimbal for each view, degrees; with pan and tilt about axes at right angles.
-    Returns: Share, 0 if both agree; None without two views and readings.
+    are weighted by the square of their angle. Pan and tilt of the readings are about axes at right angles.
     """
     if len(readings_deg) != len(views):
         return None
@@ -151,8 +148,7 @@ def read_data(data: DataConfig) -> tuple[View, ...]:
 def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
     """Calibrate two random disjoint subsets of recorded views.
 
-    Returns: A row: camera, sigmas and residuals of the first subset, and its difference from the second; or
-      ``error``.
+    The row has camera, sigmas and residuals of the first subset, and its difference from the second; or ``error``.
     """
     row: dict[str, Any] = {"views": 0, "missed": [], "images_cpu_s": 0.0}
     began = time.process_time()
@@ -323,15 +319,10 @@ def compare_with_truth(
     k: float,
     calibration: Calibration | None = None,
 ) -> dict[str, Any]:
-    """Compare a camera with the true one.
+    """Compare a calibrated camera with the true one, after the best common rotation: turned a little, it is the same.
 
-    A camera that is rotated a little is the same camera: the best common rotation is removed before directions are
-    compared.
-
-    found, true: Calibrated and true camera.
-    calibration: The calibration, if it states a covariance.
-    Returns: ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``,
-      ``corner_urad`` (largest); whether fx and the worst corner are ``covered`` by k sigma.
+    Returns ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``, ``corner_urad``
+    (largest); and, if the calibration states a covariance, whether fx and the worst corner are ``covered`` by k sigma.
     """
     offset = np.asarray(camera_difference(found, true, _ACROSS).offset_px)
     away = np.linalg.norm(offset, axis=2) / true.fx * 1e6

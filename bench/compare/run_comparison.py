@@ -61,11 +61,10 @@ def compare(
     on_progress: Callable[[int, int, float | None], None] = lambda *_: None,
     monotonic: Callable[[], float] = time.monotonic,
 ) -> list[Row]:
-    """Run what is not done yet, and return all rows.
+    """Run what is not done yet; return one row for each repetition of each column, in their order.
 
-    do_tasks: Does tasks by `run_task`, in any order, and yields the rows of each.
-    on_progress: Called with the number of rows done, of all rows, and the time left in seconds, if known.
-    Returns: One row for each repetition of each column, in their order.
+    ``do_tasks`` does tasks by `run_task`, in any order, and yields the rows of each. ``on_progress`` is called with the
+    number of rows done, of all rows, and the time left, s, if known.
     """
     _prepare(folder, text)
     done = _read_rows(folder / ROWS)

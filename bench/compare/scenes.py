@@ -55,8 +55,8 @@ def record_moving(
 ) -> dict[bool, NDArray[np.float32]]:
     """Record a board that moves evenly through its placement, and reconstruct its picture there.
 
-    section: Section ``simulation`` of a station, with the placement at the time of the picture.
-    Returns: (H, W) float32 pictures: two-sided (True), and of the filter as published (False).
+    ``section`` is ``simulation`` of a station, with the placement at the time of the picture. The pictures are (H, W)
+    float32: two-sided (True), and of the filter as published (False).
     """
     motion = motion_of(column)
     rng = np.random.default_rng((seed, 31, number))
@@ -195,11 +195,9 @@ def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
 
 
 def star_poses(count: int) -> list[tuple[float, float]]:
-    """Return poses that fill the range of pan and tilt evenly.
+    """Return poses, pan and tilt in degrees, that fill the range evenly.
 
     Three poses are those of the sequence ``three_pose``; others lie on the sunflower spiral of Vogel (1979).
-
-    Returns: Pan and tilt, degrees.
     """
     if count == len(_THREE):
         return list(_THREE)

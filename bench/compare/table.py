@@ -186,8 +186,6 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 def shown(number: float | None, digits: int = 3) -> str:
     """Return a number with a few significant digits; a dash for none.
 
-    Examples
-    --------
     >>> shown(1234.5), shown(0.01234), shown(None)
     ('1234', '0.0123', '-')
     """

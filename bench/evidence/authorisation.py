@@ -48,11 +48,7 @@ _MOST_BYTES = 1 << 20
 
 
 def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
-    """Load a person's key from a file: in OpenSSH's format, or PEM (PKCS#8).
-
-    Raises EvidenceError: When other users can read the file, the passphrase is wrong, or it is not a key that
-      can sign here.
-    """
+    """Load a person's key from a file in OpenSSH's format or PEM (PKCS#8), which other users cannot read."""
     with storage_errors(path):
         refuse_readable_by_others(path)
         with path.open("rb") as stream:
@@ -92,8 +88,7 @@ def _signing_key(private: object, path: Path, passphrase: bytes) -> SigningKey:
 def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
     """Find a person's key by its file, by the file of its public key, or by its fingerprint.
 
-    name: File of the private key; or file of the public key, or fingerprint (``SHA256:...``), of a key in
-      ssh-agent. None for the only key in ssh-agent.
+    The last two (``SHA256:...``) are of a key in ssh-agent. None stands for the only key there.
     """
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)
@@ -322,13 +317,10 @@ def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
 
 
 def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: bytes | None = None) -> str:
-    """Authorise a sealed folder with a person's key.
+    """Authorise a sealed folder with a person's key, one of those that the bench trusts.
 
-    trust: Whom the bench trusts; the person's key must be among them.
-    seal: The bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them
-      since.
-    Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
-      it.
+    ``seal`` is the bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them
+    since.
     """
     person = require_authorisable(folder, key.public_key, trust, now)
     with storage_errors(folder):
@@ -351,11 +343,7 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: 
 
 
 def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: datetime) -> str:
-    """Refuse a folder that this key may not authorise.
-
-    Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
-      it.
-    """
+    """Refuse a folder that is not sealed, is authorised already, or that this key may not authorise."""
     require_unauthorised(folder)
     with storage_errors(folder):
         seal_key = read_signature((folder / SIGNATURE).read_bytes()).public_key

@@ -35,9 +35,8 @@ def read_trust(
 ) -> Trust:
     """Read whom the reader trusts, from the configuration folder or from named files.
 
-    allowed_signers: File to use instead of ``allowed_signers``; then ``revoked_keys`` beside it is used too,
-      if there is one.
-    Raises EvidenceError: When a list cannot be read, is not understood, or other users can change it.
+    Beside another ``allowed_signers``, the ``revoked_keys`` there is used too, if there is one. A list that is not
+    understood, or that other users can change, raises `EvidenceError`.
     """
     signers = allowed_signers or home / SIGNERS_FILE
     return Trust(

@@ -77,9 +77,9 @@ def load_public_key(folder: Path) -> Signer:
 
 
 def public_of_private(text: bytes) -> bytes:
-    """Return the public key that the file of a private key states (PROTOCOL.key of OpenSSH, section 1).
+    """Return the public key that the file of an OpenSSH Ed25519 key states (PROTOCOL.key of OpenSSH, section 1).
 
-    Raises ValueError: When this is not an Ed25519 key in OpenSSH's format, or it holds several keys.
+    Any other key, or several, raise `ValueError`.
     """
     body, begins, _ = text.strip().removeprefix(_BEGIN).partition(_END)
     if not (text.strip().startswith(_BEGIN) and begins):
@@ -184,12 +184,9 @@ class BenchKey:
 def ensure_key(
     folder: Path, *, principal: str | None = None, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
-    """Load the bench's key, or make one at first use.
+    """Load the bench's key, or make one at first use; ``principal`` as for `create_key`.
 
-    principal: Name of the signer for a new key, as ``name@place``; None for ``bench@`` and the name of the
-      computer.
-    Raises EvidenceError: When the key cannot be used: other users can read it, it is protected and nobody can
-      be asked, or it is not an Ed25519 key.
+    A key that other users can read, that is protected while nobody can be asked, or is no Ed25519 key is refused.
     """
     make_folder(folder)
     with locked_folder(folder):  # two runs started at the same time must not make two keys
@@ -214,8 +211,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
 def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes | None = None) -> BenchKey:
     """Make the bench's key, and add it to ``allowed_signers``.
 
-    principal: Name of the signer, as ``name@place``; None for ``bench@`` and the name of the computer.
-    passphrase: Encrypts the private key; None leaves it unencrypted.
+    ``principal`` is the signer as ``name@place``; None for ``bench@`` and the name of the computer. Without a
+    passphrase the private key is not encrypted.
     """
     path = folder / KEY_FILE
     if path.exists():
@@ -250,8 +247,8 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key whose seals nobody would accept: before a run begins, not after it.
 
-    Raises EvidenceError: When ``allowed_signers`` trusts the key at another time only or for another purpose,
-      when it is revoked, or when other users can change these lists.
+    ``allowed_signers`` trusts it at another time only or for another purpose, it is revoked, or other users can change
+    these lists.
     """
     public = key.public_key
     path = folder / SIGNERS_FILE
@@ -285,8 +282,7 @@ def key_to_seal(
 ) -> BenchKey:
     """Return the key to seal with at the end of a run: another one if it was replaced during the run.
 
-    Raises EvidenceError, StorageError: As `load_key` and `require_usable`; the run can be sealed later with
-      ``starbench resume``.
+    After an error (as `load_key` and `require_usable`) the run can be sealed later with ``starbench resume``.
     """
     _finish_locked(folder)
     public = folder / f"{KEY_FILE}.pub"
@@ -375,10 +371,9 @@ class Rotation:
 
 
 def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
-    """Replace the bench's key by a new one with the same principal.
+    """Replace the bench's key by a new one with the same principal; ``keep_old`` keeps it in ``old_keys``.
 
-    passphrase: Encrypts the new private key; None leaves it unencrypted.
-    keep_old: Whether the old private key is kept in ``old_keys``; else it is deleted.
+    Without a passphrase the new private key is not encrypted.
     """
     if not (folder / KEY_FILE).exists():
         raise EvidenceError(

@@ -94,10 +94,9 @@ class _Said:
 
 
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
-    """Compare a run folder with the ledger of this bench. `verify` calls it, and lists its faults with its own.
+    """Compare a run folder with the ledger of this bench: a sentence for each fault, which `verify` lists.
 
-    Returns: One sentence for each fault; empty for a run of another bench, and for a folder whose journal
-      cannot be read, which `verify` says already.
+    None for a run of another bench, and for a folder whose journal cannot be read, which `verify` says already.
     """
     said = _said_by(folder)
     if said is None:

@@ -62,10 +62,7 @@ class PassportSeal:
 
 
 def seal_passport(data: bytes, key: BenchKey) -> bytes:
-    """Add a seal to a passport.
-
-    Returns: The sealed file. Removing its second line gives ``data``.
-    """
+    """Add a seal to a passport. Removing the second line of the result gives ``data``."""
     if not data.startswith(_FIRST + b" ") or _has_seal_line(data):
         raise EvidenceError("This is not an unsealed passport in the layout that Starbench writes.")
     signature = sign(key.private, data, NAMESPACE).decode()
@@ -73,10 +70,7 @@ def seal_passport(data: bytes, key: BenchKey) -> bytes:
 
 
 def read_passport_seal(data: bytes) -> PassportSeal | None:
-    """Check the seal of a passport.
-
-    Returns: The seal; None if the file has none.
-    """
+    """Check the seal of a passport; None if the file has none."""
     if not _has_seal_line(data):
         return None
     line, _, rest = data[len(_FIRST) :].partition(b"\n")
@@ -206,9 +200,8 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 def seal(folder: RunFolder, key: BenchKey) -> str:
     """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
 
-    folder: The folder, locked by the caller; its journal is closed and its report is written.
-    Raises EvidenceError: When the folder has no journal, or has something that cannot be listed: a link, a
-      device, a name with control characters.
+    The caller has locked it; its journal is closed and its report is written. Without a journal, or with something that
+    cannot be listed (see `make_manifest`), it is refused.
     """
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
@@ -219,9 +212,8 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
 def seal_folder(path: Path, key: BenchKey) -> str:
     """Seal any folder: a run, a certificate, recalculated results, a passport.
 
-    path: The folder; all its files are written, and no other process writes to it.
-    Raises EvidenceError: When the folder is sealed already, has a reserved file before its seal, or has
-      something that cannot be listed: a link, a device, a name with control characters.
+    All its files are written, and no other process writes to it. It is refused if it is sealed already, has a reserved
+    file before its seal, or something that cannot be listed (see `make_manifest`).
     """
     _refuse_sealed(path)
     with storage_errors(path):
@@ -265,8 +257,7 @@ def _sync_files(path: Path) -> None:
 def make_manifest(path: Path) -> bytes:
     """Hash every file of a folder, and list them in the format of ``sha256sum``, sorted by name.
 
-    Raises EvidenceError: When the folder has something that cannot be listed: a link, a device, a name with
-      control characters.
+    A link, a device, or a name with control characters cannot be listed: `EvidenceError`.
     """
     lines = []
     with storage_errors(path):
@@ -282,11 +273,10 @@ def make_manifest(path: Path) -> bytes:
 
 
 def read_manifest(manifest: bytes) -> dict[str, str]:
-    """Read the list of a seal.
+    """Read the list of a seal: SHA-256 in hexadecimal by file name, in the order of the list.
 
-    Returns: SHA-256 in hexadecimal by file name, in the order of the list.
-    Raises EvidenceError: When a line is not ``hash, two spaces, name``, when names are not sorted or not
-      unique, or when a name leads out of the folder.
+    Raises `EvidenceError` when a line is not ``hash, two spaces, name``, when names are not sorted or not unique, or
+    when a name leads out of the folder.
     """
     hashes: dict[str, str] = {}
     last = ""
@@ -308,7 +298,7 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
 def list_files(path: Path) -> dict[str, str]:
     """List everything in a folder and its subfolders, except the folders. Links are not followed.
 
-    Returns: ``file``, ``link`` or ``special file`` by name; names are relative to the folder, with ``/``.
+    The values are ``file``, ``link`` or ``special file``; names are relative to the folder, with ``/``.
     """
     found = {}
     for folder_name, folders, files in os.walk(path, onerror=_refuse):
@@ -349,10 +339,7 @@ _MODE, _FOLDER_MODE = 0o444, 0o555
 
 
 def read_beside(folder: Path, name: str) -> bytes | None:
-    """Read a reserved file, or the signature of the seal.
-
-    Raises EvidenceError: When it is a link, not a file, or larger than 1 MiB.
-    """
+    """Read a reserved file, or the signature of the seal: no link, and no larger than 1 MiB."""
     path = folder / name
     try:
         status = path.lstat()
@@ -366,10 +353,7 @@ def read_beside(folder: Path, name: str) -> bytes | None:
 
 
 def add_beside(folder: Path, name: str, data: bytes) -> None:
-    """Add a reserved file beside the seal. The file and the folder are read-only afterwards.
-
-    Raises EvidenceError: When the name is not reserved, or there is such a file: it is never replaced.
-    """
+    """Add a reserved file, which is never replaced, beside the seal. File and folder are read-only afterwards."""
     if name not in RESERVED:
         raise EvidenceError(f"{name!r} cannot be added to a sealed folder.", where=str(folder))
     path = folder / name

@@ -32,10 +32,7 @@ _ANY_ACCESS_BY_OTHERS = 0o077
 
 
 def refuse_writable_by_others(path: Path, what: str) -> None:
-    """Refuse a file, or a folder, that other users can change or replace.
-
-    Raises EvidenceError: When the group or others can write to it or to its folder.
-    """
+    """Refuse a file, or a folder, that group or others can change or replace."""
     if not hasattr(os, "getuid"):  # Windows has no such modes
         return
     real = path.resolve()
@@ -52,11 +49,7 @@ def refuse_writable_by_others(path: Path, what: str) -> None:
 
 
 def read_list(path: Path, what: str) -> str:
-    """Read a list on which the trust rests.
-
-    Raises EvidenceError: When other users can change it, it is not a file, is larger than 16 MB, or is not
-      text.
-    """
+    """Read a list on which the trust rests: text of at most 16 MB that other users cannot change."""
     refuse_writable_by_others(path, what)
     if not path.is_file():  # a pipe would never answer
         raise EvidenceError(
@@ -151,12 +144,7 @@ class Signer:
 
 
 def read_signers(path: Path) -> list[Signer]:
-    """Read a list of trusted keys.
-
-    Returns: The keys in the order of the lines.
-    Raises EvidenceError: When the file cannot be read, other users can change it, or a line is not
-      understood; the message names the line.
-    """
+    """Read a list of trusted keys, in the order of the lines; the error names a line that is not understood."""
     try:
         lines = read_list(path, "the list of trusted keys").splitlines()
     except OSError as error:
@@ -205,10 +193,7 @@ def _refuse_unknown(options: Mapping[str, str], text: str, fields: Sequence[str]
 
 
 def read_public_key(text: str) -> bytes:
-    """Read a public key as OpenSSH writes it: its type, its base64, and a comment that is not used.
-
-    Raises ValueError: When it is not a public key of a known type.
-    """
+    """Read a public key of a known type as OpenSSH writes it: type, base64, and a comment that is not used."""
     key_type, _, rest = text.strip().partition(" ")
     if key_type not in _TYPES or not rest.split():
         raise ValueError("it has no public key of a known type")
@@ -225,8 +210,7 @@ def read_public_key(text: str) -> bytes:
 def trust(folder: Path, line: str) -> Signer:
     """Add a line to ``allowed_signers``, unless the file contains it already.
 
-    Raises EvidenceError: When this is not a line of a key, the key is trusted for the other purpose already,
-      or other users can change the file.
+    A key that is trusted for the other purpose already is refused.
     """
     signer = read_signer(line)
     path = folder / SIGNERS_FILE
@@ -242,7 +226,7 @@ def trust(folder: Path, line: str) -> Signer:
 def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added: Sequence[str]) -> None:
     """End the validity of a key in ``allowed_signers``, and add lines, in one step.
 
-    public_key: The key whose lines get ``valid-before``; a line that ends earlier stays as it is.
+    The lines of the key get ``valid-before``; one that ends earlier stays as it is.
     """
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
@@ -293,10 +277,7 @@ def _refuse_two_purposes(path: Path, signer: Signer) -> None:
 
 
 def parse_time(text: str) -> datetime:
-    """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z.
-
-    Raises ValueError: When it is not of this form.
-    """
+    """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z."""
     digits = text.removesuffix("Z")
     form = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}.get(
         len(digits) if digits.isdecimal() and digits.isascii() else 0
@@ -356,13 +337,7 @@ class RevokedKey:
 
 
 def read_revoked(path: Path) -> list[RevokedKey]:
-    """Read the list of revoked keys.
-
-    path: The file; no file is an empty list.
-    Returns: The keys in the order of the lines.
-    Raises EvidenceError: When the file cannot be read, other users can change it, or a line is not a public
-      key; the message names the line.
-    """
+    """Read the revoked keys, in the order of the lines (no file: none); the error names a line that is none."""
     if not path.exists():
         return []
     with storage_errors(path):

@@ -300,8 +300,8 @@ def read_signature(armoured: bytes) -> SshSignature:
 def is_valid(signature: SshSignature, message: bytes) -> bool:
     """Return whether a signature is valid for a message, with the public key that the signature itself contains.
 
-    Returns: Whether it is valid; the caller decides whether the key is trusted. A security token's signature
-      is valid only if a person touched the token.
+    The caller decides whether the key is trusted. A security token's signature is valid only if a person touched the
+    token.
     """
     key_type = key_type_of(signature.public_key)
     if key_type.encode() != KEY_TYPE:

@@ -118,8 +118,8 @@ class Standing:
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
     """Check the signatures and time stamps beside a folder; the listed files themselves are not hashed.
 
-    at: Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp
-      goes before it. None: the bench's own clock states the moment of the seal.
+    ``at`` is the moment for which the reader asks whether the keys were valid (``verify --at``); None for the one of
+    the seal by the bench's own clock. A trusted time stamp goes before both.
     """
     found = Standing()
     with storage_errors(folder):
@@ -264,9 +264,9 @@ def _text(standing: Standing) -> str:
 def check_ended_page(
     folder: Path, trust: Trust, now: datetime, stated: datetime
 ) -> tuple[list[SealFault], list[str]]:
-    """Check the page that stands in a folder without a seal.
+    """Check the page that stands in a folder without a seal: what does not hold, and what does.
 
-    Returns: What does not hold, and what does: a sentence without a full stop. Both are empty without a page.
+    Each is a sentence without a full stop; both are empty without a page.
     """
     try:
         armoured = read_beside(folder, PAGE_SIGNATURE)

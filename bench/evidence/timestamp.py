@@ -43,9 +43,8 @@ def sequence(content: bytes) -> bytes:
 def sets_in_order(reply: bytes) -> bytes:
     """Return a reply of a time stamping authority whose sets are in the order of DER (X.690, section 11.6).
 
-    OpenSSL writes certificates in the order of their chain. No signature covers the order, so it may be changed.
-
-    Returns: The same reply; the bytes as they are if it has another form.
+    OpenSSL writes certificates in the order of their chain. No signature covers the order, so it may be changed. Bytes
+    of another form stay as they are.
     """
     try:
         return _sorted_at(reply, _OF_TOKEN)
@@ -208,8 +207,7 @@ class OtherFileError(EvidenceError):
 def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, name: str) -> Stamp:
     """Check one time stamp (RFC 3161, section 2.4.2; the authority's certificate must be valid at its time).
 
-    Raises UncheckedError: When the package for time stamps is missing, or no authority is trusted.
-    Raises EvidenceError: When the reply is not a valid time stamp of these bytes by a trusted authority.
+    Raises `UncheckedError` when the package for time stamps is missing, or no authority is trusted.
     """
     client = stamp_library()
     response = read_reply(client, reply)
@@ -247,10 +245,7 @@ def as_reply(data: bytes) -> bytes:
 def read_authorities(
     home: Path, certificates: Path | None = None, laboratory: Path | None = None
 ) -> TrustedAuthorities:
-    """Read the certificates of the trusted time stamping authorities.
-
-    Returns: The certificates; none where the configuration folder has no such file.
-    """
+    """Read the certificates of trusted time stamping authorities; none where the configuration has no such file."""
     return TrustedAuthorities(
         _read_certificates(certificates or home / TSA_FILE, needed=certificates is not None),
         _read_certificates(laboratory or home / LABORATORY_TSA_FILE, needed=laboratory is not None),

@@ -35,8 +35,8 @@ class Request:
 def make_request(signed: bytes, *, nonce: bool) -> Request:
     """Make a request for a time stamp (RFC 3161, section 2.4.1), with SHA-256 and for a reply with certificate.
 
-    nonce: Whether the request holds a random number. Without it the same bytes give the same request, as
-      ``openssl ts -query -no_nonce -sha256 -cert`` makes it.
+    Without a random number, ``nonce``, the same bytes give the same request, as ``openssl ts -query -no_nonce -sha256
+    -cert`` makes it.
     """
     library = stamp_library()
     builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.HashAlgorithm.SHA256)
@@ -64,11 +64,10 @@ def check_url(url: str) -> None:
 
 
 def ask_authority(url: str, request: Request) -> bytes:
-    """Send a request to an authority.
+    """Send a request to an authority; return its reply, which repeats the nonce and is not verified yet.
 
-    Returns: Its reply, which repeats the nonce; it is not verified yet.
-    Raises EvidenceError: When the authority does not answer in 20 s, answers with a redirect or an error, or
-      not with a time stamp.
+    Raises `EvidenceError` when it does not answer in 20 s, answers with a redirect or an error, or not with a time
+    stamp.
     """
     check_url(url)
     try:

@@ -55,10 +55,8 @@ _CANONICAL = {RESULTS: True, PLAN: True, "sources.json": True, "certificate.json
 def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
     """Check that a sealed folder is of one kind, and has exactly the files of its list, unchanged.
 
-    The signature of the list is checked by `bench.evidence.states.standing_of`.
-
-    found: Findings; faults are added.
-    Returns: SHA-256 by file name, as the seal lists them; None if there is no list that can be read.
+    `standing_of` checks the signature of the list. Faults are added to ``found``; the result is SHA-256 by file name,
+    as the seal lists them, or None if no list can be read.
     """
     path = folder / MANIFEST
     if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_SEAL_BYTES:
@@ -142,22 +140,15 @@ def verify_folder(
 ) -> Verification:
     """Check a sealed folder: a run, a certificate, recalculated results, or any other.
 
-    The content of the folder tells its kind (`bench.evidence.seal.kind_of`). ``derivations`` gives for each
-    kind further checks: ``{"run": [...], "certificate": [check_certificate], ...}``. Each is called with the folder
-    alone, and returns `Findings`; further arguments are bound beforehand, for example with `functools.partial`. They
-    are called in their order, and only while no check has found a fault, so they may rely on the list of files.
+    The content of the folder tells its kind (`bench.evidence.seal.kind_of`). ``derivations`` gives for each kind
+    further checks: ``{"run": [...], "certificate": [check_certificate], ...}``. Each is called with the folder alone,
+    and returns `Findings`; further arguments are bound beforehand, for example with `functools.partial`. They are
+    called in their order, and only while no check has found a fault, so they may rely on the list of files.
     `bench.commands.verify` puts them together.
 
-    trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`; or trusted keys alone.
-    now: The present time, with its time zone; None for that of the system.
-    at: Moment for which the reader asks whether the keys were valid (``verify --at``), with its time zone. A
-      trusted time stamp goes before it. None: the bench's own clock states when the folder was sealed.
-    camera_serial: Serial number that the calibrated camera must have; None for any. It reveals a report of
-      another camera.
-    derivations: Further checks of each kind of folder; None: there are none.
-    again: Whether they make the results again from the recordings; it is only stated.
-    Returns: All faults, what was not compared, and remarks.
-    Raises RunFolderError: When there is no such folder, or it is of none of these kinds.
+    ``trust`` comes from `bench.evidence.key_trust.read_trust`, or is trusted keys alone. ``now`` has its time zone;
+    None for that of the system. ``at`` is as for `standing_of`. ``camera_serial`` reveals a report of another camera;
+    None for any. ``again``, that the results are made again from the recordings, is only stated.
     """
     if not folder.is_dir() or not any((folder / name).exists() for name in (MANIFEST, *KINDS)):
         raise RunFolderError(

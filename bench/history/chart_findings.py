@@ -79,9 +79,9 @@ class Grouped:
 def group_runs(
     found: Iterable[tuple[IndexedRun, Mapping[str, Any], RunPlace]], by: Level | None = None
 ) -> Grouped:
-    """Put runs into groups that can be in one chart.
+    """Put runs into groups that can be in one chart, by ``camera`` or ``type``; both where None.
 
-    by: ``camera`` or ``type``; both where None. Types have a group of their own if they have several cameras.
+    Types have a group of their own if they have several cameras.
     """
     by_key: dict[ChartKey, ChartGroup] = {}
     without: dict[str, list[str]] = {}
@@ -157,14 +157,8 @@ Finding = Mapping[str, Any]
 
 
 def slope_text(slope: Finding, unit: str, per: str) -> str:
-    """Return a slope with its expanded uncertainty.
+    """Return a slope, ``value`` and ``expanded``, in a unit (or empty) per ``day``, ``hour``, ``year`` or ``°C``.
 
-    slope: ``value`` and ``expanded``.
-    unit: Unit of the parameter; empty for a pure number.
-    per: ``day``, ``hour``, ``year`` or ``°C``.
-
-    Examples
-    --------
     >>> slope_text({"value": 0.5, "expanded": 0.1}, "px", "day")
     '+0.50 ± 0.10 px per day'
     """
@@ -204,11 +198,9 @@ def parameter_verdict(chart: Finding, group: Finding) -> str:
 
 
 def excess_scatter(chart: Finding, runs: int) -> float | None:
-    """Return the Birge ratio of a chart if it is significantly above 1.
+    """Return the Birge ratio of a chart if it exceeds 1 by 3.5 or more of its standard deviations; else None.
 
     If the uncertainties are right, its standard deviation is about 1 / sqrt(2 n) (Birge, Phys. Rev. 40 (1932) 207).
-
-    Returns: The ratio; None if it exceeds 1 by less than 3.5 of its standard deviations.
     """
     ratio = chart["drift"]["scatter"]
     least = 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * max(runs - 2, 1))
@@ -325,12 +317,10 @@ Json = dict[str, Any]
 def find_charts(
     groups: Iterable[ChartGroup], *, parameter: str | None = None, baseline: int | None = None
 ) -> Json:
-    """Compute all charts, and judge them together.
+    """Compute all charts (None: of all parameters), and judge them together: ``schema level groups``.
 
-    parameter: Only this parameter; all where None.
-    baseline: Number of first runs of each group from which the limits come; all where None.
-    Returns: ``schema level groups``. Each group has its ``runs``, its ``parameters``, its ``verdict`` and its
-      ``state``.
+    Limits come from the first ``baseline`` runs of each group, all where None. Each group has its ``runs``, its
+    ``parameters``, its ``verdict`` and its ``state``.
     """
     found = [_group(group, parameter, baseline) for group in groups]
     charts = [chart for group in found for chart in group["parameters"]]

@@ -21,10 +21,8 @@ from bench.stations.station import Station
 def standard_problem(station: Station, home: Path, now: datetime) -> str:
     """Return why the check standard of a station says that its bench must be looked at; empty if it does not.
 
-    It is a problem if the newest run of this camera on this station is out of control, or if it is too old.
-
-    home: Configuration folder of the bench, with its index.
-    Raises BenchError: When the ledger or the index cannot be read.
+    It is a problem if the newest run of this camera on this station is out of control, or if it is too old. ``home`` is
+    the configuration folder of the bench, with its index.
     """
     standard = station.check_standard
     if standard is None:

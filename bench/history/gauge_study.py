@@ -207,8 +207,6 @@ def capability(
 ) -> Capability | None:
     """Return Cp, Cpk and the share of the gauge in the tolerance; None without a limit or without scatter.
 
-    Examples
-    --------
     >>> capability(8.0, 20.0, 16.0, 2.0)
     Capability(cp=1.0, cpk=0.6666666666666666, tolerance_percent=0.0)
     """

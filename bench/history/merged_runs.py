@@ -157,8 +157,8 @@ def merge_runs(
 ) -> MergedRuns:
     """Find the runs of ledgers and folders.
 
-    folders: Run folders that were found elsewhere; they go before the paths that the ledgers state.
-    only_folders: Whether to leave out the runs that are in ``ledgers`` alone.
+    Folders that were found elsewhere go before the paths that the ledgers state. ``only_folders`` leaves out runs that
+    are in ``ledgers`` alone.
     """
     merged = MergedRuns(faults=list(ledgers.faults), notes=list(ledgers.notes))
     stated = [] if only_folders else [Path(one.run.folder) for one in ledgers.entered.values()]

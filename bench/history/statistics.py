@@ -70,16 +70,12 @@ class Ewma:
 
 
 def individuals(values: Sequence[float], baseline: int | None = None) -> Individuals:
-    """Compute the chart of individuals and moving ranges.
+    """Compute the chart of individuals and moving ranges of at least two finite values in the order of time.
 
     Montgomery, Introduction to Statistical Quality Control, section 6.4; ISO 7870-2. The standard deviation comes from
-    the moving ranges of two, so a shift or a slow drift of the mean hardly widens the limits.
+    the moving ranges of two, so a shift or a slow drift of the mean hardly widens the limits. They come from the first
+    ``baseline`` values; all where None.
 
-    values: Values in the order of time, at least two, finite.
-    baseline: Number of first values from which the limits come; all where None.
-
-    Examples
-    --------
     >>> chart = individuals([10.0, 12.0, 11.0, 13.0])
     >>> chart.centre, round(chart.range_mean, 4), round(chart.upper, 3), round(chart.range_upper, 3)
     (11.5, 1.6667, 15.931, 5.444)
@@ -115,14 +111,9 @@ def ewma(
     """Compute the chart of the exponentially weighted moving average. It shows small lasting shifts.
 
     Roberts, Technometrics 1 (1959) 239; Montgomery, section 9.2; ISO 7870-6. The average begins at the centre. The
-    limits widen from the first values on, as its variance does.
+    limits widen from the first values on, as its variance does. Centre and short-term standard deviation come from
+    `individuals`; weight and limit: see `Ewma`.
 
-    values: Values in the order of time.
-    centre, sigma: Centre and short-term standard deviation, from `individuals`.
-    weight, limit: See `Ewma`.
-
-    Examples
-    --------
     >>> chart = ewma([10.0, 11.0], 10.0, 1.0, weight=0.1, limit=2.7)
     >>> chart.averages.round(3).tolist(), chart.upper.round(3).tolist()
     ([10.0, 10.1], [10.27, 10.363])
@@ -139,13 +130,7 @@ def ewma(
 
 
 def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
-    """Return the standard deviation of the average after some values.
-
-    Montgomery, section 9.2.
-
-    number: (N,) float64, number of values so far.
-    Returns: (N,) float64, in the unit of ``sigma``.
-    """
+    """Return the standard deviation of the average, (N,), after numbers of values, (N,) (Montgomery, section 9.2)."""
     shares = weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2.0 * np.asarray(number, float)))
     return np.asarray(sigma * np.sqrt(shares))
 
@@ -207,11 +192,10 @@ def find_drift(
     values: Sequence[float],
     sigmas: Sequence[float],
 ) -> Drift:
-    """Fit the drift of a parameter with time and with temperature.
+    """Fit the drift of a parameter with time and with temperature; return the slopes with their tests.
 
-    degrees_c: Temperature of each run, degrees Celsius; None where it is not known.
-    values, sigmas: Value of each run and its standard uncertainty, greater than 0.
-    Returns: Slopes with their tests. Runs without a temperature are left out of the test of the temperature.
+    Temperatures, degrees Celsius, are None where not known: those runs are left out of the test of the temperature.
+    Standard uncertainties are greater than 0.
     """
     t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
     warm = np.array([math.nan if c is None else c for c in degrees_c], float)
@@ -274,12 +258,8 @@ def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float
 def holm(chances: Sequence[float]) -> list[float]:
     """Adjust the chances of several tests, so that one false alarm or more has at most the level of one test.
 
-    Holm, Scand. J. Statist. 6 (1979) 65.
+    Holm, Scand. J. Statist. 6 (1979) 65. The order stays.
 
-    Returns: The adjusted chances, in the same order.
-
-    Examples
-    --------
     >>> [round(p, 3) for p in holm([0.01, 0.04, 0.03])]
     [0.03, 0.06, 0.06]
     """

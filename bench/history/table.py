@@ -149,12 +149,8 @@ def _unit_suffix(parameter: str) -> str:
 
 
 def parameter_columns(parameter: str) -> tuple[str, str, str]:
-    """Return the names of the columns of a parameter.
+    """Return the columns of a parameter: its value, its standard uncertainty, and its expanded uncertainty.
 
-    Returns: Names of the value, of its standard uncertainty, and of its expanded uncertainty.
-
-    Examples
-    --------
     >>> parameter_columns("fx"), parameter_columns("k1")
     (('fx_px', 'fx_sigma_px', 'fx_expanded_px'), ('k1', 'k1_sigma', 'k1_expanded'))
     """
@@ -300,7 +296,7 @@ def require_writable_table(path: Path) -> None:
 def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> int:
     """Write the table, in place of an older file of that name.
 
-    faults: What was noticed when the runs were merged; Parquet keeps it in the metadata of the file.
+    ``faults`` were noticed when the runs were merged; Parquet keeps them in the metadata of the file.
     """
     require_writable_table(path)
     part = path.with_name(f".{path.name}.part")
@@ -336,10 +332,9 @@ def _arrow_type(pa: Any, column: Column) -> Any:
 
 
 def arrow_schema(faults: Sequence[str] = ()) -> Any:
-    """Return the schema of the Parquet file.
+    """Return the schema of the Parquet file, with unit and meaning of each column.
 
-    Returns: With ``starbench_schema`` and ``starbench_faults`` in its metadata, and unit and meaning of each
-      column.
+    Its metadata hold ``starbench_schema`` and ``starbench_faults``.
     """
     pa = _pyarrow()
     fields = [

@@ -1,9 +1,8 @@
 """Sends messages about runs by mail, webhook or apprise.
 
 A message is put into the outbox first. Threads deliver it from there, one for each channel, so that neither a dead
-network nor a server that hangs delays a run or another channel.
-Mail carries the key of the message in ``Message-ID`` (RFC 5322), a webhook in ``Idempotency-Key``, so that a receiver
-recognises a message that arrives twice.
+network nor a server that hangs delays a run or another channel. Mail carries the key of the message in ``Message-ID``
+(RFC 5322), a webhook in ``Idempotency-Key``, so that a receiver recognises a message that arrives twice.
 """
 
 from __future__ import annotations
@@ -133,7 +132,7 @@ def _secret(variable: str, environ: Mapping[str, str]) -> str:
 class Courier:
     """Writes the messages about one run, and delivers them in a thread of its own.
 
-    say: Shows the operator a message that could not be kept; the run continues.
+    ``say`` shows the operator a message that could not be kept; the run continues.
     """
 
     def __init__(
@@ -161,11 +160,10 @@ class Courier:
         key: str,
         place: tuple[int, str] | None = None,
     ) -> None:
-        """Put a message into the outbox if the station file asks for messages on this occasion. Returns at once.
+        """Put a message into the outbox if the station file asks for one at a ``failure``, ``hold`` or ``end``.
 
-        occasion: ``failure``, ``hold`` or ``end``.
-        key: Identifies the message permanently: the hash of the journal line that caused it.
-        place: Number of the run in the bench's ledger and hash of its line there; None if there is none.
+        It returns at once. ``key`` is the hash of the journal line that caused the message, and identifies it
+        permanently; ``place`` is the run's number in the bench's ledger and the hash of its line there, or None.
         """
         if not self.is_wanted(occasion):
             return
@@ -188,10 +186,7 @@ class Courier:
         return occasion in self._occasions and bool(self._channels)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:
-        """Try once more to deliver what waits. What cannot be delivered stays in the outbox.
-
-        patience_s: Longest wait for the deliveries, all channels together, s.
-        """
+        """Try once more, all channels together for ``patience_s`` at most, to deliver what waits; the rest stays."""
         self._closing.set()
         self._wake_all()
         deadline_s = time.monotonic() + patience_s

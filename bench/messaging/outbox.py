@@ -121,10 +121,7 @@ class Outbox:
             return [channel for (channel,) in rows]
 
     def deliver(self, send: Send, now: datetime, *, all_waiting: bool = False) -> int:
-        """Try the deliveries that are due, all channels side by side.
-
-        send: Delivers one message; is given up after ``DEADLINE_S``.
-        """
+        """Try the deliveries that are due, all channels side by side; each is given up after ``DEADLINE_S``."""
 
         def serve(channel: str) -> None:
             self.deliver_to(channel, send, now, all_waiting=all_waiting)
@@ -135,10 +132,8 @@ class Outbox:
     def deliver_to(self, channel: str, send: Send, now: datetime, *, all_waiting: bool = False) -> None:
         """Try the deliveries to one channel that are due, unless another process does so at this moment.
 
-        After a delivery that was not complete in time, the others of this channel wait for the next call.
-
-        send, now, all_waiting: As for ``deliver``.
-        Raises StorageError: When the outbox cannot be read or written.
+        After a delivery that was not complete in time, the others of this channel wait for the next call. The arguments
+        are those of ``deliver``.
         """
         if not self.path.exists():
             return

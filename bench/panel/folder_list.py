@@ -54,10 +54,9 @@ class FolderList:
         self._lock = threading.Lock()
 
     def look(self) -> Json:
-        """Look at the folder.
+        """Look at the folder: ``root``, ``runs``, ``batches`` (each newest first), and ``faults``.
 
-        Returns: ``root``, ``runs``, ``batches`` (each newest first), and ``faults``: a sentence for each
-          folder that cannot be read.
+        A fault is a sentence for each folder that cannot be read.
         """
         with self._lock:
             faults: list[str] = []
@@ -86,10 +85,7 @@ class FolderList:
         }
 
     def folder_of(self, key: str) -> Path:
-        """Return the folder that a page names.
-
-        key: Its path relative to the root, with slashes; ``.`` for the root itself.
-        """
+        """Return the folder that a page names by its path relative to the root, with slashes; ``.`` for the root."""
         parts = key.split("/")
         if not key or "\0" in key or any(part in {"", ".."} or "\\" in part or ":" in part for part in parts):
             raise _no_such_run(key, self.root)

@@ -47,24 +47,17 @@ def picture_of_view(left: LastView) -> Json:
 
 
 def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> Json:
-    """Return stars with their residuals to a smooth fit of this pose alone.
-
-    nodes: (N, 2) float64, column and row of each star on the target.
-    points_px: (N, 2) float64, px, stars found.
-    """
+    """Return stars with their residuals to a smooth fit of this pose alone; arguments as for `smooth_residuals`."""
     residuals = smooth_residuals(nodes, points_px)
     return picture_answer(size, points_px, residuals, "a smooth fit of this pose alone")
 
 
 def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
-    """Return what a polynomial from the target to the image leaves of the stars' places.
+    """Return what a polynomial from the target to the image leaves of the stars' places, (N, 2) px.
 
-    It is of fifth order, or of third order if there are few stars. It follows perspective and distortion closely enough
-    to show single stars that are wrong; it is no calibration.
-
-    nodes: (N, 2) float64, column and row of each star on the target.
-    points_px: (N, 2) float64, px, stars found.
-    Returns: (N, 2) float64, px; None if there are too few stars for it.
+    It is of fifth order, or of third order if there are few stars; None if there are too few. It follows perspective
+    and distortion closely enough to show single stars that are wrong; it is no calibration. ``nodes`` are column and
+    row on the target, ``points_px`` the stars found, both (N, 2).
     """
     order = next((n for n in _ORDERS if len(nodes) >= _STARS_A_TERM * (n + 1) * (n + 2) // 2), None)
     if order is None:
@@ -80,11 +73,9 @@ def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
 def picture_answer(
     size: tuple[int, int], points_px: Array, residuals_px: Array | None = None, residuals_of: str = ""
 ) -> Json:
-    """Return stars and residuals as JSON holds them.
+    """Return stars and residuals, (N, 2) px or None, as JSON holds them.
 
-    points_px: (N, 2) float64, px, stars found.
-    residuals_px: (N, 2) float64, px; None if there are none.
-    Returns: ``size``, ``stars``, ``residuals``, ``residuals_of``, ``rms_px``, ``fault``.
+    These are ``size``, ``stars``, ``residuals``, ``residuals_of``, ``rms_px``, ``fault``.
     """
     answer: Json = {
         "size": list(size),
@@ -110,12 +101,10 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
     """Make the picture of a recording, with its stars and their residuals.
 
     For a pose of a solved run they are those of its calibration. Otherwise the stars are found again in the recording,
-    and the residuals are those of a smooth fit of this pose alone.
-
-    request: ``folder``, ``pose``, ``pose_name``, ``attempt``, ``capture``, ``expected_grid``, ``accepted``;
-      ``measure``: whether to find the stars again if nothing else is there, which takes seconds of computing.
-    Returns: ``stars`` and ``residuals`` as lists of [x, y] px, ``residuals_of``, ``rms_px``, ``size``,
-      ``fault``; PNG. With ``absent`` if there is no picture without measuring.
+    and the residuals are those of a smooth fit of this pose alone. The request holds ``folder``, ``pose``,
+    ``pose_name``, ``attempt``, ``capture``, ``expected_grid``, ``accepted``; ``measure``: whether to find the stars
+    again if nothing else is there, which takes seconds of computing. The answer holds what `picture_answer` returns,
+    and a PNG; ``absent`` if there is no picture without measuring.
     """
     from bench.views.views_file import VIEWS
 
@@ -130,14 +119,12 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
 
 
 def make_coverage(request: Mapping[str, Any]) -> Answer:
-    """Count the stars of accepted recordings in the cells of the image.
+    """Count the stars of accepted recordings in the cells of the image: ``counts``, row by row; no bytes.
 
     The places come from each recording's grid, without the distortion of the lens. If fewer stars were found than the
-    image has room for, those next to the tag count, because the beam lights the middle of the target.
-
-    request: ``folder``, ``size`` (width and height, px), ``cells`` (columns and rows), ``grids`` (list of
-      pose, grid and number of stars).
-    Returns: ``counts``, row by row; no bytes.
+    image has room for, those next to the tag count, because the beam lights the middle of the target. The request holds
+    ``folder``, ``size`` (width and height, px), ``cells`` (columns and rows), ``grids`` (list of pose, grid and number
+    of stars).
     """
     target = job_of_run(request["folder"]).target
     nodes = target.node_of(target.ids).astype(float)
@@ -161,11 +148,10 @@ def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int
 
 
 def make_forecast(request: Mapping[str, Any]) -> Answer:
-    """Forecast the uncertainty that the first poses of a run's plan give.
+    """Forecast the uncertainty that the first ``poses`` of the plan of the run in ``folder`` give.
 
-    request: ``folder``, and ``poses``: how many of them.
-    Returns: ``now``: expanded uncertainties, px, by name; empty if these poses determine no camera, or the
-      station states nothing to expect. No bytes.
+    ``now`` holds expanded uncertainties, px, by name; it is empty if these poses determine no camera, or the station
+    states nothing to expect. No bytes.
     """
     from bench.base.errors import UsageError
     from bench.results.forecasts import forecast_bench

@@ -31,8 +31,7 @@ _BROKEN = ("broken", "NOT MEASURED")
 class Line:
     """The line of a panel: at most one run at a time.
 
-    Raises ScriptError: When the two files have faults.
-    Raises UsageError: When neither states limits, so that no run could say PASS or FAIL.
+    Station or sequence must state limits, since otherwise no run could say PASS or FAIL.
     """
 
     def __init__(self, root: Path, sequence: str, station: str, operator: str) -> None:

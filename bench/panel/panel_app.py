@@ -415,8 +415,5 @@ def _command_fault(given: dict[str, Any]) -> str:
 
 
 def panel_app(root: Path, line: Line | None = None) -> Starlette:
-    """Return the panel of a folder.
-
-    line: The line whose page is the first one, if there is one.
-    """
+    """Return the panel of a folder; the page of the line, if there is one, is the first."""
     return Panel(root, line).app()

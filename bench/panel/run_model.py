@@ -160,10 +160,9 @@ def read_plan(folder: Path) -> RunPlan:
 
 
 def read_final(folder: Path) -> dict[str, float]:
-    """Read the uncertainties that a run has reached in the end.
+    """Read the uncertainties that a run has reached in the end; empty if there are no results.
 
-    Returns: ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as
-      the results state them. Empty if there are no results.
+    These are ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as stated.
     """
     try:
         results = read_json(folder / RESULTS)

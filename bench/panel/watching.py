@@ -78,10 +78,9 @@ class RunWatch:
         return more
 
     def message(self, after: int, generation: int | None) -> tuple[str, int, int]:
-        """Return what is new after a line, as JSON.
+        """Return, as JSON, what is new after a number of lines that the page has.
 
-        after: Number of lines that the page has; 0 for none.
-        generation: Generation of the journal that they are of; None if the page has another process's.
+        ``generation`` is that of the journal that they are of; None if the page has another process's.
         """
         with self.lock:
             model = self.model
@@ -395,10 +394,8 @@ class Extras:
 def forecast_poses(poses: int) -> list[int]:
     """Return after how many poses of a plan the uncertainty is forecast: all of them first, then some before.
 
-    Returns: At most eight numbers; a plan with very many poses is forecast up to a part of them only.
+    There are at most eight numbers; a plan with very many poses is forecast up to a part of them only.
 
-    Examples
-    --------
     >>> forecast_poses(4)
     [4, 2, 3]
     >>> forecast_poses(40)

@@ -67,10 +67,9 @@ def calibration_options(
     gimbal: GimbalReadings | None = None,
     budget: tuple[TypeBTerm, ...] = (),
 ) -> CalibrationOptions:
-    """Return the engine's options for a solve step.
+    """Return the engine's options for a solve step; one without a model is solved with ``auto``.
 
-    Returns: Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model
-      is solved with ``auto``.
+    They hold model, distortion, loss, passport, readings, budget, guard band and drift.
     """
     passport = passport if step.model != "planar" else None  # it has no collimator
     return CalibrationOptions(
@@ -230,8 +229,8 @@ class Job:
     def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
         """Return a step with the angles that the stage takes.
 
-        Returns: The step. If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it
-          does not name, because a chosen pose may have turned them.
+        If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it does not name, because a
+        chosen pose may have turned them.
         """
         if step.pose.chosen_in_run:
             angles = chosen[step.pose.index]
@@ -279,8 +278,8 @@ class Job:
 def documents_of(plan: Plan) -> dict[str, bytes]:
     """Return the documents that a run folder keeps from its begin on, so that the run can be repeated from it.
 
-    Returns: Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport,
-      the calibration that is checked, and the descriptions of devices.
+    Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport, the calibration
+    that is checked, and the descriptions of devices.
     """
     documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
     if plan.passport.in_use is not None:

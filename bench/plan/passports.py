@@ -86,9 +86,7 @@ def refuse_indefinite(passport: Passport) -> None:
 
     Own limits: a standard uncertainty of the centre below 0.1 nm, or below 1e-8 of the focal length, is not a
     measurement. The smallest eigenvalue is that of the correlation matrix, so that the units of the parameters do not
-    matter.
-
-    Raises InputMismatch: When it is refused; the message names the parameter.
+    matter. `InputMismatch` names the parameter.
     """
     covariance = passport.covariance
     variances = covariance.diagonal()
@@ -124,12 +122,10 @@ _KEYS = frozenset(
 
 
 def determines_one_view(passport: Passport) -> bool:
-    """Return whether one view is enough to calibrate a camera with a passport.
+    """Return whether one view is enough to calibrate a camera: the passport holds the collimator's whole centre.
 
     Own count: the homography of a view has 8 degrees of freedom. With x, y and r known, the view has 7 unknowns: fx,
     fy, cx, cy and a rotation. With r alone, as a certificate states it, it has 9.
-
-    Returns: True if the passport holds the collimator's whole centre.
     """
     return set(CENTRE) <= set(passport.names)
 
@@ -150,8 +146,8 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
 def parse_passport(data: bytes, where: str) -> Passport:
     """Read the bytes of a passport.
 
-    Raises UsageError: When it is not a passport, was changed after it was sealed, has a parameter that the
-      engine does not know, or numbers that no collimator has; the message says why.
+    `UsageError` says why it is none: it was changed after it was sealed, has a parameter that the engine does not know,
+    or numbers that no collimator has.
     """
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
@@ -248,8 +244,8 @@ class PassportInUse:
     def to_dict(self) -> dict[str, Any]:
         """Return what results.json states about the passport.
 
-        Returns: Origin, identity and validity of the passport, its values and standard uncertainties by name,
-          and the hash of its file.
+        These are origin, identity and validity, its values and standard uncertainties by name, and the hash of its
+        file.
         """
         stated, passport = self.passport.conditions, self.passport
         sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}
@@ -275,10 +271,9 @@ class PassportInUse:
         return _text(stated.get("issued")) or (_text(stated.get("made_utc")) or "")[:10] or None
 
     def cautions(self, collimator: CollimatorConfig, on: date) -> list[str]:
-        """Return what speaks against using the passport on a bench.
+        """Return what speaks against using the passport on a bench, a sentence each.
 
-        Returns: A sentence for each: unsealed, expired, another temperature, another collimator, no
-          collimator named.
+        It is unsealed, expired, of another temperature or another collimator, or names no collimator.
         """
         found = []
         if self.is_unsealed:
@@ -360,8 +355,7 @@ def choose_passport(
 ) -> PassportChoice:
     """Find, read and check the passport that the solve steps use.
 
-    copy: Copy in the folder of a run that has begun; it is read in place of the file that the documents name.
-      None for a new run.
+    ``copy`` in the folder of a run that has begun is read in place of the named file; None for a new run.
     """
     named = {step.number: _named(sequence, station, step) for step in steps if isinstance(step, SolveStep)}
     used = {number: one for number, one in named.items() if one is not None}

@@ -74,15 +74,8 @@ REPORT_BYTES = 1_000_000
 
 
 def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Return the duration of a move with a trapezoidal speed profile.
+    """Return the duration, s, of a move over a distance of any sign with a trapezoidal speed profile.
 
-    distance_deg: Distance, deg; the sign does not matter.
-    speed_deg_s: Highest speed, deg/s.
-    acceleration_deg_s2: Acceleration and deceleration, deg/s^2.
-    Returns: Duration, s.
-
-    Examples
-    --------
     >>> travel_s(10, speed_deg_s=10, acceleration_deg_s2=100)
     1.1
     >>> travel_s(1, speed_deg_s=10, acceleration_deg_s2=100)
@@ -328,8 +321,8 @@ def load_documents(
 ) -> tuple[Located[Sequence], Located[Station]]:
     """Read a sequence file and a station file.
 
-    settings: Values that replace those of the files: YAML texts by path, such as
-      ``sequence.defaults.record.window_ms`` or ``station.camera.biases.bias_diff_on``.
+    ``settings`` replace values of the files: YAML texts by path, such as ``sequence.defaults.record.window_ms`` or
+    ``station.camera.biases.bias_diff_on``.
     """
     of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
@@ -375,8 +368,8 @@ def make_plan(
 ) -> Plan:
     """Plan a run. Faults of the files do not raise an error; the plan lists them.
 
-    passport_copy: Where the folder of a run that has begun keeps the passport; None for a new run.
-    today: Day of the run, for the validity of the passport; None for the current day, UTC.
+    ``passport_copy`` is where the folder of a run that has begun keeps the passport; None for a new run. ``today`` is
+    for the validity of the passport; None for the current day, UTC.
     """
     script, faults = unfold(sequence)
     if station.value.board is not None:

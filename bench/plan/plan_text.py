@@ -34,13 +34,8 @@ def render_plan(plan: Plan) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """Write a duration with the units that suit its size.
+    """Write a duration in seconds, minutes and seconds, or hours and minutes.
 
-    seconds: Duration, s.
-    Returns: In seconds, minutes and seconds, or hours and minutes.
-
-    Examples
-    --------
     >>> duration_text(0.31), duration_text(75), duration_text(3 * 3600 + 120)
     ('0.3 s', '1 min 15 s', '3 h 2 min')
     """
@@ -55,10 +50,6 @@ def duration_text(seconds: float) -> str:
 def size_text(size_bytes: float) -> str:
     """Write a size in MB or GB (powers of 10).
 
-    size_bytes: Size, bytes.
-
-    Examples
-    --------
     >>> size_text(17_650_000), size_text(2.5e9)
     ('18 MB', '2.5 GB')
     """

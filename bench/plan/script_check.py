@@ -113,8 +113,7 @@ def check_script(
 ) -> Findings:
     """Check the steps of a sequence against a station.
 
-    with_passport: Numbers of the solve steps that one pose is enough for, because of the collimator's
-      passport.
+    ``with_passport`` numbers the solve steps that one pose is enough for, because of the collimator's passport.
     """
     faults = [
         *angle_faults(document.tree, station),
@@ -132,12 +131,10 @@ def check_script(
 
 
 def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
-    """Check every angle in a sequence file against the limits of the station; the sequence may have other faults.
+    """Return angles in a sequence file outside the station's limits, and axes that the station does not have.
 
     The angles of a grid lie between those in the file. An angle that is not in the file is 0, which every station
-    reaches.
-
-    Returns: Angles outside the limits, and axes that the station does not have.
+    reaches. The sequence may have other faults.
     """
     axes = station.axes
     faults = Tree(sequence.file)

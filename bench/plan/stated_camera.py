@@ -51,8 +51,8 @@ def choose_stated_camera(
 ) -> StatedCameraChoice:
     """Find and read the calibration that the steps ``check`` name.
 
-    expected: What the station expects; a new run with a sensor of another size is refused.
-    copy: Copy in the folder of a run that has begun; it is read in place of the named file. None for a new run.
+    ``expected`` is the station's; a new run with a sensor of another size is refused. ``copy`` in the folder of a run
+    that has begun is read in place of the named file; None for a new run.
     """
     named = [
         (step, step.checked) for step in steps if isinstance(step, SolveStep) and step.checked is not None

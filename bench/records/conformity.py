@@ -18,13 +18,8 @@ NO_CONVERGENCE = "The optimisation did not converge."
 
 
 def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
-    """Return the verdict on a value.
+    """Return ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail`` for a value; None stands for no limit.
 
-    lower, upper: Limits; None where there is none.
-    Returns: ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail``.
-
-    Examples
-    --------
     >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
     ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
     """
@@ -49,9 +44,8 @@ def conformity(
 ) -> ConformityData | None:
     """Return PASS or FAIL of a run; None if neither its station nor its sequence states limits, and none `checks`.
 
-    limits: Limits by the document that states them, ``station`` or ``sequence``.
-    failed_gates: Names of the gates that failed: values that must not be used do not pass.
-    checks: Whether the run checked a calibration; its gate is then among the gates.
+    ``failed_gates`` count, since values that must not be used do not pass; if the run ``checks`` a calibration, its
+    gate is among the gates.
     """
     statements = [_statement(calibration, stated_by, one) for stated_by, one in _each(limits)]
     if not statements and not checks:

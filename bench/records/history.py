@@ -389,12 +389,10 @@ class RunLog:
     @overload
     def write(self, event: Literal[Event.DEVICES_LEFT], **data: Unpack[DevicesLeft]) -> None: ...
     def write(self, event: Event, **data: Any) -> None:
-        """Write one line and update the history.
+        """Write one line (payload: `bench.records.events`) and update the history.
 
         The line survives a power cut when this returns, except a line that is repeated or found again after a restart
         with the same result: such a line is synced together with the next one.
-
-        data: Its payload (`bench.records.events`).
         """
         self._write(event, data)
 

@@ -39,10 +39,9 @@ class Inbox(Generic[Message]):
     ignored: frozenset[str] = frozenset()  # Names of files in the folder that are not for the owner
 
     def drop(self, message: Message, message_id: str) -> Path:
-        """Leave a message. Its file appears as a whole, and its name puts it behind all earlier ones.
+        """Leave a message, as a file behind all earlier ones that appears as a whole; it exists until it is answered.
 
-        Returns: The file; it exists until the owner has answered.
-        Raises StorageError: When it cannot be written, for example because the owner has removed the inbox.
+        `StorageError`: it cannot be written, for example because the owner has removed the inbox.
         """
         path = self.folder / f"{time.time_ns():020d}-{message_id}.json"
         write_atomic(path, message.model_dump_json().encode() + b"\n")
@@ -51,8 +50,8 @@ class Inbox(Generic[Message]):
     def drain(self, answer: Callable[[Message | None, str], None]) -> None:
         """Answer every message, oldest first, and remove its file. Without the folder there is no message.
 
-        answer: Called with the message and the name of its file; with None for a file that is not a message.
-          It must have stored its answer when it returns.
+        ``answer`` gets the message and the name of its file; None for a file that is not a message. It must have stored
+        its answer when it returns.
         """
         with storage_errors(self.folder):
             if not self.folder.is_dir():
@@ -77,7 +76,7 @@ class Inbox(Generic[Message]):
 class Poller:
     """Calls a function at regular intervals, in a thread of its own.
 
-    failed: Called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
+    ``failed`` is called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
     """
 
     def __init__(

@@ -53,11 +53,9 @@ class Entry:
 def encode_line(
     seq: int, now: datetime, mono_s: float, event: str, data: Mapping[str, Any], prev: str
 ) -> bytes:
-    """Write a line.
+    """Write line number ``seq``, from 0, after a line with the hash ``prev``.
 
-    seq: Number of the line, from 0.
-    prev: Hash of the line before.
-    Raises ValueError: When the data use one of the journal's own keys, or cannot be written as JSON.
+    Data that use one of the journal's own keys, or cannot be written as JSON, raise `ValueError`.
     """
     clash = sorted(set(data) & set(OWN_KEYS))
     if clash:
@@ -86,10 +84,7 @@ def _plain(value: Any) -> Any:
 
 
 def decode_line(line: bytes, seq: int, prev: str) -> Entry:
-    """Read a line, and check its hash, its chain and its number.
-
-    Raises ValueError: When the line is not valid, with the fault.
-    """
+    """Read a line, and check its hash, its chain and its number; `ValueError` states the fault."""
     try:
         record = parse_json(line.decode("ascii"))
         own = {key: record.pop(key) for key in OWN_KEYS}
@@ -122,7 +117,7 @@ _MOST_UNSYNCED_BYTES = 64 * 1024
 class Journal:
     """A journal that is open for appending, from ``create`` or ``open``. Several threads may use it.
 
-    torn: Bytes of an incomplete last line that were removed.
+    ``torn`` is the bytes of an incomplete last line that were removed.
     """
 
     def __init__(
@@ -162,8 +157,7 @@ class Journal:
     def open(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
         """Open a journal to continue it: verify its chain and remove an incomplete last line (see ``torn``).
 
-        Raises JournalBroken: When a complete line is not valid; the message names it. The file is then not
-          changed.
+        `JournalBroken` names a complete line that is not valid. The file is then not changed.
         """
         entries, torn = read_journal(path)
         if torn:
@@ -185,23 +179,16 @@ class Journal:
         """Write one line and sync it. The line is on the disk when this returns.
 
         If the system time has moved by more than ``CLOCK_JUMP_S`` against the monotonic clock since the last line, a
-        line ``clock_jumped`` with ``jump_s`` is written before it.
-
-        data: Data of the event, which JSON can represent; also NumPy scalars and arrays, paths and dates.
-          Numbers must be finite.
-        Raises ValueError: When ``data`` cannot be written as JSON, or uses one of the journal's own keys.
-        Raises StorageError: When the line cannot be written; it is then not in the journal. After a failed
-          sync the journal accepts no more lines, because the contents of the disk are unknown.
+        line ``clock_jumped`` with ``jump_s`` is written before it. Data are what JSON can represent, also NumPy scalars
+        and arrays, paths and dates; numbers must be finite. After a `StorageError` the line is not in the journal.
+        After a failed sync the journal accepts no more lines, because the contents of the disk are unknown.
         """
         return self.put(event, data, synced=True)
 
     def append_unsynced(self, event: str, **data: Any) -> Entry:
-        """Write one line without syncing it; the next ``append`` syncs both.
+        """Write one line as ``append`` without syncing it; the next ``append`` syncs both.
 
         If the process dies, the line remains; a power cut may remove the last unsynced lines.
-
-        event, data: As for ``append``.
-        Raises ValueError, StorageError: As ``append``.
         """
         return self.put(event, data, synced=False)
 
@@ -289,10 +276,9 @@ class Journal:
 
 
 def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Read the complete lines after a position in a journal, without verification.
+    """Read the complete lines after a position in a journal, bytes, without verification.
 
-    offset: The position, bytes: usually the size of the file at an earlier moment. If it lies within a line,
-      that line is left out.
+    The position is usually the size of the file at an earlier moment. If it lies within a line, that line is left out.
     """
     with open_to_read(path) as stream:
         stream.seek(offset)
@@ -306,11 +292,10 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
 
 
 def read_journal(path: Path) -> tuple[list[Entry], bytes]:
-    """Read and verify a journal without changing it.
+    """Read and verify a journal without changing it; return also what a power cut has left at the end.
 
-    Returns: What a power cut has left at the end: a line without its line feed; or zeros in blocks that the
-      file system had allocated and not written, with everything behind the first of them. It never contains a
-      synced line. Empty if there is nothing of that kind.
+    That is a line without its line feed; or zeros in blocks that the file system had allocated and not written, with
+    everything behind the first of them. It never contains a synced line. Empty if there is nothing of that kind.
     """
     entries: list[Entry] = []
     begin = 0
@@ -393,13 +378,8 @@ class Capture:
 
 
 def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
-    """Return the name of a pose's recording within the run folder.
+    """Return the name of a pose's recording within the run folder; pose and attempt count from 1.
 
-    pose_index: Number of the pose, from 1.
-    attempt: Number of the attempt, from 1.
-
-    Examples
-    --------
     >>> capture_name(1, 2)
     'captures/pose-001-attempt-2.raw'
     """

@@ -61,7 +61,7 @@ LEDGER = "ledger.jsonl"
 class LedgerFile:
     """The file of a ledger. Every method reads it anew, because other processes write to it too.
 
-    warnings: Second places that could not be read or written by the last call; nothing was stopped by them.
+    ``warnings`` are second places that could not be read or written by the last call; nothing was stopped by them.
     """
 
     def __init__(
@@ -77,9 +77,9 @@ class LedgerFile:
         return read_journal(self.path)[0] if self.path.exists() else []
 
     def append(self, event: str, **facts: Any) -> Entry:
-        """Enter one line of any event. Use ``locked`` where the line depends on the lines before.
+        """Enter one line of any event in the past tense, such as ``certificate_issued``.
 
-        event: Name of the event, in the past tense, such as ``certificate_issued``.
+        Use ``locked`` where the line depends on the lines before.
         """
         with self.locked() as journal:
             return journal.append(event, **facts)
@@ -90,10 +90,8 @@ class LedgerFile:
 
         In the block, ``journal.entries`` holds every line so far, and ``journal.append(event, **facts)`` enters a line.
         So a number that follows from the lines before is given once only. The lock waits; keep the block short. The new
-        head goes to the second places afterwards (see ``warnings``).
-
-        Raises EvidenceError: When lines of the ledger are missing or were replaced, or the file is gone.
-        Raises JournalBroken: When a line is not valid.
+        head goes to the second places afterwards (see ``warnings``). Lines that are missing or were replaced, or a file
+        that is gone, raise `EvidenceError`.
         """
         self.warnings = []
         with self._held():
@@ -203,12 +201,11 @@ class Ledger(LedgerFile):
     ) -> LedgerPlace:
         """Enter a run before it does anything. A break of the ledger is recorded first; it does not stop the run.
 
-        strict: Whether a break that nobody has explained stops the run.
-        strangers: Finds sealed runs of this bench that are not in the ledger.
-        Returns: For the journal and the report of the run: its ``number`` in the ledger; the ``head``, which
-          is the hash of the ledger's last line; ``of_camera``, the number of runs of this camera by state,
-          with this run; and ``faults``, sentences, if the ledger has a break that nobody has explained.
-        Raises EvidenceError: When the ledger has a break, and ``strict`` is set; nothing was entered.
+        With ``strict``, a break that nobody has explained raises `EvidenceError`; nothing was entered. ``strangers``
+        finds sealed runs of this bench that are not in the ledger. The result is for the journal and the report of the
+        run: its ``number`` in the ledger; the ``head``, which is the hash of the ledger's last line; ``of_camera``, the
+        number of runs of this camera by state, with this run; and ``faults``, sentences, if there is a break that
+        nobody has explained.
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers, strict=strict) as journal:
@@ -273,11 +270,10 @@ class Ledger(LedgerFile):
     def breaks(
         self, anchor: str | None = None, strangers: Strangers = no_strangers
     ) -> tuple[list[str], list[Break]]:
-        """Compare the ledger with all places that know of it; nothing is written.
+        """Compare the ledger with all places that know of it; return a sentence for each break without a reason.
 
-        anchor: A further second place; those that were used before are asked anyway.
-        Returns: One sentence for each break that nobody has explained; ``warnings`` has the places that
-          cannot be read.
+        Nothing is written. ``anchor`` is a further second place; those that were used before are asked anyway.
+        ``warnings`` has the places that cannot be read.
         """
         own, witnesses = self._own_mark(), self._ask_anchors(anchor)
         try:
@@ -294,10 +290,7 @@ class Ledger(LedgerFile):
     def explain(
         self, reason: str, by: str, *, anchor: str | None = None, strangers: Strangers = no_strangers
     ) -> list[str]:
-        """Record every break that is not recorded yet, and state the reason of every one without a reason.
-
-        Raises UsageError: When there is nothing to explain.
-        """
+        """Record every break that is not recorded yet, and state the reason of every one without a reason, if any."""
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers) as journal:
             open_breaks = [one for one in breaks_of(journal.entries) if one.reason is None]
@@ -309,10 +302,7 @@ class Ledger(LedgerFile):
         return [str(one) for one in open_breaks]
 
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
-        """Write to a second place no longer, and enter why.
-
-        Raises UsageError: When the ledger is not written to this place.
-        """
+        """Write to a second place no longer, and enter why."""
         own = self._own_mark()
         known = own.anchors if isinstance(own, OwnMark) else ()
         if place not in known:

@@ -52,11 +52,7 @@ class LedgerMark:
         return {**facts, "counts": dict(self.counts)} if self.counts else facts
 
     def disagreement(self, entries: Sequence[Entry]) -> str:
-        """Return how a ledger contradicts this mark.
-
-        Returns: The end of a sentence that begins with "The ledger"; empty if the ledger contains the marked
-          line.
-        """
+        """Return how a ledger contradicts this mark: the end of a sentence that begins with "The ledger", or empty."""
         if len(entries) < self.lines:
             return (
                 f"has {len(entries)} of at least {self.lines} lines: {self.lines - len(entries)} are missing"
@@ -254,9 +250,9 @@ class LedgerRun:
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
-    """Return the runs of a ledger.
+    """Return the runs of a ledger in the order in which they began.
 
-    Returns: In the order in which they began. Numbers rise; after a break of the ledger some may be missing.
+    Numbers rise; after a break of the ledger some may be missing.
     """
     runs: list[LedgerRun] = []
     place_of: dict[int, int] = {}
@@ -399,8 +395,8 @@ def find_breaks(
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it.
 
-    own: The bench's own mark; None if there is none; a text if it cannot be read, with the reason.
-    strangers: Finds sealed runs of this bench that are not in the ledger.
+    ``own`` is the bench's own mark; None if there is none; a text, the reason, if it cannot be read. ``strangers``
+    finds sealed runs of this bench that are not in the ledger.
     """
     found = _Findings()
     excused = {head for one in breaks_of(entries) for head in one.heads}

@@ -52,11 +52,10 @@ class Estimate(NamedTuple):
 
 
 def coverage_factor(stated: Mapping[str, Any], name: str = "") -> float:
-    """Return the coverage factor k: U = k u has a coverage probability of about 95 % (JCGM 100, 6.2 and annex G).
+    """Return k (2 if none is stated): U = k u has a coverage probability of about 95 % (JCGM 100, 6.2, annex G).
 
-    stated: ``calibration`` or ``planar`` of results.json, or the journal's line ``solved``.
-    name: A value that may have a k of its own; empty for the common one.
-    Returns: 2 if none is stated.
+    ``stated`` is ``calibration`` or ``planar`` of results.json, or the journal's line ``solved``; ``name`` a value that
+    may have a k of its own, empty for the common one.
     """
     if own := (stated.get("coverage_factors") or {}).get(name):
         return float(own)
@@ -66,8 +65,6 @@ def coverage_factor(stated: Mapping[str, Any], name: str = "") -> float:
 def factors_text(factors: Iterable[float]) -> str:
     """Return the coverage factors of several values as text.
 
-    Examples
-    --------
     >>> factors_text([2.2215, 2.2215]), factors_text([2.2215, 2.0])
     ('k = 2.22', 'k = 2.22, 2')
     """
@@ -127,10 +124,7 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
 
 
 def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dict[str, Any]:
-    """Return what the table of runs has beyond the row of the index.
-
-    Returns: Details by name, as JSON can carry them; a detail that is not known is None.
-    """
+    """Return what the table of runs has beyond the row of the index, as JSON can carry it; None if not known."""
     results, fault = _results(entries, folder)
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
     stages = [one for one in history.devices.get("stage", ()) if isinstance(one, Mapping)]

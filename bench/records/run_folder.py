@@ -70,14 +70,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path, *, bytes_needed: int = 0) -> Self:
-        """Make a new run folder, with its parents, and lock it.
-
-        path: The folder; it must not exist, or must be empty.
-        bytes_needed: Disk space that the run is expected to need, bytes.
-        Raises RunFolderError: When the folder is not empty, or another process has locked it.
-        Raises StorageError: When permission is missing, there is less disk space than needed, or a file is in
-          the way.
-        """
+        """Make a new or empty run folder, with its parents, and lock it; there must be room for ``bytes_needed``."""
         path = path.absolute()
         make_folder(path)
         lock = lock_folder(path)
@@ -93,11 +86,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Lock an existing run folder, to continue its run.
-
-        Raises RunFolderError: When it does not exist, is not a run folder, is sealed, or another process has
-          locked it.
-        """
+        """Lock an existing run folder, not sealed and not locked by another process, to continue its run."""
         path = path.absolute()
         require_resumable(path)
         lock = lock_folder(path)
@@ -117,7 +106,7 @@ class RunFolder:
     def write_atomic(self, name: str, data: bytes) -> Path:
         """Write a file as a whole, or leave its old contents. The file is synced when this returns.
 
-        name: Path within the folder, with ``/``; subfolders are made.
+        The name is a path within the folder, with ``/``; subfolders are made.
         """
         path = self._place(name)
         make_folder(path.parent)
@@ -127,12 +116,7 @@ class RunFolder:
     def part_path(self, name: str) -> Path:
         """Return where other code (a camera, HDF5) writes a file, to which ``commit`` then gives its name.
 
-        A file of an earlier attempt is removed.
-
-        name: Path of the final file within the folder, with ``/``.
-        Returns: The temporary file, which does not exist yet.
-        Raises RunFolderError: When the name is not allowed.
-        Raises StorageError: When a subfolder cannot be made, or the earlier file cannot be removed.
+        A file of an earlier attempt is removed. The name is a path within the folder, with ``/``.
         """
         part = self._place(name).with_name(PurePosixPath(name).name + PART)
         make_folder(part.parent)
@@ -141,10 +125,9 @@ class RunFolder:
         return part
 
     def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
-        """Sync the file at ``part_path(name)``, compute its hash and give it its name.
+        """Sync the file at ``part_path(name)``, compute its hash and give it its name, which must be new.
 
-        goes_on: As for `sha256_of`: a recording may have many gigabytes.
-        Raises RunFolderError: When a file of that name exists: a recording is never overwritten.
+        ``goes_on`` is as for `sha256_of`: a recording may have many gigabytes.
         """
         path = self._place(name)
         part = path.with_name(path.name + PART)
@@ -160,10 +143,7 @@ class RunFolder:
         return capture
 
     def capture_part_path(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
-        """Return where the camera writes a recording until it is complete.
-
-        pose_index, attempt: Numbers of the pose and of the attempt, from 1.
-        """
+        """Return where the camera writes a recording until it is complete; pose and attempt count from 1."""
         return self.part_path(capture_name(pose_index, attempt, ending))
 
     def commit_capture(
@@ -173,10 +153,7 @@ class RunFolder:
         ending: str = ".raw",
         goes_on: Callable[[], object] = lambda: None,
     ) -> Capture:
-        """Give a complete recording its name. After that the journal may name it.
-
-        pose_index, attempt: Numbers of the pose and of the attempt, from 1.
-        """
+        """Give a complete recording its name. After that the journal may name it. Pose and attempt count from 1."""
         return self.commit(capture_name(pose_index, attempt, ending), goes_on)
 
     def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
@@ -306,13 +283,10 @@ class RecoveryNotes:
 
 
 def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
-    """Put a run folder in order after a crash.
+    """Put a run folder, locked by this process, in order after a crash.
 
     No recording is deleted. Recordings that are incomplete, changed, or not named in the journal are moved to
     ``quarantine/``. Temporary files of reports and similar files, which can be written again, are deleted.
-
-    folder: The folder, locked by this process.
-    Raises StorageError: When a file cannot be read or moved.
     """
     stored = stored_captures(journal.entries)
     found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}

@@ -134,12 +134,10 @@ class RunIndex:
         sequence: str | None = None,
         how: str | None = None,
     ) -> tuple[list[IndexedRun], list[str]]:
-        """List runs, oldest first.
+        """List runs, oldest first; and one sentence for each folder that cannot be read.
 
-        camera, since, until, sequence, how: Only runs of the camera with this serial number, started at or
-          after ``since`` and before ``until``, with this text in the name of the sequence, and with this
-          state; None for any.
-        Returns: The runs; and one sentence for each folder that cannot be read.
+        Only runs of the camera with this serial number, started at or after ``since`` and before ``until``, with this
+        text in the name of the sequence, and with this state; None for any.
         """
         found, faults = [], []
         with self._open() as index:
@@ -161,11 +159,7 @@ class RunIndex:
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
 
     def details(self, runs: Iterable[IndexedRun]) -> Iterator[dict[str, Any]]:
-        """Read the details of runs that ``runs`` has listed, one at a time.
-
-        Yields: The details of each run, in the same order (`bench.records.run_facts.run_details`); empty for
-          a run whose row is gone.
-        """
+        """Yield the `run_details` of runs that ``runs`` has listed, in the same order; empty if a row is gone."""
         with self._open() as index:
             for run in runs:
                 row = index.execute("SELECT found FROM details WHERE folder = ?", (run.folder,)).fetchone()

@@ -143,8 +143,7 @@ def move_into_place(part: Path, path: Path) -> None:
 def sha256_of(path: Path, goes_on: Callable[[], object] = lambda: None) -> str:
     """Return the SHA-256 of a file (FIPS 180-4). The file may be larger than the memory.
 
-    goes_on: Called after each piece, so that a supervisor sees the work go on
-      (`bench.base.clock.BenchClock.monotonic`).
+    ``goes_on`` (`BenchClock.monotonic`) is called after each piece, so that a supervisor sees the work go on.
     """
     digest = hashlib.sha256()
     with path.open("rb") as stream:
@@ -204,10 +203,7 @@ def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_json(path: Path, most_bytes: int = MOST_BYTES) -> Any:
-    """Read a JSON file of a bounded size.
-
-    Raises ValueError: If it is not JSON, is nested too deeply, or has too many values.
-    """
+    """Read a JSON file of a bounded size; `ValueError` if it is none, nested too deeply, or has too many values."""
     return parse_json(read_bounded(path, most_bytes))
 
 

@@ -170,10 +170,7 @@ def rehearse_run(
     clock: BenchClock,
     settings: Mapping[str, str] | None = None,
 ) -> RunEnd:
-    """Rehearse a run, or continue a rehearsed run that did not finish.
-
-    folder: Run folder: a new one, or that of a rehearsed run that did not finish.
-    """
+    """Rehearse a run in a new folder, or continue a rehearsed run that did not finish in its own."""
     planned = _without_room_interlocks(make_plan(*load_documents(sequence, station, settings)))
     task = Job.from_plan(planned, seed=seed, operator=operator)
     job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
@@ -201,7 +198,7 @@ def rehearse_job(
 ) -> RunEnd:
     """Rehearse a task on given devices; otherwise as `rehearse_run`.
 
-    journal_type: Kind of journal; with ``Journal`` the run is stored as durably as a real one.
+    With the kind ``Journal`` of journal the run is stored as durably as a real one.
     """
     clock = job.clock
     clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}

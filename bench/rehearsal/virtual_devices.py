@@ -40,10 +40,9 @@ _FILTERS = ("afk", "stc", "trail", "erc")
 
 
 class VirtualDevices(Devices):
-    """A virtual stage, light and camera.
+    """A virtual stage, light and camera with the axes, limits and speeds of a station.
 
-    station: Station whose axes, limits and speeds apply. A station of real devices is rehearsed by its
-      ``expected`` section.
+    A station of real devices is rehearsed by its ``expected`` section.
     """
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:

@@ -77,7 +77,7 @@ def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> lis
 def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, str]] | None:
     """Return the combined standard uncertainties and the expanded ones (JCGM 100, 5.1.2 and 6.2.1).
 
-    Returns: u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
+    u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
     """
     rows = calibration.get("budget_rows") or []
     if not rows:
@@ -90,12 +90,9 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
 
 
 def overlap(calibration: CalibrationData) -> str:
-    """Return what to know if two rows of the budget can hold the same errors.
+    """Return what to know if two rows of the budget (in results.json) can hold the same errors; else empty.
 
     A stated wavefront and the residuals that all views share can come from the same glass.
-
-    calibration: ``calibration`` of results.json.
-    Returns: A sentence; empty if no rows overlap.
     """
     rows = calibration.get("budget_rows") or []
     stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
@@ -258,10 +255,9 @@ class Cell:
 
 
 def values(calibration: CalibrationData) -> list[ValueRow]:
-    """Return each estimated value with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
+    """Return each value that has a sigma with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
 
-    Returns: A row for each parameter that has a sigma. The relative uncertainty is printed if it is below 100
-      %.
+    The relative uncertainty is printed if it is below 100 %.
     """
     found = {**calibration["camera"], **(calibration.get("collimator") or {})}
     rows = []
@@ -296,8 +292,8 @@ def budget(
 ) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
     """Return the uncertainty budget: for each source, its share of the variance of each parameter.
 
-    Returns: Names of the parameters, and for each source its name and one cell for each parameter. The shares
-      of a parameter add up to 100 %, apart from rounding.
+    Names of the parameters, and for each source its name and one cell for each parameter. The shares of a parameter add
+    up to 100 %, apart from rounding.
     """
     sources = calibration.get("budget") or {}
     names = [name for name in calibration["sigma"] if all(name in sigmas for sigmas in sources.values())]
@@ -317,10 +313,7 @@ def budget(
 
 
 def correlation(calibration: CalibrationData) -> tuple[list[str], list[list[Cell]]]:
-    """Return the correlation coefficients of the parameters (JCGM 100, 5.2.2, equation 14).
-
-    calibration: ``calibration`` of results.json.
-    """
+    """Return the correlation coefficients of the parameters (JCGM 100, 5.2.2, equation 14)."""
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     matrix = covariance["matrix"]
     rows = []
@@ -336,8 +329,7 @@ def planar_comparison(
 ) -> list[tuple[str, str, str, str, str]]:
     """Compare the result with the planar calibration of the same stars.
 
-    Returns: Name, value, U, planar value, planar U of each common parameter; the last row has the RMS
-      residuals.
+    Name, value, U, planar value, planar U of each common parameter; the last row has the RMS residuals.
     """
     if planar is None:
         return []
@@ -355,9 +347,8 @@ def planar_comparison(
 def candidates(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
     """List the models that were compared.
 
-    calibration: ``calibration`` of results.json.
-    Returns: Name, number of parameters, RMS residual (px), RMS residual of left-out views (px), Bayesian
-      information criterion (BIC; Schwarz, 1978).
+    Name, number of parameters, RMS residual (px), RMS residual of left-out views (px), Bayesian information criterion
+    (BIC; Schwarz, 1978).
     """
     return [
         (
@@ -376,8 +367,7 @@ def comparison(
 ) -> list[tuple[str, str, str, str, str, str]]:
     """Compare the values with the simulated truth.
 
-    Returns: Name, value, U, truth, value minus truth, and this difference divided by the standard
-      uncertainty.
+    Name, value, U, truth, value minus truth, and this difference divided by the standard uncertainty.
     """
     printed = []
     for row in rows:

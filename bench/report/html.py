@@ -40,10 +40,9 @@ class ReportData:
 
 
 def render_report(data: ReportData, *, draw: bool = True) -> str:
-    """Render the report.
+    """Render the report as a complete HTML document that depends on ``data`` alone.
 
-    draw: Whether to draw plots and images; without them the report holds the same text (`printed_text`).
-    Returns: A complete HTML document that depends on ``data`` alone.
+    Without plots and images (``draw``) the report holds the same text (`printed_text`).
     """
     results, words = data.results, words_of(data.results)
     parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
@@ -184,10 +183,7 @@ class RecordedRow(NamedTuple):
 
 
 def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
-    """Render the page of a run that did not finish.
-
-    journal_head: Hash of the journal's last line; it identifies the whole journal.
-    """
+    """Render the page of a run that did not finish; the hash of its last line identifies the whole journal."""
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None
     return (
         environment()

@@ -47,10 +47,9 @@ class Outline:
     at_edge: NDArray[np.bool_]  # (N,) bool: whether the point lies at the edge of the known map
 
     def lines(self) -> list[Array]:
-        """Return the parts of the outline that are contours, without those along the edge of the map.
+        """Return the parts of the outline that are contours, (N, 2) each, without those along the edge of the map.
 
-        Returns: (N, 2) float64 each: the points of an open line; a closed one repeats its first point at its
-          end.
+        A closed line repeats its first point at its end.
         """
         if not self.at_edge.any():
             return [np.vstack([self.points, self.points[:1]])]
@@ -64,11 +63,8 @@ class Outline:
 def outlines(x: Array, y: Array, values: Array, level: float) -> list[Outline]:
     """Return the outlines of the part of a map that reaches a level; holes are outlines of their own.
 
-    W. E. Lorensen and H. E. Cline, Marching cubes, SIGGRAPH 1987, in two dimensions.
-
-    x: (W,) float64, positions of the columns of the grid.
-    y: (H,) float64, positions of its rows.
-    values: (H, W) float64, the map; NaN where it is not known.
+    W. E. Lorensen and H. E. Cline, Marching cubes, SIGGRAPH 1987, in two dimensions. The map is (H, W), NaN where it is
+    not known, at columns x, (W,), and rows y, (H,).
     """
     shown = np.pad(np.where(np.isfinite(values), values, _NOWHERE), 1, constant_values=_NOWHERE)
     begins, ends = _runs(shown, level)
@@ -138,10 +134,9 @@ def reach_px(image_size: Sequence[int]) -> float:
 
 
 def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float32]:
-    """Return the distance of each pixel from the nearest star.
+    """Return the distance, (H, W) float32 px, of each pixel from the nearest of (N, 2) stars of all poses, N > 0.
 
-    points: (N, 2) float64, px: stars of all poses, N > 0.
-    Returns: (H, W) float32, px. Stars count at the nearest pixel.
+    Stars count at the nearest pixel.
     """
     width, height = image_size
     free = np.full((height, width), 255, np.uint8)
@@ -172,7 +167,7 @@ def sensor_axes(
 ) -> Axes:
     """Return the axes of a sensor in a picture of its own, whose height follows from the sensor's shape.
 
-    Returns: Axes in px, rows downwards; pixel centres are at integers.
+    Axes are in px, rows downwards; pixel centres are at integers.
     """
     words = Words(title, "column, px", "row, px", keys)
     picture = Picture(width, height_for(image_size, width, words), identifier, label, about)
@@ -196,11 +191,7 @@ def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Seq
 
 
 def supported_share(points: Array, image_size: Sequence[int]) -> tuple[NDArray[np.float32], float]:
-    """Return how far each pixel is from the nearest star, and the share of the sensor that stars support.
-
-    points: (N, 2) float64, px: stars of all poses, N > 0.
-    Returns: (H, W) float32, px, and the share, 0 to 1.
-    """
+    """Return `star_distance`, and the share of the sensor, 0 to 1, that stars support."""
     distance = star_distance(points, image_size)
     return distance, float(np.mean(distance <= reach_px(image_size)))
 
@@ -225,9 +216,8 @@ def sensor_map(
 ) -> str:
     """Draw a quantity over the sensor as contours at round numbers.
 
-    grid_px: (h, w, 2) float64 image points, px.
-    values: (h, w) float64, the quantity, not negative; NaN where it is not known.
-    stars: (N, 2) float64, px: stars of all poses, to shade what they do not support; None to shade nothing.
+    ``grid_px`` is (h, w, 2); ``values``, (h, w), not negative, NaN where not known; ``stars``, (N, 2) px of all poses,
+    to shade what they do not support; None to shade nothing.
     """
     x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_digits(values, 6)
     size = (int(x.max()) + 1, int(y.max()) + 1)
@@ -293,13 +283,10 @@ def _length(line: Array) -> float:
 
 
 def round_levels(lowest: float, largest: float) -> list[float]:
-    """Return round numbers between two values: at equal steps, or 1, 2, 5 times powers of ten for a large range.
+    """Return at most seven round numbers strictly between two values that are not negative; none if they are equal.
 
-    lowest, largest: The values, not negative.
-    Returns: At most seven numbers strictly between them; empty if the values are equal.
+    They stand at equal steps, or are 1, 2, 5 times powers of ten for a large range.
 
-    Examples
-    --------
     >>> round_levels(0.034, 0.0512)
     [0.035, 0.04, 0.045, 0.05]
     >>> round_levels(0.31, 8.1)

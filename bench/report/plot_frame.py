@@ -47,11 +47,10 @@ def axes_in(
 ) -> Axes:
     """Draw the frame of a plot, and return its axes.
 
-    place: Left, top, width and height of the plot with all its words; None for the whole picture.
-    equal: For the same unit on both axes: ``shrink`` makes the plot smaller, ``extend`` makes the scales
-      longer.
-    whole: Whether the frame has four sides, as a sensor has; otherwise it has the left and the lower one.
-    grid: Axes with lines at their ticks: ``x``, ``y`` or ``xy``.
+    ``place`` is left, top, width and height of the plot with all its words; None for the whole picture. For the same
+    unit on both axes (``equal``), ``shrink`` makes the plot smaller, ``extend`` the scales longer. A ``whole`` frame
+    has four sides, as a sensor has; otherwise the left and the lower one. ``grid`` is ``x``, ``y`` or ``xy``: axes with
+    lines at their ticks.
     """
     left, top, width, height = place or (0.0, 0.0, picture.width, picture.height)
     above = _heading(picture, words, left, top, width)

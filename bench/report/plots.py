@@ -245,10 +245,9 @@ _WIDE_ANGLE_DEG = 25.0
 
 
 def report_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]:
-    """Draw all plots of a report.
+    """Draw all plots of a report, SVG by name; a plot without data is empty.
 
-    views: The poses that entered the calibration; without them, only the comparison with the truth is drawn.
-    Returns: SVG by name; a plot without data is empty.
+    ``views`` are the poses that entered the calibration; without them, only the comparison with the truth is drawn.
     """
     plots = dict.fromkeys(PLOTS, "")
     compared = results.get("comparison") or []
@@ -284,7 +283,7 @@ def camera_plots(
 ) -> dict[str, str]:
     """Draw what follows from the values of the camera and their covariance; nothing if there is no covariance.
 
-    certificate: Directions in arcsec, and no labels for readers who do not see a plot: its page has them.
+    For a certificate: directions in arcsec, and no labels for readers who do not see a plot, as its page has them.
     """
     calibration = results["calibration"]
     covariance = camera_covariance(calibration)

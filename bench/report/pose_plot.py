@@ -37,8 +37,8 @@ def distortion_curve(
 ) -> str:
     """Draw the radial displacement by the lens against the field angle, with its expanded uncertainty.
 
-    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
-    outermost_deg: Field angle of the outermost star, degrees; None if it is not known.
+    ``covariance`` is (K, K) in the order of `CameraModel.parameter_names`; ``outermost_deg`` is the field angle of the
+    outermost star, or None.
     """
     edges = field_angles_deg(camera)
     angles = np.linspace(0.0, max(edges.values()), _POINTS)
@@ -77,14 +77,10 @@ def distortion_curve(
 
 
 def displacement(camera: CameraModel, covariance: Array, angles_deg: Array) -> tuple[Array, Array]:
-    """Return the radial displacement by the lens and its standard uncertainty.
+    """Return the radial displacement by the lens away from the axis, (N,) px, and its standard uncertainty, (N,) px.
 
-    The law of propagation is that of JCGM 100:2008, section 5.2, with numerical derivatives.
-
-    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
-    angles_deg: (N,) float64, field angles, degrees.
-    Returns: (N,) displacement away from the axis, and (N,) its standard uncertainty, px. Tangential terms do
-      not count.
+    The law of propagation is that of JCGM 100:2008, section 5.2, with numerical derivatives. ``covariance`` is (K, K)
+    in the order of `CameraModel.parameter_names`, ``angles_deg`` (N,). Tangential terms do not count.
     """
     names = list(camera.parameter_names)
     values = camera.to_dict()
@@ -162,10 +158,9 @@ def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraM
 
 
 def camera_covariance(calibration: CameraData) -> Array | None:
-    """Return the covariance of the camera's values, without those of the collimator.
+    """Return the covariance, (K, K) in the order of ``calibration.camera``, without the collimator's values.
 
-    Returns: (K, K) covariance in the order of ``calibration.camera``; None if it is not stated for all of
-      them.
+    None if it is not stated for all of them.
     """
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     values = list(calibration["camera"])
@@ -178,11 +173,9 @@ def camera_covariance(calibration: CameraData) -> Array | None:
 def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array] | None:
     """Return how far two calibrations of a camera project a direction apart, and the expanded uncertainty of that.
 
-    The ratio of the two is the E_n number (ISO 13528): above 1, the change is larger than its expanded uncertainty.
-    The uncertainties are taken as independent.
-
-    Returns: (h, w, 2) image points, (h, w) lengths of the change, and (h, w) their expanded uncertainty, px;
-      None if a covariance is missing.
+    The ratio of the two is the E_n number (ISO 13528): above 1, the change is larger than its expanded uncertainty. The
+    uncertainties are taken as independent. (h, w, 2) image points, (h, w) lengths and (h, w) uncertainties, px; None if
+    a covariance is missing.
     """
     found = []
     for one in (then, now):
@@ -219,7 +212,7 @@ class _Place:
 def pose_directions(results: Results) -> str:
     """Draw the pan and tilt of each pose as a small frame that is turned by the roll of the camera.
 
-    Returns: SVG; empty if no pose has angles, or if all have the same ones, as where a board was moved.
+    The SVG is empty if no pose has angles, or if all have the same ones, as where a board was moved.
     """
     places = _places(results)
     if not places or len({(place.pan_deg, place.tilt_deg) for place in places}) < min(2, len(places)):

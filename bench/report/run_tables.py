@@ -94,7 +94,7 @@ def _seal_rows(passport: PassportData) -> Rows:
 def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
     """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
 
-    estimate: ``calibration.gimbal`` of results.json; None if the readings took no part.
+    ``estimate`` is ``calibration.gimbal`` of results.json; None if the readings took no part.
     """
     if not readings:
         return []
@@ -370,8 +370,8 @@ def software(results: Results) -> list[tuple[str, str]]:
 def alerts(results: Results) -> list[str]:
     """List what a reader must know before using the values: doubts of the calibration, gates, and every deviation.
 
-    Returns: A sentence for each note that doubts the values, each gate that did not pass, each ``until`` that did not
-      meet its goals, and each deviation.
+    A sentence for each note that doubts the values, each gate that did not pass, each ``until`` that did not meet its
+    goals, and each deviation.
     """
     calibration = results["calibration"]
     remarks = calibration.get("remarks") or ()

@@ -83,12 +83,8 @@ class Scale:
 
 
 def ticks(low: float, high: float, most: int = 5) -> list[float]:
-    """Return round numbers in a range.
+    """Return round numbers in a range, in rising order; ``low`` alone if the range is empty.
 
-    Returns: The ticks, in rising order; ``low`` alone if the range is empty.
-
-    Examples
-    --------
     >>> ticks(0.0, 9.7)
     [0.0, 2.0, 4.0, 6.0, 8.0]
     """
@@ -109,11 +105,9 @@ def _multiples(low: float, high: float, step: float) -> list[float]:
 def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
     """Return round numbers of a logarithmic axis.
 
-    Returns: 1, 2 and 5 times powers of ten, or powers of ten if those are too many; round numbers of a linear
-      axis if the range has less than two of them.
+    1, 2 and 5 times powers of ten, or powers of ten if those are too many; round numbers of a linear axis if the range
+    has less than two of them.
 
-    Examples
-    --------
     >>> log_ticks(0.3, 7.0)
     [0.5, 1.0, 2.0, 5.0]
     """
@@ -127,12 +121,8 @@ def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
 
 
 def tick_label(value: float, span: float) -> str:
-    """Return the label of a tick.
+    """Return the label of a tick, with a true minus sign.
 
-    Returns: The number with a true minus sign.
-
-    Examples
-    --------
     >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
     ('3345.0', '−0.05')
     """
@@ -145,8 +135,6 @@ def tick_labels(values: Sequence[float]) -> list[str]:
     values: Positions of the ticks, in rising order.
     Returns: The numbers with a true minus sign.
 
-    Examples
-    --------
     >>> tick_labels([-0.5, 0.0, 0.5]), tick_labels([0.0, 200.0])
     (['−0.5', '0.0', '0.5'], ['0', '200'])
     """

@@ -34,8 +34,6 @@ def goals_text(wanted: Mapping[str, float]) -> str:
     wanted: Largest expanded uncertainties allowed, px, by name.
     Returns: For example ``U(fx) is at most 2 px``.
 
-    Examples
-    --------
     >>> goals_text({"expanded_fx_px": 2.0, "worst_corner_px": 0.3})
     'U(fx) is at most 2 px and U at the corners at most 0.3 px'
     """
@@ -105,8 +103,6 @@ class TargetWords(NamedTuple):
 
         text: The sentence; never one that a person wrote.
 
-        Examples
-        --------
         >>> BOARD.fitting("as a bow of the reticle: the star noise, the stars' edges")
         "as a bow of the board: the point noise, the points' edges"
         """
@@ -194,8 +190,6 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     Returns: Value and U. If U is not a positive finite number, the value has six significant digits and U is
       a dash.
 
-    Examples
-    --------
     >>> with_uncertainty(3345.0637, 1.2345)
     ('3345.1', '1.2')
     >>> with_uncertainty(-0.89731, 0.0996)
@@ -219,8 +213,6 @@ def number(value: Any, digits: int = 4) -> str:
     Returns: The number without exponent, with a true minus sign and narrow spaces between thousands of an
       integer.
 
-    Examples
-    --------
     >>> number(0.0812345), number(345), number(-3.0), number(None), number(0.0)
     ('0.08123', '345', '−3.000', '–', '0')
     """
@@ -240,8 +232,6 @@ def exact(value: float) -> str:
 
     Returns: The number with a true minus sign.
 
-    Examples
-    --------
     >>> exact(3345.06), exact(-0.9), exact(255.0)
     ('3345.06', '−0.9', '255')
     """
@@ -255,8 +245,6 @@ def fixed(value: Any, decimals: int) -> str:
     decimals: Digits after the decimal point.
     Returns: The number with a true minus sign, never "minus zero".
 
-    Examples
-    --------
     >>> fixed(-0.0004, 3), fixed(1.23456, 3), fixed(None, 3)
     ('0.000', '1.235', '–')
     """
@@ -269,8 +257,6 @@ def fixed(value: Any, decimals: int) -> str:
 def angle(arcsec: float) -> str:
     """Print an angle with three significant digits: degrees from 0.1 degrees on, arc seconds below.
 
-    Examples
-    --------
     >>> angle(1.83), angle(360.0), angle(20900.0)
     ('1.83″', '0.100°', '5.81°')
     """
@@ -284,8 +270,6 @@ def angle_text(urad: float) -> str:
 
     urad: The angle, µrad.
 
-    Examples
-    --------
     >>> angle_text(23.44), angle_text(1488.0)
     ('23 µrad', '1.5 mrad')
     """
@@ -301,8 +285,6 @@ def moment(text: str | None) -> str:
 
     text: ISO 8601 time in UTC; a dash is printed for None and for an empty text.
 
-    Examples
-    --------
     >>> moment("2026-03-01T12:00:05.123456Z")
     '2026-03-01 12:00:05 UTC'
     """
@@ -317,8 +299,6 @@ def duration(seconds: float) -> str:
     seconds: Duration, s.
     Returns: The duration in ms, s, min or h.
 
-    Examples
-    --------
     >>> duration(0.0331), duration(12.34), duration(754), duration(7300)
     ('33 ms', '12.3 s', '12 min 34 s', '2 h 01 min')
     """
@@ -336,8 +316,6 @@ def value_text(value: Any) -> str:
 
     Returns: Its text; a dash for None and for empty values.
 
-    Examples
-    --------
     >>> value_text({"bias_fo": 0, "afk": False}), value_text([1, 2.5]), value_text(None)
     ('bias_fo 0, afk off', '1, 2.500', '–')
     """
@@ -378,8 +356,6 @@ _KEPT = {
 def conformity_headline(found: ConformityData) -> str:
     """Return PASS or FAIL, and how many limits are kept.
 
-    Examples
-    --------
     >>> conformity_headline({"passed": True, "rule": "", "statements": [], "reasons": []})
     'PASS: the checked calibration is right.'
     """

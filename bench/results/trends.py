@@ -107,8 +107,6 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
 
     runs: At least two values, each with its standard uncertainty greater than 0.
 
-    Examples
-    --------
     >>> alone = [Estimate(9.0, 1.0), Estimate(11.0, 1.0), Estimate(10.0, 1.0)]
     >>> found = agreement("fx", alone)
     >>> found.mean, round(found.sigma, 4), round(found.birge, 4)
@@ -212,8 +210,6 @@ def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) ->
     sigma: Standard uncertainty of each value, greater than 0.
     Returns: None with fewer than three points, or if x does not vary.
 
-    Examples
-    --------
     >>> found = fit_slope([0, 1, 2, 3], [1.0, 3.0, 5.0, 7.0], [0.1] * 4)
     >>> round(found.value, 6), round(found.sigma, 4), found.significant
     (2.0, 0.0447, True)

@@ -127,10 +127,7 @@ class CommandInbox:
         return self
 
     def close(self) -> None:
-        """Stop accepting commands, refuse the remaining ones, and remove the inbox.
-
-        A second call does nothing.
-        """
+        """Stop accepting commands, refuse the remaining ones, and remove the inbox. A second call does nothing."""
         if self.closed:
             return
         self._poller.close()
@@ -243,8 +240,6 @@ def command_text(answer: Mapping[str, Any]) -> str:
 
     answer: The journal's answer, as `send` returns it.
 
-    Examples
-    --------
     >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"})
     'Refused: the run is held by ada@lab.'
     """

@@ -151,8 +151,6 @@ def loss_text(error: DriverError) -> str:
     Returns: Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the
       sentence.
 
-    Examples
-    --------
     >>> loss_text(DriverError("It is gone.", where="camera 7", remedy="Check the cable, then resume the run."))
     'camera 7: It is gone. Check its cable and power'
     """
@@ -164,8 +162,6 @@ def loss_text(error: DriverError) -> str:
 def interlock_text(name: str) -> str:
     """Return the name of an interlock as text.
 
-    Examples
-    --------
     >>> interlock_text("camera_temperature")
     'camera temperature'
     """

@@ -283,8 +283,7 @@ def start_run(
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     """Continue a run that was aborted, failed, was killed or lost power; first print what will be done.
 
-    All stored recordings are kept. The step at which the run stopped is repeated, after the move that it
-    depends on.
+    All stored recordings are kept. The step at which the run stopped is repeated, after the move that it depends on.
 
     Raises RunFolderError: If there is no run, it is sealed, or another process works on it.
     Raises JournalBroken: If the hash chain of its journal is broken.

@@ -1,7 +1,6 @@
 """Devices of one run: opened when the first step needs them, opened again after a loss, made safe at the end.
 
-This module owns the open devices; states, holds and interlocks use them through it. It makes no decision about the
-run.
+This module owns the open devices; states, holds and interlocks use them through it. It makes no decision about the run.
 """
 
 from __future__ import annotations

@@ -95,8 +95,6 @@ def replace_unencodable(*streams: TextIO | None) -> None:
 def printable(text: str) -> str:
     r"""Write characters that would steer a terminal as escape sequences; names of files may hold them.
 
-    Examples
-    --------
     >>> print(printable("a\x1b[2Jb"))
     a\x1b[2Jb
     """
@@ -124,8 +122,6 @@ def clock_text(seconds: float) -> str:
     seconds: The duration, s; a negative one counts as zero.
     Returns: ``m:ss``, or ``h:mm:ss`` from one hour on.
 
-    Examples
-    --------
     >>> clock_text(75), clock_text(4.2), clock_text(7322)
     ('1:15', '0:04', '2:02:02')
     """
@@ -143,8 +139,6 @@ def counted(number: int, noun: str) -> str:
 
     noun: The noun in the singular; its plural ends in "s".
 
-    Examples
-    --------
     >>> counted(1, "recording"), counted(3, "pose"), counted(0, "run")
     ('1 recording', '3 poses', '0 runs')
     """
@@ -156,8 +150,6 @@ def times(number: int) -> str:
 
     Returns: ``once``, ``twice``, or the number with "times".
 
-    Examples
-    --------
     >>> times(1), times(2), times(5)
     ('once', 'twice', '5 times')
     """

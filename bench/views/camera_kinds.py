@@ -38,8 +38,6 @@ def periods_in_window(window_ms: float, frequency_hz: float) -> int:
     window_ms: Length of the window, ms.
     frequency_hz: Frequency of the flicker, Hz.
 
-    Examples
-    --------
     >>> periods_in_window(33, 60)
     2
     """
@@ -53,8 +51,6 @@ def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
     frequency_hz: Frequency of the flicker, Hz.
     Returns: Duration, s.
 
-    Examples
-    --------
     >>> round(recording_duration_s(33, 60), 4)
     0.051
     """

@@ -55,8 +55,6 @@ def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
 
     unit: Unit of value and limit; empty for a pure number.
 
-    Examples
-    --------
     >>> at_least("stars", 300, 40, "").verdict, at_least("stars", 42, 40, "").verdict, at_least("s", 9, 40, "").verdict
     ('pass', 'marginal', 'fail')
     """
@@ -69,8 +67,6 @@ def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
 
     unit: Unit of value and limit; empty for a pure number.
 
-    Examples
-    --------
     >>> at_most("rate", 99, 100, "Mev/s").verdict, at_most("rate", 101, 100, "Mev/s").verdict
     ('marginal', 'fail')
     """
@@ -157,8 +153,6 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
     found: Numbers by name without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is
       absent.
 
-    Examples
-    --------
     >>> [gate.verdict for gate in solution_gates({"rms_px": 0.2, "sigma_fx_px": 3}, {"rms": 0.05, "sigma_fx": 2.8})]
     ['pass', 'marginal']
     """

@@ -226,8 +226,6 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     grid: (3, 3) float64, from [column row 1] to [u v 1] px.
     Returns: Angle, degrees, 0 to 22.5.
 
-    Examples
-    --------
     >>> half = np.radians(50)
     >>> edge_angle_deg(np.array([[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1]]))
     5.0

@@ -106,8 +106,6 @@ def is_loopback(host: str) -> bool:
 
     Returns: True for ``localhost``, 127.0.0.0/8 and ::1.
 
-    Examples
-    --------
     >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
     (True, True, False)
     """

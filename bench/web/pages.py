@@ -54,8 +54,6 @@ class Message:
 
         Returns: UTF-8, with the empty line that ends the message.
 
-        Examples
-        --------
         >>> Message("a\nb", "state", "7").encoded()
         b'id: 7\nevent: state\ndata: a\ndata: b\n\n'
         """
