@@ -36,7 +36,7 @@ _START_TIMEOUT_S = 120.0
 class SimulatedBench:
     """A simulated bench in a process of its own, which the constructor starts.
 
-    endpoints: Ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
+    ``endpoints`` are ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -136,10 +136,8 @@ class SimulatedBench:
     def set_up(self, device: str, what: str, **numbers: float) -> dict[str, Any]:
         """Do at the simulated camera what the hands of a person would do. The image changes at once.
 
-        device, what, numbers: ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the
-          others of docs/simulated-bench.md.
-        Raises SimulationError: When the simulated bench has ended, or refuses: the ring does not reach that
-          distance.
+        ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the others of docs/simulated-bench.md;
+        refused if the ring, for example, does not reach that distance.
         """
         text = self.order(json.dumps({"device": device, "fault": what, **numbers}))
         try:

@@ -96,7 +96,7 @@ class _Said:
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
     """Compare a run folder with the ledger of this bench: a sentence for each fault, which `verify` lists.
 
-    None for a run of another bench, and for a folder whose journal cannot be read, which `verify` says already.
+    Empty for a run of another bench, and for a folder whose journal cannot be read, which `verify` says already.
     """
     said = _said_by(folder)
     if said is None:

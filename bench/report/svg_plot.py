@@ -130,10 +130,7 @@ def tick_label(value: float, span: float) -> str:
 
 
 def tick_labels(values: Sequence[float]) -> list[str]:
-    """Return the labels of evenly spaced ticks, all with the decimals that their distance needs.
-
-    values: Positions of the ticks, in rising order.
-    Returns: The numbers with a true minus sign.
+    """Return the labels of evenly spaced ticks in rising order, with the decimals that their distance needs.
 
     >>> tick_labels([-0.5, 0.0, 0.5]), tick_labels([0.0, 200.0])
     (['−0.5', '0.0', '0.5'], ['0', '200'])
@@ -174,10 +171,7 @@ _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 
 
 class Picture:
-    """An SVG in work; its unit is the point.
-
-    label: Short description for readers who do not see it.
-    """
+    """An SVG in work, in points; ``label`` is a short description for readers who do not see it."""
 
     def __init__(self, width: float, height: float, identifier: str, label: str, about: str = "") -> None:
         self.width, self.height, self.identifier = width, height, identifier
@@ -269,10 +263,7 @@ class Axes:
         width: float = 1.0,
         dash: str = "",
     ) -> None:
-        """Fill closed shapes together, by the even-odd rule.
-
-        outlines: (N, 2) each, in the units of the scales.
-        """
+        """Fill closed shapes, (N, 2) each in the units of the scales, together, by the even-odd rule."""
         shape = "".join(shape_of(self.at(one), closed=True) for one in outlines)
         clear = f' fill-opacity="{opacity:g}"' if opacity < 1 else ""
         stroke = f' stroke="{edge}" stroke-width="{width:g}"' if edge else ""
@@ -299,10 +290,7 @@ class Axes:
         themed: bool = True,
         more: str = "",
     ) -> None:
-        """Write a text beside a point.
-
-        themed: Whether the colour is that of the page; False on a ground that is light in every scheme.
-        """
+        """Write a text beside a point, in the page's colour (``themed``) unless its ground is light in every scheme."""
         x, y = self.at([at])[0].tolist()
         paint = painted("fill", colour) if themed else f'fill="{colour}"'
         self.picture.add(_text(x + by[0], y + by[1], text, paint, anchor, size, more))

@@ -29,10 +29,7 @@ def meaning_of_goal(name: str) -> str:
 
 
 def goals_text(wanted: Mapping[str, float]) -> str:
-    """Return goals as text.
-
-    wanted: Largest expanded uncertainties allowed, px, by name.
-    Returns: For example ``U(fx) is at most 2 px``.
+    """Return goals, the largest expanded uncertainties allowed, px, by name, as text.
 
     >>> goals_text({"expanded_fx_px": 2.0, "worst_corner_px": 0.3})
     'U(fx) is at most 2 px and U at the corners at most 0.3 px'
@@ -99,9 +96,7 @@ class TargetWords(NamedTuple):
         return self == BOARD
 
     def fitting(self, text: str) -> str:
-        """Return a sentence of this program, which speaks of stars, in these words.
-
-        text: The sentence; never one that a person wrote.
+        """Return a sentence of this program, never a person's, which speaks of stars, in these words.
 
         >>> BOARD.fitting("as a bow of the reticle: the star noise, the stars' edges")
         "as a bow of the board: the point noise, the points' edges"
@@ -185,10 +180,8 @@ def meaning_of(parameter: str) -> str:
 def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     """Print a value and its expanded uncertainty: U to two significant digits, the value to the same digit.
 
-    JCGM 100, 7.2.6. U is rounded half to even, not up.
-
-    Returns: Value and U. If U is not a positive finite number, the value has six significant digits and U is
-      a dash.
+    JCGM 100, 7.2.6. U is rounded half to even, not up. If U is not a positive finite number, the value has six
+    significant digits and U is a dash.
 
     >>> with_uncertainty(3345.0637, 1.2345)
     ('3345.1', '1.2')
@@ -206,12 +199,9 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """Print a number with a number of significant digits; integers are printed in full.
+    """Print a number with significant digits, without exponent; integers in full, None and infinities as a dash.
 
-    value: A number; None and numbers that are not finite are printed as a dash.
-    digits: Significant digits of a number that is not an integer.
-    Returns: The number without exponent, with a true minus sign and narrow spaces between thousands of an
-      integer.
+    The minus sign is true; narrow spaces stand between thousands of an integer.
 
     >>> number(0.0812345), number(345), number(-3.0), number(None), number(0.0)
     ('0.08123', '345', '−3.000', '–', '0')
@@ -230,8 +220,6 @@ def number(value: Any, digits: int = 4) -> str:
 def exact(value: float) -> str:
     """Print a number that is known exactly, in its shortest form, with nine significant digits at most.
 
-    Returns: The number with a true minus sign.
-
     >>> exact(3345.06), exact(-0.9), exact(255.0)
     ('3345.06', '−0.9', '255')
     """
@@ -239,11 +227,7 @@ def exact(value: float) -> str:
 
 
 def fixed(value: Any, decimals: int) -> str:
-    """Print a number with a fixed number of decimals.
-
-    value: A number; None and numbers that are not finite are printed as a dash.
-    decimals: Digits after the decimal point.
-    Returns: The number with a true minus sign, never "minus zero".
+    """Print a number with a fixed number of decimals, never "minus zero"; None and infinities as a dash.
 
     >>> fixed(-0.0004, 3), fixed(1.23456, 3), fixed(None, 3)
     ('0.000', '1.235', '–')
@@ -268,8 +252,6 @@ def angle(arcsec: float) -> str:
 def angle_text(urad: float) -> str:
     """Print a small angle with two significant digits, in µrad, or in mrad from 1000 µrad on.
 
-    urad: The angle, µrad.
-
     >>> angle_text(23.44), angle_text(1488.0)
     ('23 µrad', '1.5 mrad')
     """
@@ -281,9 +263,7 @@ def angle_text(urad: float) -> str:
 
 
 def moment(text: str | None) -> str:
-    """Print an ISO 8601 time in UTC, to the second.
-
-    text: ISO 8601 time in UTC; a dash is printed for None and for an empty text.
+    """Print an ISO 8601 time in UTC, to the second; a dash for None and for an empty text.
 
     >>> moment("2026-03-01T12:00:05.123456Z")
     '2026-03-01 12:00:05 UTC'
@@ -294,10 +274,7 @@ def moment(text: str | None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Print a duration in a unit that suits its length.
-
-    seconds: Duration, s.
-    Returns: The duration in ms, s, min or h.
+    """Print a duration in ms, s, min or h, as suits its length.
 
     >>> duration(0.0331), duration(12.34), duration(754), duration(7300)
     ('33 ms', '12.3 s', '12 min 34 s', '2 h 01 min')
@@ -312,9 +289,7 @@ def duration(seconds: float) -> str:
 
 
 def value_text(value: Any) -> str:
-    """Print any value of results.json in one line: text, numbers, lists and mappings.
-
-    Returns: Its text; a dash for None and for empty values.
+    """Print any value of results.json in one line; a dash for None and for empty values.
 
     >>> value_text({"bias_fo": 0, "afk": False}), value_text([1, 2.5]), value_text(None)
     ('bias_fo 0, afk off', '1, 2.500', '–')

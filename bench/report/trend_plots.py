@@ -29,10 +29,10 @@ _FOOT = 22.0
 
 
 def study_plot(names: Sequence[str], z: Array, rms: Mapping[str, float]) -> str:
-    """Draw the errors of each parameter as a histogram beside the normal distribution.
+    """Draw the errors of each parameter as a histogram beside the normal distribution, as SVG.
 
-    z: (N, K) float64: error of each calibration over its stated standard uncertainty.
-    Returns: SVG. Errors beyond four standard uncertainties count in the outermost bins.
+    ``z``, (N, K), is the error of each calibration over its stated standard uncertainty; beyond four, errors count in
+    the outermost bins.
     """
     rows = -(-len(names) // _ACROSS)
     about = "; ".join(f"{name}: rms {rms[name]:.2f}" for name in names) + "."
@@ -132,11 +132,7 @@ def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
 def over_time(
     moments: Sequence[datetime], series: Sequence[Series], zone: tzinfo | None, identifier: str
 ) -> str:
-    """Draw each parameter over time, with U = 2 u.
-
-    series: One series for each parameter; slopes are per hour.
-    zone: Time zone of the axis; None for this computer's.
-    """
+    """Draw each parameter over time, with U = 2 u; slopes are per hour. ``zone`` None is this computer's."""
     hours = np.array([_hours(moment, moments[0]) for moment in moments])
     return _panels(hours, series, identifier, begin=moments[0].astimezone(zone), label="")
 

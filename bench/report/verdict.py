@@ -164,8 +164,8 @@ class Verdict:
 def verdict(results: Results) -> Verdict:
     """Return the verdict on a calibration.
 
-    Returns: ``fail`` if the optimisation did not converge, or a gate or a limit of a result failed; ``marginal``
-      if there are other reasons to read before use.
+    ``fail`` if the optimisation did not converge, or a gate or a limit of a result failed; ``marginal`` if there are
+    other reasons to read before use.
     """
     calibration = results["calibration"]
     reasons = tuple(run_tables.alerts(results))

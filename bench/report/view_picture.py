@@ -45,8 +45,7 @@ def pictured_poses(results: Results) -> PictureSelection:
 
     The three poses with the largest RMS residual come first, then poses with a failed gate, then poses with a marginal
     gate, then the others. If a group does not fit completely, poses evenly spread over the run are selected from it.
-
-    results: Content of results.json. Poses without stars in the calibration have no image.
+    Poses without stars in the calibration have no image.
     """
     poses = [pose for pose in results.get("poses") or [] if pose.get("rms_px") is not None]
     judged = _indices_by_verdict(results.get("gates") or [])
@@ -106,8 +105,6 @@ def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[Vi
     Star number n is kept if the fractional part of n times the golden ratio is small. This additive recurrence has a
     low discrepancy: the kept stars are evenly spread, they do not coincide with the rows of the target, and each view
     keeps different stars.
-
-    Returns: The same views with fewer stars; the argument itself if it has no more than ``most`` stars.
     """
     total = sum(len(view.ids) for view in views)
     if total <= most:

@@ -71,9 +71,7 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
     """Check that the wire log holds what the journal's moves must have left in it, and the stage's serial numbers.
 
     Every stage is moved over a wire, so each move of the journal has bytes in the log at its time. The log keeps about
-    the last 32 MB; earlier moves are not checked.
-
-    found: Findings; faults are added.
+    the last 32 MB; earlier moves are not checked. Faults are added to ``found``.
     """
     moves = list(_moves(entries))
     try:

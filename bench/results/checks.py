@@ -31,9 +31,8 @@ _NOT_INDEPENDENT = (
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
     """Calibrate every other pose and the rest separately, and compare the projections of the two cameras at infinity.
 
-    Returns: ``rms_px worst_px expected_px ratio``, and ``cameras`` with the values of both halves, from which
-      the report draws the difference. None with fewer than four views, or if a half does not determine the
-      camera.
+    ``rms_px worst_px expected_px ratio``, and ``cameras`` with the values of both halves, from which the report draws
+    the difference. None with fewer than four views, or if a half does not determine the camera.
     """
     try:
         split = split_half(views, options)
@@ -53,10 +52,9 @@ def gimbal_check(
 ) -> dict[str, Any] | None:
     """Compare the estimated rotations with the gimbal's readings.
 
-    readings_deg: For each pose, the angle of each axis (``pan``, ``tilt``, ``roll``), deg. The reading of an
-      encoder (``pan_encoder``) replaces that of its axis.
-    Returns: ``rms_arcsec scale scale_sigma agrees excess_arcsec verdict says pairs slip faults``, as
-      docs/results.md describes them; None with too few poses, or if an axis did not move.
+    These are the angle of each axis (``pan``, ``tilt``, ``roll``), for each pose; that of an encoder (``pan_encoder``)
+    replaces its axis's. Returns ``rms_arcsec scale scale_sigma agrees excess_arcsec verdict says pairs slip faults``,
+    as docs/results.md describes them; None with too few poses, or if an axis did not move.
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in readings_deg]
     try:
@@ -160,10 +158,10 @@ _CONTRADICTED = 2.5
 def parallax_check(
     calibration: Calibration, views: Sequence[View], station: Station, sequence: str
 ) -> dict[str, Any] | None:
-    """Measure how far the entrance pupil is off the pivot, and what parallax that causes.
+    """Measure how far the entrance pupil is off the pivot, and what parallax that causes (docs/results.md).
 
-    Returns: As docs/results.md describes it. If the rims do not determine the place of the pupil: ``why_not``
-      alone for the parallax test, None for other sequences.
+    If the rims do not determine the place of the pupil: ``why_not`` alone for the parallax test, None for other
+    sequences.
     """
     if calibration.collimator is None:
         why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: auto."

@@ -153,10 +153,9 @@ _SMALL_PX = 0.01
 def check_numbers(
     stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings, other: str, source: str
 ) -> None:
-    """Compare all of results.json with what was calculated again.
+    """Compare all of results.json with what was calculated again from ``source``, such as ``recordings``.
 
-    other: How the program that made the results differs from this one; empty if it does not.
-    source: What they were calculated from: ``recordings``.
+    ``other`` is how the program that made the results differs from this one; empty if it does not.
     """
     rounded = list(differences(stored, again))
     if not rounded:

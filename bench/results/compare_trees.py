@@ -131,8 +131,8 @@ def compare_views(
 ) -> HeldViews | None:
     """Compare a views.h5 with the views that were found again; those of another program roughly.
 
-    residuals_px: For each view (N, 2) float64.
-    Returns: What the file holds; None if it cannot be read, or has other poses.
+    ``residuals_px`` is (N, 2) for each view. Returns what the file holds; None if it cannot be read, or has other
+    poses.
     """
     try:
         held = HeldViews.read(path)
@@ -251,11 +251,9 @@ class MadeAgain:
 
 
 def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
-    """Compare results, views, exports and report of a folder with those that were made again.
+    """Compare results, views, exports and report of a folder with those that were made again, adding findings.
 
     Report and exports follow from results and views; if these are wrong, only that is told.
-
-    found: Findings; they are added.
     """
     before = len(found.faults)
     try:
@@ -293,10 +291,9 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
 def compare_file(
     path: Path, name: str, due: bytes | None, kind: str, other: str, found: Findings, of: str = RESULTS
 ) -> None:
-    """Compare one file by its bytes.
+    """Compare one file by its bytes with what is due; None if no such file follows from the results.
 
-    due: What it must hold; None if no such file follows from the results.
-    other: How the program that wrote it differs from this one; empty if it does not.
+    ``other`` is how the program that wrote it differs from this one; empty if it does not.
     """
     had = path.read_bytes() if path.is_file() else None
     if had == due:

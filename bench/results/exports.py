@@ -83,7 +83,7 @@ def refuse_fisheye(camera: CameraModel, what: str) -> None:
 def opencv_coefficients(camera: CameraModel) -> np.ndarray:
     """Return the coefficients of the lens in OpenCV's order.
 
-    Returns: (5,) float64 k1 k2 p1 p2 k3, (8,) with k4 k5 k6 if the lens has them, or (4,) of a fisheye lens.
+    (5,) k1 k2 p1 p2 k3, (8,) with k4 k5 k6 if the lens has them, or (4,) of a fisheye lens.
     """
     if camera.is_fisheye:
         return camera.fisheye_coefficients
@@ -92,10 +92,7 @@ def opencv_coefficients(camera: CameraModel) -> np.ndarray:
 
 
 def target_poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """Return the poses of the target in the camera's frame.
-
-    Returns: (n, 3) float64 rotation vectors, rad, and (n, 3) float64 translations, mm: camera <- target.
-    """
+    """Return the poses camera <- target: (n, 3) rotation vectors, rad, and (n, 3) translations, mm."""
     rotations = calibration.rotations
     vectors = np.array([cv2.Rodrigues(rotation)[0].ravel() for rotation in rotations])
     return vectors, -np.einsum("nij,nj->ni", rotations, calibration.centres)
@@ -158,14 +155,11 @@ def exports(
     camera_name: str,
     target: StarTarget | Board | None = StarTarget(),  # noqa: B008 - immutable
 ) -> dict[str, bytes]:
-    """Write a calibration in every format that can represent it.
+    """Write a calibration in every format that can represent it, as content by file name.
 
-    camera_name: Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes
-      ``_``, as ROS requires.
-    target: The printed target or the board; None if the views show several. By default, it is the standard
-      one.
-    Returns: File name to content. ``not-written.txt`` lists the formats that cannot represent the lens model
-      or the targets, with the reason; it is absent if there are none.
+    Every character of the camera's name that is not a letter, digit or ``_`` becomes ``_``, as ROS requires. ``target``
+    is the print or the board, by default the standard one; None if the views show several. ``not-written.txt`` lists
+    the formats that cannot represent the lens model or the targets, with the reason; it is absent if there are none.
     """
     files: dict[str, bytes] = {}
     refused: list[str] = []
@@ -219,8 +213,8 @@ def camera_info(
 ) -> bytes:
     """Write a ROS camera_info YAML.
 
-    projection: (3, 3) camera matrix of the rectified image; or (3, 4) of one camera of a pair.
-    rectification: (3, 3) rotation; None if the image is not turned.
+    ``projection`` is the (3, 3) camera matrix of the rectified image, or (3, 4) of one camera of a pair;
+    ``rectification``, (3, 3), None if the image is not turned.
     """
     coefficients = opencv_coefficients(camera)
     whole = np.zeros((3, 4))
@@ -241,7 +235,7 @@ def camera_info(
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
 
-    Raises FormatCannotCarry: When no k1 k2 p1 p2 project as the lens does within `_MOST_CHANGE_PX`.
+    `FormatCannotCarry`: no k1 k2 p1 p2 project as the lens does within `_MOST_CHANGE_PX`.
     """
     told, content = kalibr_camera(calibration.camera, camera_name)
     return told + yaml_bytes({"cam0": content})
@@ -307,9 +301,7 @@ def metavision_json(
     """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON), with lengths in metres.
 
     ``pattern`` describes the squares of the star target, because the format has no stars, or the points of a board.
-
-    target: The printed target or the board; None if the views show several.
-    Raises FormatCannotCarry: When the lens is a fisheye lens, or the views show several targets.
+    `FormatCannotCarry`: a fisheye lens, or views that show several targets (None).
     """
     refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
     if target is None:
@@ -350,8 +342,7 @@ def metavision_json(
 def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
     """Write the camera-geometry.json of Metavision SDK 5: K of 9 numbers by rows, and D: k1 k2 p1 p2 k3.
 
-    Raises FormatCannotCarry: When the lens is a fisheye lens, whose form the maker does not publish, or has
-      more than these coefficients.
+    `FormatCannotCarry`: a fisheye lens, whose form the maker does not publish, or more than these coefficients.
     """
     del camera_name
     camera, what = calibration.camera, "Metavision's camera-geometry.json"

@@ -50,7 +50,7 @@ class PlanForecast:
 def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
     """Return the bench that a station file expects, without errors: approximate values, sufficient for studies.
 
-    noise_px: Standard uncertainty of a star for each axis, px; None for the station's value.
+    ``noise_px`` is the standard uncertainty of a star for each axis; None for the station's value.
     """
     expected = station.value.expected
     if expected is None:
@@ -107,9 +107,8 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
     """Predict the uncertainties that the poses of a plan will give.
 
     A sequence is not refused if the prediction fails, because the real bench may differ from the expected one. Poses
-    that an ``until`` chooses during the run are predicted too, as many as it allows.
-
-    Returns: None if the station expects nothing, the plan has no poses, or the poses show too few stars.
+    that an ``until`` chooses during the run are predicted too, as many as it allows. None if the station expects
+    nothing, the plan has no poses, or the poses show too few stars.
     """
     if planned.station.value.expected is None or not planned.poses:
         return None
@@ -126,10 +125,7 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
 
 
 def suggest_poses(planned: Plan, count: int) -> list[WeighedPose]:
-    """Suggest further poses, within the station's limits, that improve the calibration most.
-
-    Returns: Poses with the angle of each axis, degrees (``pan_deg``), the best first.
-    """
+    """Suggest further poses (``pan_deg`` ...) within the station's limits that improve most, the best first."""
     bench = forecast_bench(planned)
     return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
 
@@ -137,8 +133,7 @@ def suggest_poses(planned: Plan, count: int) -> list[WeighedPose]:
 def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Forecast | None]:
     """Predict the uncertainties that the poses of a plan give with the first further pose, the first two, and so on.
 
-    Returns: For each further pose the forecast with it and those before it; None if these poses show too few
-      stars.
+    A forecast is None if its poses show too few stars.
     """
     bench, poses = forecast_bench(planned), _poses_deg(planned)
     found: list[Forecast | None] = []

@@ -32,9 +32,8 @@ _SHOWN = 16
 def forms() -> dict[str, str]:
     """Return the hashes of this copy of the program.
 
-    Returns: ``program``: all its sources. ``report_form``: what decides a report, besides the results.
-      ``export_form``: the writers of the exports. Each is the first 16 characters of a SHA-256 over names and
-      contents of the files.
+    ``program``: all its sources. ``report_form``: what decides a report, besides the results. ``export_form``: the
+    writers of the exports. Each is the first 16 characters of a SHA-256 over names and contents of the files.
     """
     import bench
 

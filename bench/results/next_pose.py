@@ -93,9 +93,9 @@ def choose_pose(
 ) -> Choice | str:
     """Choose the next pose.
 
-    taken_deg: Angles of the poses recorded so far, degrees, in the order of the views of the calibration.
-    refused_deg: Angles of the poses that failed, degrees.
-    readings: What the readings of the gimbal are worth, without angles, if the calibrations use them.
+    ``taken_deg`` and ``refused_deg`` are the angles of the poses recorded so far, in the order of the calibration's
+    views, and of those that failed. ``readings`` is what those of the gimbal are worth, without angles, if the
+    calibrations use them.
     """
     if calibration is None and station.value.expected is None:
         return (
@@ -295,16 +295,13 @@ SMALLEST_COVERAGE_FACTOR = 2.0
 
 
 def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:
-    """Return the parts of the expanded uncertainties that further poses do not lower, by source.
+    """Return the parts of the expanded uncertainties, px by goal and source, that further poses do not lower.
 
-    They are expanded by k = 2. What competes with the stars or the readings for the focal length counts as far as it
-    would remain after all poses: with q, the ratio of the variances of these rows and of those that poses lower, the
-    information of `more` times as many poses leaves (1 + q) / (`more` + q) of it (own derivation for one parameter: a
-    prior of information b contributes sqrt(b) / (a + b) if the poses have the information a). A passport competes with
-    readings only.
-
-    more: How many times as many poses can be recorded in all, at least 1.
-    Returns: Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
+    They are expanded by k = 2; only sources that contribute are listed. What competes with the stars or the readings
+    for the focal length counts as far as it would remain after all poses: with q, the ratio of the variances of these
+    rows and of those that poses lower, the information of `more` times as many poses (at least 1) leaves (1 + q) /
+    (`more` + q) of it (own derivation for one parameter: a prior of information b contributes sqrt(b) / (a + b) if the
+    poses have the information a). A passport competes with readings only.
     """
     found: dict[str, dict[str, float]] = {}
     for goal, quantity in _QUANTITIES.items():

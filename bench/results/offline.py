@@ -105,11 +105,10 @@ class OfflineResult:
 def calibrate_paths(
     paths: Sequence[Path], choices: OfflineOptions, kept: KeptViews | None = None
 ) -> OfflineResult:
-    """Make views from files and folders, and calibrate.
+    """Make views from files and folders, and calibrate; a file without the target is left out, with the reason.
 
-    kept: Views of earlier calculations; None to find the stars in every recording. Evidence is never checked
-      with them.
-    Returns: The calibration. A file in which the target is not found is left out, with the reason.
+    ``kept`` are views of earlier calculations; None to find the stars in every recording. Evidence is never checked
+    with them.
     """
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
@@ -213,9 +212,8 @@ def _engine_options(
 def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]:
     """Compare a calibration with the published recipe and with OpenCV's planar method, on the same points.
 
-    The published recipe needs a target at infinity, so it is left out for a board.
-
-    Returns: The result of each method; if a method has no result, its entry says why.
+    The published recipe needs a target at infinity, so it is left out for a board. If a method has no result, its entry
+    says why.
     """
     lens = tuple(result.calibration.camera.distortion)
     options = replace(result.options, distortion=lens, gimbal=None)
@@ -253,8 +251,8 @@ def _first(skipped: Sequence[str]) -> str:
 def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
     """Give all views one image size; if no view has a known size, the largest of the point files.
 
-    Raises BenchError: When sizes differ, for example of portrait and landscape images: these are not the
-      pixels of one camera.
+    Sizes that differ, for example of portrait and landscape images, are refused: these are not the pixels of one
+    camera.
     """
     known = {view.image_size: view.name for view, is_sized in zip(views, sized, strict=True) if is_sized}
     width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))

@@ -80,10 +80,9 @@ def require_new(folder: Path) -> None:
 
 
 def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | None = None) -> None:
-    """Write an offline calibration to a new folder, and seal it.
+    """Write an offline calibration to a new folder, and seal it; without the bench's key it stays a draft.
 
-    folder: The folder; it is made if it does not exist. ``results.json`` is written last, before the seal.
-    key: The bench's key; None leaves the folder a draft.
+    ``results.json`` is written last, before the seal.
     """
     require_new(folder)
     write_files(folder, offline_files(result, folder.resolve().name, key))
@@ -106,12 +105,11 @@ def offline_files(
     sources: Sequence[dict[str, Any]] | None = None,
     read_from: Mapping[str, str] | None = None,
 ) -> dict[str, bytes]:
-    """Return the files of an offline calibration, before its seal.
+    """Return the files of an offline calibration by name, before its seal; ``results.json`` is the last one.
 
-    key: Who will seal the folder; None if it stays a draft.
-    sources: What `source_data` returns for each view; None to read and hash the files now.
-    read_from: For each folder that is a copy for this calculation only, the place that it was copied from.
-    Returns: Contents by name within the folder; ``results.json`` is the last one.
+    ``key`` will seal the folder, None if it stays a draft. ``sources`` is what `source_data` returns for each view;
+    None to read and hash the files now. ``read_from`` gives, for each folder that is a copy for this calculation only,
+    the place that it was copied from.
     """
     if sources is None:
         pairs = zip(result.sources, result.views, strict=True)
@@ -152,10 +150,9 @@ def _read_from(value: Any, places: Mapping[str, str]) -> Any:
 def offline_results(
     result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: Sealer | None = None
 ) -> dict[str, Any]:
-    """Return the content of results.json of an offline calibration.
+    """Return the content of results.json of an offline calibration, in the schema of a run's results.
 
-    Returns: The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and
-      states.
+    ``run.offline`` is true, and there are no devices, gates and states.
     """
     calibration = result.calibration
     return {

@@ -50,15 +50,12 @@ _SPLIT = re.compile(r"[,;\s]+")
 
 
 def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: Origin = "corner") -> View:
-    """Read one view from a point file.
+    """Read one view from a point file: image points in OpenCV's pixel convention, with unit covariances.
 
-    image_size: Width and height, px. If None, the smallest size that contains the points; it serves only as
-      an initial value of the principal point.
-    origin: Whether (0, 0) is the corner or the centre of the first pixel.
-    Returns: Image points in OpenCV's pixel convention, with unit covariances, because a point file has no
-      uncertainties.
-    Raises BenchError: When a line is not five numbers (the message has file and line), two lines have the
-      same id, or a point is outside the image.
+    A point file has no uncertainties. ``image_size`` is width and height, px; if None, the smallest size that contains
+    the points, only an initial value of the principal point. ``origin``: (0, 0) is the corner or the centre of the
+    first pixel. Refused are a line that is not five numbers (the message has file and line), two lines of one id, and
+    points outside the image.
     """
     rows = _rows(path)
     _refuse_outside(rows[:, :2], image_size, path)
@@ -274,10 +271,7 @@ class OfflineOptions:
     def of_run(
         self, job: Job, step: SolveStep, measured_deg: Sequence[Mapping[str, float]]
     ) -> CalibrationOptions:
-        """Return the engine's options for views of one run.
-
-        measured_deg: For each view the angles of the stage, degrees, as the journal holds them.
-        """
+        """Return the engine's options for views of one run, with the stage's angles as the journal holds them."""
         changed = self.step_of_run(step)
         options = solve_options(job, changed, measured_deg)
         if self.without_passport or self.passport is not None:
@@ -408,11 +402,7 @@ def options_data(options: OfflineOptions) -> dict[str, Any]:
 def options_of_data(
     data: Mapping[str, Any], passport: PassportInUse | None, target: StarTarget | None
 ) -> OfflineOptions:
-    """Return the options that `options_data` wrote.
-
-    Raises ValueError: If an option is unknown here: a later version wrote it.
-    Raises calib.errors.CalibrationError: If the board is none.
-    """
+    """Return the options that `options_data` wrote; `ValueError` if one is unknown here: a later version wrote it."""
     known = {one.name for one in fields(OfflineOptions)}
     if unknown := sorted(set(data) - known):
         raise ValueError(f"unknown options: {', '.join(unknown)}")

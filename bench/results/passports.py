@@ -59,10 +59,9 @@ def passport_from_calibration(
     sources: list[str],
     seals: Mapping[str, str] | None = None,
 ) -> Passport:
-    """Make a passport from a calibration, with the conditions under which it was made.
+    """Make a passport from a calibration with a collimator, and the conditions under which it was made.
 
-    seals: SHA-256 of the list of files of each source that is a sealed run, by its name.
-    Raises calib.errors.InputMismatch: When the calibration has no collimator (planar model).
+    ``seals`` gives the SHA-256 of the list of files of each source that is a sealed run, by its name.
     """
     conditions = {
         "collimator": collimator,
@@ -86,12 +85,10 @@ def passport_from_certificate(
     temperature_c: float | None,
     now: datetime,
 ) -> Passport:
-    """Make a passport from a certificate of the collimator's focal length.
+    """Make a passport from a certificate of the collimator's focal length, positive and finite.
 
-    sigma_mm: Its standard uncertainty, mm: the expanded uncertainty of the certificate divided by its
-      coverage factor.
-    valid_until: Last day of its validity, year-month-day, if known.
-    Raises UsageError: When focal length or uncertainty is not positive and finite.
+    ``sigma_mm`` is its standard uncertainty: the expanded one of the certificate divided by its coverage factor.
+    ``valid_until`` is the last day of its validity, year-month-day, if known.
     """
     if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
         raise UsageError(

@@ -133,10 +133,9 @@ def shown_files(
     pictures: Sequence[ViewPicture],
     head: str = "",
 ) -> dict[str, bytes]:
-    """Return what shows results to others: the exports, and last the report.
+    """Return what shows results to others, by name within the folder: the exports, and last the report.
 
-    head: Hash of the journal's line that the report prints; empty for results without a journal.
-    Returns: Contents by name within the folder.
+    ``head`` is the hash of the journal's line that the report prints; empty for results without a journal.
     """
     written = exports(calibration, camera_name=camera_name, target=target)
     files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
@@ -186,8 +185,8 @@ def previous_calibration(
 ) -> PreviousData | None:
     """Return the last calibration of the same camera before this run, and the change since then.
 
-    place: What the ledger returned for this run when it was entered.
-    Returns: ``previous`` of results.json (docs/results.md); None if this run is not in the ledger.
+    ``place`` is what the ledger returned when the run was entered. ``previous`` of results.json (docs/results.md); None
+    if this run is not in the ledger.
     """
     if not place:
         return None
@@ -292,9 +291,9 @@ def _of_camera(calibration: CalibrationData) -> CovarianceData:
 
 
 def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
-    """Return the change of the projection over the sensor.
+    """Return the change of the projection over the sensor; None if this calibration states no covariance.
 
-    Returns: ``change`` of results.json (docs/results.md); None if this calibration states no covariance.
+    It is ``change`` of results.json (docs/results.md).
     """
     maps = change_maps(then, now)
     if maps is None:

@@ -55,13 +55,9 @@ def projection_facts(
 ) -> dict[str, Any] | None:
     """Return the expanded uncertainty of a direction over the sensor, and the part that stars support.
 
-    Propagation of the camera's covariance (`calib.uncertainty.projection_uncertainty`), along the worse direction;
-    U = k u (JCGM 100:2008, 6.2.1).
-
-    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
-    points: For each view (N, 2) float64, px: its stars.
-    Returns: ``projection`` of results.json (docs/results.md); None if no corner of the sensor has an
-      uncertainty.
+    ``projection`` of results.json (docs/results.md); None if no corner has an uncertainty. Propagation of the camera's
+    covariance, (K, K) in the order of `CameraModel.parameter_names` (`calib.uncertainty.projection_uncertainty`), along
+    the worse direction; U = k u (JCGM 100:2008, 6.2.1). ``points``: (N, 2) px for each view.
     """
     found, size = projection_uncertainty(camera, covariance), camera.image_size
     corners = {name: float(found.sigma_px[at]) for name, at in _CORNERS.items()}
@@ -152,8 +148,8 @@ def _conformity(
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
     """Return the part of results.json that follows from journal, sequence and station.
 
-    Returns: ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses,
-      ``untils``, ``deviations``, ``failures``, ``devices_left`` and ``states``.
+    ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses, ``untils``,
+    ``deviations``, ``failures``, ``devices_left`` and ``states``.
     """
     started, kind = history.started, job.camera_kind
     return {
@@ -215,11 +211,7 @@ def software() -> dict[str, str]:
 
 
 def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) -> str:
-    """Return in which parts of the software a file was made by another program than this one.
-
-    used: ``run.software`` of results.json, or ``software`` of the journal's first line.
-    Returns: ``numpy 2.1 (here 2.2)``, several with commas; empty if all are the same.
-    """
+    """Return which software, by results.json or the journal, differs here: ``numpy 2.1 (here 2.2)``, with commas."""
     here = software()
     return ", ".join(
         f"{name.replace('_', ' ')} {used.get(name, 'not stated')} (here {here[name]})"
@@ -337,10 +329,9 @@ def files_software(endings: Iterable[str]) -> dict[str, str]:
 
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
-    """Return the plug-ins that a station uses, as ``run_started`` states them.
+    """Return the plug-ins that a station uses, as ``run_started`` states them: ``plugins``, or nothing.
 
-    Returns: ``plugins``: for each package the kinds and names of its drivers in this station, ``["stage
-      turntable"]``; empty if the station uses none.
+    For each package it has the kinds and names of its drivers in this station, ``["stage turntable"]``.
     """
     found: dict[str, list[str]] = {}
     for plugin in used_plugins(station):
@@ -349,11 +340,7 @@ def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
 
 
 def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
-    """Return the plug-ins that a run used, by its journal.
-
-    Returns: Package and version, and the drivers that it brought: ``{"starbench-turntable 1.0": "stage
-      turntable"}``.
-    """
+    """Return the plug-ins that a run used, by its journal: ``{"starbench-turntable 1.0": "stage turntable"}``."""
     versions = started.get("software") or {}
     return {
         f"{name} {versions.get(name, _NOT_STATED)}": ", ".join(drivers)

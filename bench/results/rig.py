@@ -62,9 +62,8 @@ class RigFound:
 def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
     """Return the rig of two cameras. Every argument has one entry for each camera, or none.
 
-    paths: Views behind a collimator; or of a board, if `choices` names one and `boards` is empty.
-    boards: Views of the board beside those behind the collimator.
-    cameras: Files with the intrinsics from other views.
+    ``paths`` are views behind a collimator; or of a board, if `choices` names one and `boards`, views of the board
+    beside those, is empty. ``cameras`` are files with the intrinsics from other views.
     """
     if choices.board is None:
         if boards:
@@ -120,10 +119,7 @@ def _board_views(paths: Pair, choices: Sequence[OfflineOptions]) -> tuple[list[l
 
 
 def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[ClockOffset, ...]:
-    """Return offset and rate of the second camera's clock in each recording that both cameras made.
-
-    folders: Pairs of paths, an entry for each camera.
-    """
+    """Return offset and rate of the second camera's clock in each recording that both cameras made."""
     clocks = []
     for pair in folders:
         first, second = ({source.name: source.path for source in _chosen(path, choices)} for path in pair)

@@ -35,10 +35,9 @@ if TYPE_CHECKING:
 
 
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
-    """Return the calibration that results.json states.
+    """Return the calibration that results.json states, without residuals, weights and candidates.
 
-    Returns: Residuals and weights are empty, the candidates are not read; all other parts are as stored.
-    Raises KeyError, TypeError, ValueError: When a part is missing, or is not of the expected form.
+    A part that is missing or not of the expected form raises `KeyError`, `TypeError` or `ValueError`.
     """
     names = tuple(stored["covariance"]["names"])
     values = {**stored["camera"], **(stored["collimator"] or {})}
@@ -77,10 +76,7 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
 
 
 def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
-    """Return the camera that results.json states.
-
-    Raises KeyError, TypeError, ValueError: When a value is missing, or is not of the expected form.
-    """
+    """Return the camera that results.json states; errors as `stored_calibration`."""
     width, height = stored["image_size"]
     values = stored["camera"]
     lens = {name: value for name, value in values.items() if name not in PINHOLE}
@@ -90,10 +86,9 @@ def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
 
 
 def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:
-    """Return the collimator that results.json states.
+    """Return the collimator that results.json states, None for the planar model.
 
-    Returns: Its ``reference`` is None, because results.json does not contain it; None for the planar model.
-    Raises KeyError: When a value is missing.
+    Its ``reference`` is None, because results.json does not contain it.
     """
     if values is None:
         return None

@@ -69,14 +69,11 @@ def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Ca
 
 
 def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Compare each value with the simulated truth.
+    """Compare each value with the simulated truth, ``camera`` and ``collimator``.
 
     If the simulated collimator has errors that displace the apparent centre, x and y are not compared: they are those
-    of the apparent centre, and the truth holds those of the ideal one.
-
-    truth: ``truth`` of results.json: ``camera`` and ``collimator``.
-    Returns: For each value ``name value sigma truth error error_sigmas``: the error in the value's own unit,
-      and divided by the value's standard uncertainty.
+    of the apparent centre, and the truth holds those of the ideal one. Returns ``name value sigma truth error
+    error_sigmas``: the error in the value's own unit, and divided by its standard uncertainty.
     """
     true = {**truth["camera"], **truth["collimator"]}
     if any(true.get(name) for name in _MOVE_THE_CENTRE):
@@ -138,7 +135,7 @@ def solve_run(
 ) -> Solution:
     """Calibrate from the accepted recordings of a run.
 
-    check: Called between pieces of work; raises if the run is to stop.
+    ``check`` is called between pieces of work; it raises if the run is to stop.
     """
     measurements = []
     accepted = sorted(history.accepted().items())

@@ -41,10 +41,8 @@ def solve_options(
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step of a run.
 
-    measured_deg: For each view the angles of the stage, degrees, as the journal holds them: ``pan``,
-      ``pan_encoder``.
-    Returns: Options with the passport of the run, the readings of the gimbal, the station's budget, and the
-      prior of the radial term that follows from it.
+    They have the passport of the run, the readings of the gimbal (``pan``, ``pan_encoder`` ..., as the journal holds
+    them for each view), the station's budget, and the prior of the radial term that follows from it.
     """
     from bench.plan.job import calibration_options
 
@@ -58,7 +56,7 @@ def solve_options(
 def stated_radial_sigma(station: Station) -> float | None:
     """Return the prior of the radial term of the target's map, from the bow and the distortion that a station states.
 
-    Returns: Standard uncertainty, dimensionless; None if the station does not state both, or no focal length.
+    It is a dimensionless standard uncertainty; None if the station does not state both, or no focal length.
     """
     collimator, expected = station.collimator, station.expected
     certificate = collimator.certificate
@@ -72,12 +70,9 @@ def stated_radial_sigma(station: Station) -> float | None:
 
 
 def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, board: bool) -> None:
-    """Refuse one view without a passport that holds the collimator's centre.
+    """Refuse one view without a passport that holds the collimator's centre; say what a passport would give.
 
-    board: Whether the views show a board, for which no passport exists.
-
-    Raises DegenerateViews: If there is one view, and it does not determine the camera; says what a passport
-      would give.
+    For a ``board`` no passport exists.
     """
     if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
         remedy = (
@@ -87,11 +82,9 @@ def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, 
 
 
 def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:
-    """Return the readings of the gimbal with their uncertainty.
+    """Return the readings of the gimbal with their uncertainty; None if the station does not state it.
 
-    measured_deg: For each view the angles of the stage, degrees; the reading of an encoder replaces that of
-      its axis.
-    Returns: None if the station does not state the uncertainty of the readings.
+    The reading of an encoder replaces that of its axis.
     """
     gimbal, defocus = station.gimbal, station.collimator.defocus
     if gimbal is None:
@@ -114,13 +107,11 @@ def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]
 
 
 def limited_numbers(calibration: Calibration) -> dict[str, float]:
-    """Return the numbers of a calibration that the limits of a solve step judge.
+    """Return the numbers of a calibration that the limits of a solve step judge, by name without unit.
 
-    Expanded uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
+    ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``, ``expanded_fy``, ``worst_corner``. Expanded
+    uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
     (`calib.uncertainty.projection_uncertainty`), along the worst direction.
-
-    Returns: By name without unit: ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``,
-      ``expanded_fy``, ``worst_corner``.
     """
     one, each, sigma = calibration.coverage_factor, calibration.coverage_factors, calibration.sigma
     found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
@@ -137,9 +128,8 @@ def readings_result(
 ) -> dict[str, Any]:
     """Return what results.json states about the gimbal's readings.
 
-    Returns: ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the
-      source of these; ``bound``: what bounds the parallax, and the parallax that follows, as a share of r;
-      ``why_not``.
+    ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the source of these;
+    ``bound``: what bounds the parallax, and the parallax that follows, as a share of r; ``why_not``.
     """
     readings = options.gimbal
     entered = calibration.gimbal is not None and calibration.gimbal.entered

@@ -63,12 +63,10 @@ class Agreement:
 
 
 def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
-    """Compare every parameter that all runs have estimated.
+    """Compare every parameter that all runs have estimated, in the order of the first run.
 
-    runs: At least two runs with a calibration, of one camera and one model; all of them measured, simulated
-      or rehearsed.
-    Returns: One for each parameter, in the order of the first run.
-    Raises UsageError: When there are fewer than two runs, or the runs cannot be compared.
+    There are at least two runs with a calibration, of one camera and one model; all of them measured, simulated or
+    rehearsed; else `UsageError`.
     """
     if len(runs) < 2:
         raise UsageError(
@@ -201,14 +199,11 @@ class Trend:
 
 
 def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) -> Slope | None:
-    """Fit a straight line by least squares, weighted by 1 / sigma^2.
+    """Fit a straight line by least squares, weighted by 1 / sigma^2; None below three points, or if x does not vary.
 
     Weighted linear regression (Bevington and Robinson, 2003, chapter 6). If the points scatter around the line more
-    than their uncertainties predict, the slope's uncertainty is multiplied by the Birge ratio of the residuals with
-    n - 2 degrees of freedom (Birge, Phys. Rev. 40 (1932) 207).
-
-    sigma: Standard uncertainty of each value, greater than 0.
-    Returns: None with fewer than three points, or if x does not vary.
+    than their standard uncertainties predict, the slope's uncertainty is multiplied by the Birge ratio of the residuals
+    with n - 2 degrees of freedom (Birge, Phys. Rev. 40 (1932) 207).
 
     >>> found = fit_slope([0, 1, 2, 3], [1.0, 3.0, 5.0, 7.0], [0.1] * 4)
     >>> round(found.value, 6), round(found.sigma, 4), found.significant

@@ -73,8 +73,8 @@ class ViewSource:
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the files of a path from which views can be made.
 
-    Yields: For a run folder, its accepted recordings in order of the poses; for another folder, its known
-      files in natural order of their names.
+    Of a run folder, its accepted recordings in order of the poses; of another folder, its known files in natural order
+    of their names.
     """
     if not path.exists():
         raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")

@@ -95,7 +95,7 @@ def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) 
 class CommandInbox:
     """Commands to the run of this process, answered from ``open`` to ``close`` by a separate thread.
 
-    clock: Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
+    The clock is asked to stop by ``abort``, and to fail if a decision cannot be journaled.
     """
 
     def __init__(
@@ -149,10 +149,9 @@ class CommandInbox:
         self._inbox.drain(lambda command, name: self.decide(command, name, why_not))
 
     def decide(self, command: Command | None, name: str, why_not: str = "") -> None:
-        """Decide on a command and write the decision to the journal.
+        """Decide on a command (None: a file that is none) and write the decision to the journal.
 
-        command: The command; None for a file that is not a command.
-        why_not: Reason to refuse any command; empty if the decision depends on the command.
+        ``why_not`` is the reason to refuse any command; empty if the decision depends on the command.
         """
         if command is None:
             self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is not a command")
@@ -185,11 +184,9 @@ def remove_inbox(folder: Path) -> None:
 
 
 def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
-    """Send a command to a running run, and wait for its answer.
+    """Send a command to a running run, and wait for its answer in the journal: ``word by pose taken why``.
 
-    Returns: The journal's answer: ``word by pose taken why``.
-    Raises RunFolderError: If no process works on the run, it ended, or it did not answer in time. The command
-      is then withdrawn.
+    If no process works on the run, it ended, or it did not answer in time, the command is withdrawn.
     """
     inbox = inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
@@ -236,9 +233,7 @@ def _answer_in(folder: Path, command_id: str, begin: int) -> dict[str, Any] | No
 
 
 def command_text(answer: Mapping[str, Any]) -> str:
-    """Return what happened to a command, as a sentence.
-
-    answer: The journal's answer, as `send` returns it.
+    """Return what happened to a command, by the answer of `send`, as a sentence.
 
     >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"})
     'Refused: the run is held by ada@lab.'

@@ -45,10 +45,9 @@ _WAITS_FOR_DISK = "D"
 
 
 def start_ticks(pid: int, proc: Path = PROC) -> int:
-    """Return when a process started. With its number this identifies a process: numbers are used again.
+    """Return when a process started, which identifies it together with its number: numbers are used again.
 
-    Returns: Kernel clock ticks since the system booted, independent of the system time; 0 if there is no such
-      process.
+    Kernel clock ticks since the system booted, independent of the system time; 0 if there is no such process.
     """
     try:
         return int(_stat(proc / str(pid) / "stat")[_START_TIME])

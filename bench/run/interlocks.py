@@ -47,10 +47,9 @@ class Interlock(Protocol):
         ...
 
     def why(self, *, held: bool) -> str:
-        """Return why the interlock holds.
+        """Return why the interlock holds; empty if it does not.
 
-        held: Whether it holds the run now; then the stricter limit for continuing applies.
-        Returns: The reason; empty if it does not hold.
+        While held, the stricter limit for continuing applies.
         """
         ...
 
@@ -99,10 +98,7 @@ class Interlocks:
         self.entering("")
 
     def require_clear(self) -> None:
-        """Check that no interlock holds before work continues.
-
-        Raises Interrupted: If one holds; ``take_interruption`` then returns it.
-        """
+        """Raise `Interrupted` if an interlock holds before work continues; ``take_interruption`` then returns it."""
         for interlock in self._interlocks:
             if why := interlock.why(held=False):
                 trip = Trip(interlock, why)
@@ -123,11 +119,7 @@ class Interlocks:
         return trip
 
     def wait_until_clear(self, trip: Trip) -> float:
-        """Wait until an interlock clears.
-
-        Raises InterlockHeld: If all holds of this interlock together took too long.
-        Raises Aborted: If a stop was requested.
-        """
+        """Wait until an interlock clears; `InterlockHeld` if all holds of this interlock together took too long."""
         begin_s = self._clock.monotonic()
         interlock = trip.interlock
         before_s = self._held_s.get(interlock.name, 0.0)
@@ -148,8 +140,7 @@ class Interlocks:
 def loss_text(error: DriverError) -> str:
     """Return how a device was lost, for a run that holds: it continues by itself, so nobody has to resume it.
 
-    Returns: Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the
-      sentence.
+    Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the sentence.
 
     >>> loss_text(DriverError("It is gone.", where="camera 7", remedy="Check the cable, then resume the run."))
     'camera 7: It is gone. Check its cable and power'

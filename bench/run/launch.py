@@ -111,8 +111,8 @@ def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
 def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
     """Enter a run in the ledger, or find it there.
 
-    known: Place of a run that began before; it is entered again if the ledger does not have it, because it
-      began on another bench, without a ledger, or in a ledger that was lost.
+    ``known`` is the place of a run that began before; it is entered again if the ledger does not have it, because it
+    began on another bench, without a ledger, or in a ledger that was lost.
     """
     station = job.station
     anchor, strict = station.ledger.anchor, station.ledger.strict
@@ -228,13 +228,10 @@ def start_run(
 ) -> RunEnd:
     """Run a sequence on a station, from the plan to the sealed report.
 
-    output: New run folder; where None, a folder in ``runs/``, named by time and sequence.
-    seed: Random seed of a simulated bench; drawn and recorded where None.
-    settings: Settings that replace those of the files (`bench.plan.plan.load_documents`); the copies of both
-      files in the run folder hold them.
-    expect_serial: Serial number that the camera must have, in place of the station's; any other camera is
-      refused before anything moves.
-    Raises UsageError: If no camera can have this serial number.
+    ``output`` None stands for a new folder in ``runs/``, named by time and sequence; the ``seed`` of a simulated bench
+    is drawn and recorded where None. ``settings`` replace those of the files (`load_documents`); the copies of both
+    files in the run folder hold them. ``expect_serial`` replaces the station's; any other camera is refused before
+    anything moves.
     """
     if expect_serial is not None:
         settings = _expecting(expect_serial, settings or {})
@@ -284,10 +281,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     """Continue a run that was aborted, failed, was killed or lost power; first print what will be done.
 
     All stored recordings are kept. The step at which the run stopped is repeated, after the move that it depends on.
-
-    Raises RunFolderError: If there is no run, it is sealed, or another process works on it.
-    Raises JournalBroken: If the hash chain of its journal is broken.
-    Raises ScriptError: If its sequence or station file has faults.
+    Refused are a sealed run, one that another process works on, a broken journal, and faulty files.
     """
     with (
         RunFolder.open(folder_path) as folder,

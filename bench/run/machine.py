@@ -71,10 +71,9 @@ class TimeLeft:
         return fixed_s + max(0.0, until_s - self._begun_s - fixed_s) * self.pace
 
     def left_s(self, now: datetime, *, held: bool) -> float:
-        """Return the time left.
+        """Return the time left, s; it does not pass while the run is held.
 
-        held: Whether the run is held; time does not pass for it then.
-        Returns: Time, s. From the third step on, the planned times are scaled by what the steps so far took.
+        From the third step on, the planned times are scaled by what the steps so far took.
         """
         left_s = self._scaled_s(self._duration_s, self._fixed_s)
         if held or not self._mark_utc:
@@ -174,11 +173,7 @@ class Listener(Protocol):
 
 
 class RunMachine:
-    """The state machine of one run.
-
-    listener: Receives every change before it is made, and the end of its work.
-    Raises ValueError: If work is given for a state that does not exist.
-    """
+    """The state machine of one run; ``listener`` receives every change before it is made, and the end of its work."""
 
     def __init__(self, work: Mapping[str, Work], listener: Listener) -> None:
         self.state = "idle"

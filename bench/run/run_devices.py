@@ -31,10 +31,7 @@ NOT_REOPENED = "the devices were lost and could not be opened again; nothing con
 
 
 class RunDevices:
-    """Stage, light and camera of a run, open or not.
-
-    unsafe: Stage and light if they did not confirm a safe state, as text.
-    """
+    """Stage, light and camera of a run; ``unsafe`` names stage and light if they did not confirm a safe state."""
 
     def __init__(
         self,

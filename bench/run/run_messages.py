@@ -30,8 +30,7 @@ class RunMessages:
     def write(self, occasion: str, what: str, key: str) -> None:
         """Write a message with the run's status, if the station file asks for it. Returns at once.
 
-        occasion: ``failure``, ``hold`` or ``end``.
-        key: Unique name of this message: the hash of the journal's line that caused it.
+        ``occasion`` is ``failure``, ``hold`` or ``end``; ``key`` the hash of the journal's line that caused it.
         """
         if not self._courier.is_wanted(occasion):
             return
@@ -56,7 +55,7 @@ class RunMessages:
 class HoldNotifier:
     """Notifies absent people that a run holds; about the same interlock not too often.
 
-    notify: Called with the occasion (``hold``), a short text and the hash of the journal's line.
+    ``notify`` gets the occasion (``hold``), a short text and the hash of the journal's line.
     """
 
     def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:

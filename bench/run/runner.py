@@ -70,13 +70,11 @@ class RunEnd:
 
 
 class Runner:
-    """Work of one process on one run.
+    """Work of one process on one run. A stop requested from the clock ends the run safely.
 
-    clock: Clock of the run; a requested stop ends the run safely.
-    notify: Called with the occasion (``hold``, ``failure``), a short text and the hash of the journal's line,
-      when absent people should be notified before the run ends.
-    results: Calculates and writes the results; a ``ResultWriter`` of the folder where None.
-    decisions: Decides for the ``until`` steps; ``Decisions`` of the folder where None.
+    ``notify`` gets the occasion (``hold``, ``failure``), a short text and the hash of the journal's line, when absent
+    people should be notified before the run ends. Where None, ``results`` is a ``ResultWriter`` of the folder, and
+    ``decisions``, for the ``until`` steps, its ``Decisions``.
     """
 
     def __init__(
@@ -125,9 +123,9 @@ class Runner:
         return self._machine.state
 
     def run(self) -> RunEnd:
-        """Do every step that is not done yet.
+        """Do every step that is not done yet; also if the run ends aborted or failed, the bench is safe.
 
-        Returns: Also if the run was aborted or failed; the bench is then safe and the run can be resumed.
+        Such a run can be resumed.
         """
         try:
             with self.inbox:

@@ -47,16 +47,11 @@ NOT_STATED: Final = "not stated by the device"
 
 
 def preflight(devices: Devices, job: Job) -> dict[str, Any]:
-    """Identify the devices, set the camera, and collect every reason against a run.
+    """Identify the open devices, set the camera, and collect every reason against a run in `PreflightFailed`.
 
-    Nothing moves and the light stays off.
-
-    devices: Open devices; their serial numbers were compared with the station file when they were opened.
-    Returns: ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read
-      back; ``connections``, of an event camera: see `connections`.
-    Raises PreflightFailed: With every reason at once.
-    Raises drivers.errors.DriverError: If a device does not answer, or is not the one that the station file
-      names.
+    Nothing moves and the light stays off. Serial numbers were compared with the station file when the devices were
+    opened. Returns ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read
+    back; ``connections``, of an event camera: see `connections`.
     """
     stage, light = devices.stage.identify(), devices.light.identify()
     camera = devices.camera.identify()
@@ -86,9 +81,8 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
     """Return what camera and light answer about the cables between them and to the computer.
 
-    Returns: In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``,
-      ``sync_level``. What a device does not state is said to be so; the wiring test (`bench.run.wiring`)
-      measures it.
+    In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``, ``sync_level``. What a device
+    does not state is said to be so; the wiring test (`bench.run.wiring`) measures it.
     """
     link = camera.link_mbit_s
     built = f", built {camera.firmware_built}" if camera.firmware_built else ""
@@ -255,7 +249,7 @@ class StateWork:
     def hold(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
         """Hold for an operator, for an interlock, or for the answer to the step's question.
 
-        step: Step that comes next, or the prompt step; None before the first step.
+        The step is the one that comes next, or the prompt step; None before the first step.
         """
         question = step if isinstance(step, PromptStep) else None
         if question is not None and self._run.job.board is not None:

@@ -210,21 +210,14 @@ class _Plan(TypedDict):
 
 
 def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> Status:
-    """Read the status of a run. Nothing is changed, and its process is not disturbed.
-
-    Raises RunFolderError: If there is no run.
-    Raises JournalBroken: If the hash chain of its journal is broken.
-    """
+    """Read the status of a run. Nothing is changed, and its process is not disturbed."""
     return read_with_entries(folder, utc_now())[0]
 
 
 def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Entry]]:
-    """Read the status of a run, and its journal.
+    """Read the status of a run, at a time in UTC, and its journal.
 
     The lock is read first: a run that ends meanwhile does not appear as killed.
-
-    now: The time, UTC.
-    Raises RunFolderError: If it is no run folder.
     """
     if not (folder / JOURNAL).is_file():
         raise RunFolderError(

@@ -71,7 +71,7 @@ def pose_names(job: Job, history: History) -> dict[int, str]:
 def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
     """Return the steps before ``step`` that the next recording depends on: move and settling.
 
-    Returns: Steps to repeat; empty if a move comes before the next recording, or no recording follows.
+    It is empty if a move comes before the next recording, or no recording follows.
     """
     here = next(i for i, candidate in enumerate(steps) if candidate.number == step.number)
     coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
@@ -82,12 +82,9 @@ def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[Scrip
 
 
 def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptStep]:
-    """Return the steps that serve one recording only: it, and its move if no other recording depends on that.
+    """Return the steps to leave out if a pose, from 1, is skipped: its recording, its move, and its choice.
 
-    If the run chooses the pose, the step that chooses it is one of them.
-
-    pose_index: Number of the pose, from 1.
-    Returns: Steps to leave out if the pose is skipped.
+    The move only if no other recording depends on it.
     """
     here = next(i for i, s in enumerate(steps) if isinstance(s, RecordStep) and s.pose.index == pose_index)
     moves = [i for i, s in enumerate(steps) if isinstance(s, MoveStep)]
@@ -286,8 +283,8 @@ class Steps:
     def record(self, step: RecordStep) -> None:
         """Record until a recording is accepted; after the last allowed attempt, do what the sequence specifies.
 
-        Raises PoseFailed: If all attempts failed and the step says ``fail``.
-        Raises Aborted: If an operator, or the default answer, decides not to try again.
+        Raises `PoseFailed` if the step says ``fail``, `Aborted` if an operator, or the default answer, decides not to
+        try again.
         """
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose

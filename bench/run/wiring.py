@@ -65,8 +65,7 @@ class WiringReport:
 def check_wiring(devices: Devices, station: Station, clock: BenchClock) -> WiringReport:
     """Switch the light on, record, switch it off, and compare edges with events.
 
-    Raises drivers.errors.DriverError: If a device fails; the light is then off, or the error of switching it
-      off is raised.
+    If a device fails, the light is off, or the error of switching it off is raised.
     """
     kind = camera_kind(station)
     if kind.name != "event":

@@ -40,33 +40,25 @@ from drivers.wire_log import WireLog
 
 
 def serial_devices(station: Station) -> tuple[str, ...]:
-    """Name the stage and light devices whose serial numbers are in the station file, except simulated ones.
+    """Name, such as ``Zaber 100101``, stage and light whose serial numbers are in the station file, not simulated.
 
     A strobe controller has no serial number, and that of a generator or a board is optional in the file.
-
-    Returns: Family and serial number of each device, such as ``Zaber 100101``, without repetition.
     """
     return tuple(dict.fromkeys((*station.stage.device_names, *station.light.device_names)))
 
 
 @contextmanager
 def hold_serial_devices(station: Station) -> Iterator[None]:
-    """Lock the serial devices of a station against other processes of this computer, for the duration of the block.
-
-    Yields: While the devices are locked.
-    Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
-    """
+    """Lock the serial devices of a station against other processes of this computer, as `hold_devices`."""
     with hold_devices(serial_devices(station)):
         yield
 
 
 @contextmanager
 def hold_devices(devices: Iterable[str]) -> Iterator[None]:
-    """Lock devices against other processes of this computer, for the duration of the block.
+    """Lock devices from `serial_devices` against other processes of this computer during the block.
 
-    devices: Family and serial number of each, from `serial_devices`.
-    Yields: While the devices are locked.
-    Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
+    `PortBusy`: another process uses one of them, through any port.
     """
     with ExitStack() as holds:
         for device in devices:
@@ -83,9 +75,8 @@ LEFT_DEVICES = "left_devices"
 class Devices:
     """A stage, a light and a camera, open. Opening moves nothing and switches nothing on.
 
-    seed: Random seed of the simulated bench, if the station uses it.
-    Raises drivers.errors.DriverError: When a device cannot be opened, or is not the one that the station file
-      names; the others are then closed.
+    If one cannot be opened, or is not the one that the station file names, the others are closed. ``seed`` is for the
+    simulated bench.
     """
 
     # Devices that may still be opening, by name; empty here (see `bench.stations.devices`).
@@ -239,13 +230,10 @@ def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera: 
 
 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
-    """Stop the stage and switch the light off after the process that used them has died.
+    """Stop the stage and switch the light off after the process that used them has died; return what they answered.
 
-    Each device is opened anew, even if the other one fails.
-
-    clock: Every wait of a driver goes through it.
-    Returns: What stage and light answered; the camera is not asked. Simulated devices are left out: none is
-      there to ask.
+    Each device is opened anew, even if the other one fails. The camera is not asked. Simulated devices are left out:
+    none is there to ask.
     """
     ends = []
     asked: tuple[tuple[DeviceName, list[str], Callable[[Station, BenchClock], str]], ...] = (

@@ -290,10 +290,9 @@ class Station(StrictModel):
 
 
 def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:
-    """Read a station file.
+    """Read a station file by its path, or a shipped station by its name, such as ``simulated``.
 
-    name_or_path: Path of the file, or name of a shipped station such as ``simulated``.
-    settings: Values that replace those of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
+    ``settings`` replace values of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
     """
     station = read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
     use_descriptions(station)

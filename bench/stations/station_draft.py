@@ -252,11 +252,9 @@ disk: {min_free_gb: 5}
 def draft_station(
     name: str, found: Discovery, *, stage: str, light: str = "scpi", camera: str | None = None
 ) -> str:
-    """Write a new station file.
+    """Write a new station file; the first adapter found is used for the stage, the second for the light.
 
-    found: What is connected. The first adapter is used for the stage, the second for the light.
-    camera: Driver of the camera: a key of ``CAMERA_SECTIONS``; None for the first connected camera, event
-      cameras first.
+    ``camera`` is a key of ``CAMERA_SECTIONS``; None for the first connected camera, event cameras first.
     """
     # A port of the computer itself mostly has nothing behind it: it is listed, and not chosen.
     ports = [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]

@@ -51,11 +51,9 @@ def read_light_protocol(path: Path) -> Located[LightProtocol]:
 
 
 def find_description(name_or_path: str, folder: Path | None) -> Path:
-    """Find the file of a description.
+    """Find the file of a shipped description by its name, or one by a path from ``folder`` (None: the cwd).
 
-    name_or_path: Name of a shipped description, or a path.
-    folder: Folder to which a path is relative; None for the working directory.
-    Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
+    For a bare name that is neither a file nor shipped, the message lists the shipped names.
     """
     path = Path(name_or_path)
     if folder is not None and (path.name != name_or_path or path.suffix):

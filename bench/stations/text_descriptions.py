@@ -23,11 +23,7 @@ _ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
 
 
 def template(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
-    """Read a template; a fault of it becomes one of the document.
-
-    known, readable: See `drivers.described.description.parse_template`.
-    Raises PydanticCustomError: When it cannot be used.
-    """
+    """Read a template as `drivers.described.description.parse_template`; a fault becomes one of the document."""
     try:
         return parse_template(text, known=known, readable=readable)
     except TemplateFault as fault:

@@ -117,10 +117,7 @@ def _replaced(error: UnicodeError) -> tuple[str, int]:
 
 
 def clock_text(seconds: float) -> str:
-    """Return a duration as hours, minutes and seconds.
-
-    seconds: The duration, s; a negative one counts as zero.
-    Returns: ``m:ss``, or ``h:mm:ss`` from one hour on.
+    """Return a duration, s, as ``m:ss``, or ``h:mm:ss`` from one hour on; a negative one counts as zero.
 
     >>> clock_text(75), clock_text(4.2), clock_text(7322)
     ('1:15', '0:04', '2:02:02')
@@ -135,9 +132,7 @@ _TIMES = {1: "once", 2: "twice"}
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural unless the number is 1.
-
-    noun: The noun in the singular; its plural ends in "s".
+    """Return a number with its noun, in the plural with "s" unless the number is 1.
 
     >>> counted(1, "recording"), counted(3, "pose"), counted(0, "run")
     ('1 recording', '3 poses', '0 runs')
@@ -147,8 +142,6 @@ def counted(number: int, noun: str) -> str:
 
 def times(number: int) -> str:
     """Return how often something was done.
-
-    Returns: ``once``, ``twice``, or the number with "times".
 
     >>> times(1), times(2), times(5)
     ('once', 'twice', '5 times')

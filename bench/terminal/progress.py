@@ -30,12 +30,10 @@ _SMALLEST_WIDTH, _SMALLEST_HEIGHT = 20, 4
 
 
 class Block:
-    """Draws a block of text again and again in the same place of a terminal.
+    """Draws a block of text again and again in the same place of a terminal, by default standard output.
 
     If the size of the terminal has changed, the visible part of the terminal is cleared first: terminals differ in how
     they wrap the lines that are already there.
-
-    stream: Where to write; None for standard output.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -49,14 +47,10 @@ class Block:
         return self._console.is_terminal and not self._console.is_dumb_terminal
 
     def draw(self, head: Sequence[str], log: Sequence[str], tail: Sequence[str]) -> None:
-        """Draw the block in place of the one before.
+        """Draw the block in place of the one before; the second line of the head is bold.
 
-        Long lines of head and tail are wrapped, those of the log are cut off. If the terminal is too low, the oldest
-        lines of the log are left out, then the last lines of the head.
-
-        head: First lines; the second one is bold.
-        log: Lines in the middle, the newest last.
-        tail: Last lines.
+        Long lines of head and tail are wrapped, those of the log, the newest last, are cut off. If the terminal is too
+        low, the oldest lines of the log are left out, then the last lines of the head.
         """
         size = self._console.size
         changed, self._size = size != self._size, size
@@ -112,8 +106,7 @@ _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 class Progress:
     """Shows the progress of a run: one live line on a terminal; elsewhere a new line for each change of state.
 
-    total_s: Expected duration of the whole run, s.
-    stream: Where to write; None for standard error.
+    ``total_s`` is the expected duration of the whole run; ``stream`` None is standard error.
     """
 
     def __init__(
@@ -145,11 +138,7 @@ class Progress:
         self._done_s, self._counted_from_s = seconds, self._monotonic()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
-        """Show the present state.
-
-        pose: Number of the present pose, from 1; None if it has not changed.
-        detail: Further words, shown in brackets after the pose.
-        """
+        """Show the present state, pose (from 1; None: unchanged), and in brackets further words."""
         self._state, self._detail = state, detail
         self._pose = pose or self._pose
         if not self._can_overwrite:
@@ -225,12 +214,11 @@ def ask(
     terminal: TextIO | None = None,
     elsewhere: Callable[[], Reply | None] = lambda: None,
 ) -> Reply:
-    """Ask the operator, and wait for an answer.
+    """Ask the operator, and wait for an answer, or for the default, ``continue`` or ``abort``, at the deadline.
 
-    default: The answer if nobody answers in time: ``continue`` or ``abort``.
-    terminal: Where answers are typed; None for standard input. If it is not a terminal, or is closed, only
-      ``elsewhere`` gives an answer. An empty line is the default.
-    elsewhere: Returns the answer given from another terminal (`starbench tell`); None while there is none.
+    ``terminal`` is where answers are typed, None for standard input; an empty line is the default. If it is not a
+    terminal, or is closed, only ``elsewhere`` gives an answer: that from another terminal (`starbench tell`), None
+    while there is none.
     """
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input

@@ -45,9 +45,8 @@ def reliable_interrupts() -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, with all clean-up, and let no interrupt be lost. Main thread only.
 
     Python ignores an exception raised in a finalizer (documentation of ``sys.unraisablehook``). In work that writes
-    files piece by piece this happens to KeyboardInterrupt often; it is then sent again.
-
-    Yields: Earlier handlers are restored after the block.
+    files piece by piece this happens to KeyboardInterrupt often; it is then sent again. Earlier handlers are restored
+    after the block.
     """
     hook = sys.unraisablehook
     # A shell starts background jobs with SIGINT ignored; SIGTERM is handled below in any case.

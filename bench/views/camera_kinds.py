@@ -35,9 +35,6 @@ def periods_in_window(window_ms: float, frequency_hz: float) -> int:
 
     An image over a part of a period would favour one polarity, so windows are rounded to whole periods.
 
-    window_ms: Length of the window, ms.
-    frequency_hz: Frequency of the flicker, Hz.
-
     >>> periods_in_window(33, 60)
     2
     """
@@ -45,11 +42,7 @@ def periods_in_window(window_ms: float, frequency_hz: float) -> int:
 
 
 def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
-    """Return the recording time that contains the window's whole periods at any phase of the light.
-
-    window_ms: Length of the window, ms.
-    frequency_hz: Frequency of the flicker, Hz.
-    Returns: Duration, s.
+    """Return the recording time, s, that contains the window's whole periods at any phase of the light.
 
     >>> round(recording_duration_s(33, 60), 4)
     0.051
@@ -95,8 +88,8 @@ class CameraKind(Protocol):
     ) -> Measurement:
         """Find the stars in a recording.
 
-        expected_grid: Predicts where the stars lie; used only if the tag does not label them.
-        motion: Whether to measure how far the stars moved, which takes twice as long as finding them.
+        ``expected_grid`` is used only if the tag does not label the stars. ``motion``: how far they moved is measured
+        too, which takes twice as long as finding them.
         """
         ...
 

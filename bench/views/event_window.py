@@ -60,13 +60,11 @@ def whole_image(
     one_phase: bool = True,
     compare_flicker: bool = True,
 ) -> WholeImage:
-    """Make the event image of whole flicker periods.
+    """Make the event image of whole flicker periods, of all that the recording holds where None.
 
-    periods: Number of whole flicker periods to use; None for all that the recording holds.
-    expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
-    facts: Changed in place: numbers about flicker and image are added.
-    one_phase: Whether the light of all pixels changes at the same moment, as that of a lamp does.
-    compare_flicker: Whether to add what the events alone tell about the flicker to the facts.
+    ``expected_hz`` is the nominal frequency of the flicker, None if unknown. Numbers about flicker and image are added
+    to ``facts``. ``one_phase``: the light of all pixels changes at the same moment, as that of a lamp does.
+    ``compare_flicker`` adds what the events alone tell about the flicker.
     """
     events, triggers, size, origin_us = data
     flicker = _flicker(triggers, (events.t, events.p), expected_hz)
@@ -82,10 +80,7 @@ def whole_image(
 
 
 def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
-    """Return the event image in which a board is searched, of all whole flicker periods of a recording.
-
-    image: Kind of event image, or ``auto``.
-    """
+    """Return the image, of a kind or ``auto``, to search for a board: all whole flicker periods of a recording."""
     events, triggers, size, _ = read_events(path)
     flicker = _flicker(triggers, (events.t, events.p), None)
     span_us = _span_us(events.t, triggers)

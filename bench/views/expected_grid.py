@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 def grid_from_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> ExpectedGrid:
     """Predict the grid of a recording from the accepted poses whose stars the tag labelled.
 
-    The prediction is that of `calib.stars.pointing.predict_grid`.
-
-    stored: Journal line of the recording; it holds the gimbal's angles.
-    Returns: Call it with the image size, px; it raises DegenerateViews if no prediction is possible.
+    The prediction is that of `calib.stars.pointing.predict_grid`, for an image size, px; `DegenerateViews` if none is
+    possible. ``stored`` is the journal line of the recording; it holds the gimbal's angles.
     """
     # Loaded here, because it needs OpenCV and numba, which a plan that reads angles does not.
     from calib.stars.pointing import LabelledView, predict_grid

@@ -51,9 +51,7 @@ class Gate:
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
-    """Judge a value that must not be below its limit.
-
-    unit: Unit of value and limit; empty for a pure number.
+    """Judge a value that must not be below its limit; the unit is empty for a pure number.
 
     >>> at_least("stars", 300, 40, "").verdict, at_least("stars", 42, 40, "").verdict, at_least("s", 9, 40, "").verdict
     ('pass', 'marginal', 'fail')
@@ -63,9 +61,7 @@ def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
 
 
 def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
-    """Judge a value that must not be above its limit.
-
-    unit: Unit of value and limit; empty for a pure number.
+    """Judge a value that must not be above its limit; the unit is empty for a pure number.
 
     >>> at_most("rate", 99, 100, "Mev/s").verdict, at_most("rate", 101, 100, "Mev/s").verdict
     ('marginal', 'fail')
@@ -77,11 +73,7 @@ def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
 def recording_gates(
     facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: MeasuredFacts, stars: int
 ) -> list[Gate]:
-    """Judge one recording by its numbers.
-
-    measured: Numbers measured in the recording (`bench.views.measure.measure`); what is absent or None is not
-      judged.
-    """
+    """Judge one recording by its numbers, as `bench.views.measure.measure` has them; None is not judged."""
     rate_mev_s = facts.events / facts.duration_s / 1e6 if facts.duration_s > 0 else 0.0
     judged = [
         at_least("stars", stars, gates.min_stars, ""),
@@ -147,11 +139,9 @@ def _in_phase(lag_periods: float) -> Gate:
 
 
 def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> list[Gate]:
-    """Judge a calibration by the limits of its solve step.
+    """Judge a calibration by the limits of its solve step, such as ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
 
-    limits: Largest value of each number, by name with unit: ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
-    found: Numbers by name without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is
-      absent.
+    ``found`` has the names without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is absent.
 
     >>> [gate.verdict for gate in solution_gates({"rms_px": 0.2, "sigma_fx_px": 3}, {"rms": 0.05, "sigma_fx": 2.8})]
     ['pass', 'marginal']

@@ -136,15 +136,12 @@ def measure(
     expected_grid: ExpectedGrid | None = None,
     motion: bool = True,
 ) -> Measurement:
-    """Read a recording and find the stars in it.
+    """Read a recording and find the stars in it; a file that cannot be read or shows no stars gives its fault.
 
-    periods: Number of whole flicker periods to use; None for all that the recording holds.
-    expected_grid: Predicts where the stars lie; used only if the tag does not label them.
-    motion: Whether to measure how far the stars moved from the first half of the recording to the second,
-      which takes twice as long as finding them. Without it, what else only gates and report need is left out
-      too: the image for people, the flicker by the events, and the width of the stars' edges. The view
-      depends on none of these.
-    Returns: Also if the file cannot be read or shows no stars; then it holds the fault.
+    ``periods`` None stands for all whole flicker periods. ``expected_grid`` is used only if the tag does not label the
+    stars. ``motion``: how far the stars moved from the first half of the recording to the second is measured, which
+    takes twice as long as finding them. Without it, what else only gates and report need is left out too: the image for
+    people, the flicker by the events, and the width of the stars' edges. The view depends on none of these.
     """
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
@@ -172,19 +169,12 @@ def find_stars(
     *,
     edge_width: bool = True,
 ) -> View:
-    """Detect and label the stars of an image, and find the rim of the beam in it.
+    """Detect and label the stars of an image, (H, W) of any numeric type, and find the rim of the beam in it.
 
-    The expected grid is used if the tag does not label the stars.
-
-    Four facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``,
-    the homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists,
-    ``expected_grid``, the one that was expected, and ``edge_width_px``, the blur of the stars' edges, px.
-
-    image: (H, W), any numeric dtype, grey values.
-    expected_grid: Predicts where the stars lie; None if no prediction is available.
-    edge_width: Whether to measure the width of the stars' edges.
-    Raises StarsUnnamed: If neither the tag nor the expected grid labels the stars.
-    Raises CalibrationError: If no stars are found.
+    The expected grid, if any, is used if the tag does not label the stars; if it does not either, `StarsUnnamed` is
+    raised. Four facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``, the
+    homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists, ``expected_grid``, the one that
+    was expected, and, with ``edge_width``, ``edge_width_px``, the blur of the stars' edges.
     """
     try:
         detection = detect_stars(image, target, name=name)
@@ -206,12 +196,10 @@ def find_stars(
 
 
 def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
-    """Count the recordings whose star edges run along the pixels, in an image of fired and silent pixels.
+    """Count the recordings, by facts of `measure`, whose star edges run along pixels that are fired or silent.
 
-    Such an edge crosses all pixels of a row at the same place, so the errors of neighbouring stars are
-    correlated. The covariance of a single star cannot express this (docs/stars.md).
-
-    facts: Facts of recordings, as `measure` returns them.
+    Such an edge crosses all pixels of a row at the same place, so the errors of neighbouring stars are correlated. The
+    covariance of a single star cannot express this (docs/stars.md).
     """
     return sum(
         edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
@@ -221,10 +209,9 @@ def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
 
 
 def edge_angle_deg(grid: NDArray[np.float64]) -> float:
-    """Return the angle between the star edges and the pixel rows or diagonals, whichever is smaller.
+    """Return the angle between the star edges and the pixel rows or diagonals, whichever is smaller: 0 to 22.5.
 
-    grid: (3, 3) float64, from [column row 1] to [u v 1] px.
-    Returns: Angle, degrees, 0 to 22.5.
+    ``grid`` is (3, 3), from [column row 1] to [u v 1] px.
 
     >>> half = np.radians(50)
     >>> edge_angle_deg(np.array([[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1]]))
@@ -237,11 +224,9 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
 
 
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
-    """Return the length of the stars' shift from the first half of a recording to the second.
+    """Return the length of the stars' shift between the halves of a recording, two (H, W) images; None if not shown.
 
-    halves: Images of the two halves, each (H, W), grey values.
-    facts: Facts of the whole recording; its ``grid`` labels the stars if the tag cannot.
-    Returns: Length, px; None if the halves do not show it.
+    The ``grid`` in the facts of the whole recording labels the stars if the tag cannot.
     """
     grid = np.array(facts["grid"])
     try:
@@ -264,11 +249,10 @@ MOST_SATURATED: Final = 0.001
 def measure_frames(
     path: Path, *, name: str, target: StarTarget, expected_grid: ExpectedGrid | None = None
 ) -> Measurement:
-    """Read the frames of a pose and find the stars in them.
+    """Read the frames of a pose and find the stars in them; a bad file, or one without stars, gives its fault.
 
-    expected_grid: Predicts where the stars lie; used only if the tag does not label them.
-    Returns: Also if the file cannot be read or shows no stars; then it holds the fault. Its facts are
-      ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
+    ``expected_grid`` is used only if the tag does not label the stars. The facts are ``image`` (``kind``, ``reason``,
+    ``pictures``), ``motion_px``, and those of `find_stars`.
     """
     facts: MeasuredFacts = {}
     image: StoredImage | None = None

@@ -49,10 +49,9 @@ _LEAST_APART_S = 0.1
 
 
 class MovingRecording:
-    """Pictures of one recording.
+    """Pictures of one recording, by a filter with a cutoff frequency, at ascending times after the first event.
 
-    cutoff_hz: Cutoff frequency of the filter, Hz.
-    at_s: Times of the pictures after the first event, s, ascending; None for at most 40 times, spread evenly.
+    ``at_s`` None stands for at most 40 times, spread evenly.
     """
 
     def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
@@ -173,11 +172,10 @@ def measure_board(
     periods: int | None,
     expected_hz: float | None,
 ) -> Measurement:
-    """Read a recording of events and find a board in it.
+    """Read a recording of events and find a board in it; a bad file, or one without a board, gives its fault.
 
-    image: Kind of event image, or ``auto``; blinking dots have their own.
-    periods: Number of whole flicker periods to use; None for all that the recording holds.
-    Returns: Also if the file cannot be read or shows no board; then it holds the fault.
+    ``image`` is a kind of event image, or ``auto``; blinking dots have their own. ``periods`` None stands for all whole
+    flicker periods.
     """
     facts: MeasuredFacts = {}
     stored: list[StoredImage] = []

@@ -65,9 +65,8 @@ def views_file(
 ) -> bytes:
     """Return views, residuals and images as an HDF5 file.
 
-    measurements: One for each pose, with a view; without an image if there is none, as for recalculated
-      results.
-    residuals_px: One array for each view, (N, 2) float64, px, star found minus star projected.
+    ``measurements`` has one for each pose, with a view; without an image if there is none, as for recalculated results.
+    ``residuals_px`` has (N, 2) for each view, star found minus star projected.
     """
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:

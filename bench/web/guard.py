@@ -62,11 +62,10 @@ class PageToken:
 def page_token(
     token_file: Path | None, *, none: bool = False, environ: Mapping[str, str] = os.environ
 ) -> PageToken | None:
-    """Return the token of the pages.
+    """Return the token of the pages, made now if nobody gives one; None if the pages need none.
 
-    Returns: The token, made now if nobody gives one; None if the pages need none.
-    Raises UsageError: If the file cannot be read, if others may read it, if the token is too short, or if a
-      file is named although no token is wanted.
+    Refused: a file that cannot be read or that others may read, a token that is too short, and a file where no token is
+    wanted.
     """
     if none:
         if token_file is not None:
@@ -102,9 +101,7 @@ def require_token(host: str, token: PageToken | None) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a name or an address means this computer only.
-
-    Returns: True for ``localhost``, 127.0.0.0/8 and ::1.
+    """Return whether a name or an address means this computer only: ``localhost``, 127.0.0.0/8 or ::1.
 
     >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
     (True, True, False)
@@ -120,9 +117,8 @@ def is_loopback(host: str) -> bool:
 def session_of(token: str) -> str:
     """Return what the browser keeps after a sign-in: it proves the token, and does not contain it.
 
-    It depends on the token alone, so that a browser stays signed in when the server is started again.
-
-    Returns: 64 hexadecimal digits, HMAC-SHA256 (RFC 2104).
+    It is HMAC-SHA256 (RFC 2104), 64 hexadecimal digits. It depends on the token alone, so that a browser stays signed
+    in when the server is started again.
     """
     return hmac.new(token.encode(), b"starbench page session", hashlib.sha256).hexdigest()
 

@@ -50,9 +50,7 @@ class Message:
     id: str = ""  # Id; empty if a reader that reconnects need not name this message
 
     def encoded(self) -> bytes:
-        r"""Return the bytes of the message.
-
-        Returns: UTF-8, with the empty line that ends the message.
+        r"""Return the bytes of the message, UTF-8, with the empty line that ends it.
 
         >>> Message("a\nb", "state", "7").encoded()
         b'id: 7\nevent: state\ndata: a\ndata: b\n\n'
@@ -78,11 +76,8 @@ class EventStream:
     """Response that sends messages until they end, the reader leaves, or the server closes.
 
     If the reader is slow, the source is asked for the next message only when the last one has gone; so a source that
-    tells the latest state leaves out what lies between.
-
-    messages: Source of the messages; closed at the end, so that its ``finally`` blocks run.
-    heartbeat_s: After this time without a message, an event ``beat`` is sent, s. It shows the page that the
-      link works.
+    tells the latest state leaves out what lies between. The source is closed at the end, so that its ``finally`` blocks
+    run. After ``heartbeat_s`` without a message, an event ``beat`` is sent, which shows the page that the link works.
     """
 
     def __init__(self, messages: AsyncIterator[Message], *, heartbeat_s: float = HEARTBEAT_S) -> None:
@@ -187,10 +182,9 @@ Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 def page_app(
     routes: Sequence[BaseRoute], *, assets: Path | None = None, lifespan: Lifespan | None = None
 ) -> Starlette:
-    """Make the application of a set of pages.
+    """Make the application of a set of pages, with the shared assets below ``/assets/``.
 
-    Returns: The application. The shared assets are below ``/assets/``. Every foreseen error becomes an answer
-      with ``{"error": {"kind", "what", "where", "remedy"}}``.
+    Every foreseen error becomes an answer with ``{"error": {"kind", "what", "where", "remedy"}}``.
     """
     mounts: list[BaseRoute] = []
     if assets is not None:

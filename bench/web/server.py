@@ -53,13 +53,10 @@ def serve_pages(
 ) -> None:
     """Serve pages until SIGINT, SIGTERM or SIGHUP. Only for the main thread.
 
-    port: Port; 0 for any free one.
-    token: Secret that a browser or program must have; None if none is needed.
-    announce: Called with the URL when the server accepts connections; by default it prints the URL.
-    Raises UsageError: If the port is in use, the address is not of this computer, or other computers could
-      use the pages without a token.
-    Raises KeyboardInterrupt: After the end by a signal, when everything is closed; the command line then
-      prints ``Stopped.``.
+    When everything is closed, `KeyboardInterrupt` is raised; the command line then prints ``Stopped.``. Port 0 is any
+    free one; ``token`` None: none is needed. ``announce`` is called with the URL when the server accepts connections;
+    by default it prints the URL. `UsageError`: the port is in use, the address is not of this computer, or other
+    computers could use the pages without a token.
     """
     server = PageServer(app, host=host, port=port, token=token)
 

@@ -98,8 +98,7 @@ def text_width(text: str, height: float) -> float:
 def text_rectangles(text: str, height: float) -> NDArray[np.float64]:
     """Return the rectangles of a text, with the upper left corner of its first letter at the origin, Y down.
 
-    Returns: (N, 4) float64, in the unit of the height: left, top, right, bottom of each rectangle; they do
-      not overlap.
+    (N, 4), in the unit of the height: left, top, right, bottom of each rectangle; they do not overlap.
     """
     cells = [
         (left + place * (COLUMNS + 1), row, right + place * (COLUMNS + 1), row + 1)
@@ -160,8 +159,8 @@ class Drawing:
 def draw_target(target: TargetConfig) -> Drawing:
     """Draw the reticle that a station describes.
 
-    Raises UsageError: If the serial number has letters that cannot be drawn, the marks do not fit into the
-      margin, or the pattern has too many parts for a file.
+    Letters of the serial number that cannot be drawn, marks that do not fit into the margin, and too many parts for a
+    file are refused.
     """
     pattern, negative = target.pattern(), target.polarity == "negative"
     if len(pattern.ids) * pattern.segments > 2 * _MOST_POLYGONS:

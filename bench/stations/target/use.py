@@ -66,10 +66,9 @@ class TargetUse:
 def optics_of(
     station: Station, *, focal_length_mm: float | None, r_mm: float | None, pixel_um: float | None
 ) -> Optics:
-    """Return lens, sensor and beam: as given, or else from sections ``expected`` and ``collimator`` of a station.
+    """Return lens, sensor and beam: as given, or else from ``expected`` and ``collimator`` of a station.
 
-    pixel_um: Side of a pixel; None: that of the IMX636.
-    Raises UsageError: If neither the options nor the station give a value.
+    ``pixel_um`` is the side of a pixel, None that of the IMX636. `UsageError`: a value is stated nowhere.
     """
     expected, collimator = station.expected, station.collimator
     certificate = collimator.certificate
@@ -95,12 +94,10 @@ def optics_of(
 
 
 def use_of(target: TargetConfig, optics: Optics) -> TargetUse:
-    """Return what a target is good for with a lens and a collimator.
+    """Return what a target, a section of a station, is good for with a lens and a collimator.
 
     A place X mm off the axis of the collimator is seen in the direction X / r, and lies f X / r px off the middle of
     the image (Hartley and Zisserman, 2004, section 6.1).
-
-    target: Section ``target`` of a station.
     """
     pattern = target.pattern()
     px_per_mm = optics.focal_px / optics.r_mm
