@@ -227,8 +227,7 @@ class _Unfolding:
         """Unfold an ``until``: the poses of its start, then rounds of choose, move, settle and record.
 
         There are rounds for all accepted recordings and all failed poses, so that steps and poses have numbers before
-        anything
-        is recorded; the run leaves out those it does not need.
+        anything is recorded; the run leaves out those it does not need.
         """
         starts = [] if given.start is None else self._places(given.start, (*path, "start"))
         if len(starts) > given.at_most:

@@ -157,7 +157,10 @@ class WaitStep:
 
 @dataclass(frozen=True)
 class PromptStep:
-    """Ask the operator; after ``timeout_s`` the default answer counts. Placements are numbered from 1; 0: none."""
+    """Ask the operator; after ``timeout_s`` the default answer counts.
+
+    ``placement`` is the number of the placement of a board for which it asks, from 1; 0 for another question.
+    """
 
     number: int
     where: str

@@ -51,10 +51,9 @@ def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
     """Replace values in a YAML document; without settings, ``data`` itself; else without the comments of the old one.
 
     Settings are YAML texts by path. Dots separate the keys of a path; list elements count from 0. Missing mappings on
-    the way
-    are created.
-    Raises DocumentFaults: If the document or a value is not plain YAML, or if a path leads through a value
-      that has no such part.
+    the way are created.
+    Raises DocumentFaults: If the document or a value is not plain YAML, or if a path leads through a value that has no
+      such part.
 
     Examples
     --------

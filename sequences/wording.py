@@ -57,7 +57,7 @@ def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> lis
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a sentence, after a space, with the known word most like an unknown one, or all; empty if none is known.
+    """Return a hint for an unknown word, after a space: the most similar known word, or all; empty without any.
 
     Examples
     --------

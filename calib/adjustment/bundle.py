@@ -69,8 +69,7 @@ class Bundle:
     ) -> ViewEquations:
         """Linearise the cost by Gauss and Newton (Triggs et al., 2000, section 4.3).
 
-        All stars must be in front of the camera. Normal matrices have the curvature of the robust cost if ``curved``,
-        else that of least squares.
+        All stars must be before the camera. ``curved``: with the curvature of the robust cost, not of least squares.
         """
         residuals = self.weighted_residuals(parameters)
         influence = residuals * loss.weights(lengths(residuals))[:, None]
@@ -228,8 +227,7 @@ class ViewEquations:
     def eliminated(self, damping: float = 0.0) -> ViewScores:
         """Eliminate the local parameters of each view by the Schur complement (Triggs et al., 2000, section 6.1).
 
-        ``damping`` is the share by which the diagonal of the local block grows (Marquardt, 1963).
-        Raises numpy.linalg.LinAlgError: If a view does not determine its local parameters.
+        The diagonal of the local block grows by the share ``damping`` (Marquardt, 1963). LinAlgError if it is singular.
         """
         count = self.count
         local = self.local * (1.0 + damping * np.eye(len(self.right[0]) - count))
@@ -246,8 +244,7 @@ class ViewEquations:
     def step(self, damping: float) -> tuple[Array, Array]:
         """Return the damped step (Marquardt, 1963) of the shared (G,) and of the local (n, L) parameters.
 
-        The reduced equations are scaled to a unit diagonal (van der Sluis, 1969).
-        Raises numpy.linalg.LinAlgError: If the equations are singular.
+        The reduced equations are scaled to a unit diagonal (van der Sluis, 1969). LinAlgError if they are singular.
         """
         views = self.eliminated(damping)
         diagonal = np.diagonal(self.normal, axis1=1, axis2=2)[:, : self.count].sum(axis=0)

@@ -43,8 +43,7 @@ def spherical_starts(
     """Yield starting values of the spherical model, the most reliable first.
 
     They are the linear solutions with a free and with a central principal point; for two views every real solution;
-    then
-    Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
+    then Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
     Sources: arXiv:2512.16092, eq. 5, for the spherical solutions; Zhang (2000), section 3.1, for Zhang's camera.
     ``homographies`` are (n, 3, 3), from `calib.model.homography.view_homography`.
     """

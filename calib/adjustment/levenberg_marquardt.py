@@ -51,8 +51,7 @@ def refine(
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
     It ends when the predicted reduction is below the share ``tolerance`` of the cost. ``converged`` is False if the
-    number
-    of steps was reached, or if a star cannot be projected at the start.
+    number of steps was reached, or if a star cannot be projected at the start.
     """
     with np.errstate(all="ignore"):  # a step may lead where nothing can be projected
         return _search(bundle, start, loss, max_iterations, tolerance)

@@ -17,8 +17,7 @@ class Loss:
     """A cost rho of the length e of a weighted residual, quadratic near zero.
 
     Above it is linear (huber) or logarithmic (cauchy); ``l2`` is e^2 / 2. Huber (1964) is the loss of arXiv:2512.16092,
-    eq. 7, divided by two. The loss leaves the parabola at
-    the length ``limit``, in standard deviations.
+    eq. 7, divided by two. The loss leaves the parabola at the length ``limit``, in standard deviations.
     """
 
     name: str
@@ -65,8 +64,7 @@ class Loss:
         """Return the (2, 2, N) square roots of the second derivatives of rho in the plane of (N, 2) residuals.
 
         The curvature is rho'' along the residual (zero where negative, so that every step descends) and rho' / e across
-        it:
-        Triggs et al. (2000), section 4.3, who also limit it where it is negative; the root is this project's own.
+        it: Triggs et al. (2000), section 4.3, who also limit it where it is negative; the root is this project's own.
         """
         away = lengths(residuals)
         ux, uy = residuals.T / np.maximum(away, np.finfo(float).tiny)

@@ -79,8 +79,7 @@ def detect_blinking_dots(
     """Detect blinking dots as a view; with one frequency a dot, half of the dots are enough.
 
     Events are (N,), in the order of their times, us; polarity 1 is ON. ``keep_image`` is called with the (H, W) image
-    of how
-    strongly each pixel blinks.
+    of how strongly each pixel blinks.
     Raises TooFewEvents: If the recording is too short for the slowest dot, or has no events.
     Raises FlickerNotFound: If nothing blinks, or at other frequencies.
     Raises TargetNotFound: If the dots do not form the board; says what was found instead.

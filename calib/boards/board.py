@@ -100,8 +100,7 @@ class Board:
         """Read a description such as ``checkerboard:11x7:20mm`` or ``blinking-dots:9x6:25mm@50-150Hz``.
 
         Kind, columns x rows of points, and their distance; for blinking dots also the frequencies of the first and of
-        the
-        last dot, between which the others are evenly spaced, row by row.
+        the last dot, between which the others are evenly spaced, row by row.
 
         Examples
         --------

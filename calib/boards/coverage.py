@@ -67,8 +67,7 @@ class Seen:
     def nearer_sides(self, board: Board) -> frozenset[str]:
         """Return which sides (left, right, upper, lower) of the board's image are nearer to the camera: larger.
 
-        Own estimate: the homography's change of scale from one side of the image to the other; it needs no focal
-          length.
+        Own estimate: the homography's change of scale from side to side of the image; it needs no focal length.
         """
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         back = np.linalg.inv(fit_homography(board.nodes.astype(np.float64), self.points_px))

@@ -55,8 +55,7 @@ def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view"
     """Detect the points of a board as a view, in the order of their ids, row by row, with covariances.
 
     The (H, W) image may be of any number type, and the board bright on dark or dark on bright. A board that looks the
-    same
-    after half a turn may be numbered from either end.
+    same after half a turn may be numbered from either end.
     Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
     """
     if image.ndim != 2 or image.size == 0:
@@ -102,7 +101,7 @@ def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View
 
 
 def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> Array:
-    """Find a board to about half a pixel: (N, 2) image points, px, row by row; the error says what was found instead.
+    """Find a board to about half a pixel: (N, 2) image points, px, row by row; else say what was found instead.
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
     """
@@ -154,8 +153,7 @@ def locate_points(
 ) -> tuple[Array, Array]:
     """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
 
-    ``coarse`` are (N, 2) places, px, of the points ``ids`` (None for all).
-    Returns: (N, 2) float64, px, nan where it failed; (N, 2, 2) float64, px^2, their covariances.
+    From ``coarse``, (N, 2) px, of ``ids`` (None: all), to (N, 2) px, nan where it failed, and covariances, px^2.
     """
     smoothed = smooth(image, _BLUR_PX)
     nodes = board.nodes if ids is None else board.nodes[ids]

@@ -25,8 +25,7 @@ def opencv_corners(
 ) -> View:
     """Find the corners of a checkerboard by OpenCV alone.
 
-    ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018). ``subpixel``: ``findChessboardCorners`` and
-    ``cornerSubPix``, the usual recipe.
+    ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018); else ``findChessboardCorners``, ``cornerSubPix``.
     """
     grey = to_uint8(np.nan_to_num(np.asarray(image, np.float32)))
     corners = find_board(grey, board, name=name) if finder == "sectors" else _by_subpixel(grey, board, name)

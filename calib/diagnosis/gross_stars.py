@@ -55,8 +55,7 @@ class GrossStars:
 def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
     """Find the gross errors of each view: stars whose point or id their neighbours on the target contradict.
 
-    The rule is `calib.model.local_consistency.contradicts_neighbours`.
-    Raises InputMismatch: If more than a fifth of the stars of a view have a gross error; names the view.
+    By `contradicts_neighbours`; `InputMismatch` names a view in which more than a fifth of the stars are wrong.
     """
     return tuple(_gross_stars(view) for view in views)
 

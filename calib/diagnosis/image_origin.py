@@ -62,8 +62,7 @@ def find_other_origins(
     Views join the shifted ones, one by one, as long as each lowers the squares of the linearised adjustment. The result
     counts if the common offset of the joined views is half a pixel within 3 sigma along both axes, and zero is 5 sigma
     away. One view alone is seldom enough, because its own rotation imitates a shift. Own procedure. It takes three or
-    more
-    views without gross errors, and a model with one centre. None if all agree, or if the views cannot decide.
+    more views without gross errors, and a model with one centre. None if all agree, or if the views cannot decide.
     """
     if len(views) < 3 or not np.isfinite(typical_noise_px(views)):
         return None

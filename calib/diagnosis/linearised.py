@@ -1,8 +1,7 @@
 """The joint adjustment linearised at its optimum: what an unexpected shift of one view does to the residuals.
 
 Only what a changed camera, centre or rotation cannot explain leaves a trace. It is linear algebra on a few stars of
-each
-view, so that hundreds of hypotheses cost no more than one step of an adjustment.
+each view, so that hundreds of hypotheses cost no more than one step of an adjustment.
 """
 
 from __future__ import annotations

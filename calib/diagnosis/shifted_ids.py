@@ -104,8 +104,7 @@ def find_shifted_ids(
 
     All shifts of one view by up to two columns and rows are judged by a linearised adjustment; the best are adjusted.
     The best is kept, and the search goes on with the next view, up to half of the views. Own procedure. None if the
-    views
-    agree, if no shift explains the residuals, if the stars lie on no lattice, or if all views have fewer than 8 stars.
+    views agree, if no shift explains the residuals, if the stars lie on no lattice, or if no view has 8 stars.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:

@@ -71,8 +71,7 @@ def accumulate(
     """Find the bursts in the period, and sum up the events of each pixel; return also the window of the ON burst.
 
     The phase 0 of the lock-in sum (synchronous detection; Meade, 1983) is that of the first Fourier coefficient: the ON
-    rate
-    minus the OFF rate of the whole image is largest there. Times are (N,), us, ascending, N >= 1; polarity 1 is ON.
+    rate minus the OFF rate of the whole image is largest there. Times are (N >= 1,) us, ascending; 1 is ON.
     """
     times = event_times(t, p)
     off_rate, on_rate = folded_rate(times, start_us, period_us)

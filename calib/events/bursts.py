@@ -39,8 +39,7 @@ def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float)
 
     The background is the lower quartile of the bins. A bin counts by what exceeds it by more than three standard
     deviations of a Poisson count. Own procedure: a bin of n events counts max(n - b - 3 b^(1/2), 0), with the
-    background b.
-    ``folded`` is a (FOLD_BINS,) row of `folded_rate`; times are in us.
+    background b. ``folded`` is a (FOLD_BINS,) row of `folded_rate`; times are in us.
     """
     background = np.percentile(folded, 25)
     excess = np.maximum(folded - background - 3.0 * np.sqrt(background), 0.0)
@@ -67,10 +66,8 @@ def whole_period_window(
     """Choose a window of whole periods within a recording: start and end, us, and number of periods.
 
     If the recording is longer, the window starts just before an edge of the light, so that it cuts no burst. Own rule:
-    as
-    many periods as fit, if up to `PERIOD_TOLERANCE` of a period may be missing. None for the window is from the first
-    to
-    the last event; None for ``periods`` is as many as it holds.
+    as many periods as fit, if up to `PERIOD_TOLERANCE` of a period may be missing. None for the window is from the
+    first to the last event; None for ``periods`` is as many as it holds.
     Raises TooFewEvents: If there are no events, or fewer periods than wanted.
     """
     if t.size == 0:

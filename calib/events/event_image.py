@@ -121,10 +121,8 @@ class EventImages:
         """Choose the kind of image in which stars are found best, by a lit pixel's events an edge; without hot pixels.
 
         Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on, fired-per-edge below. If the lines of a screen change one
-        after
-        the other (no ``one_phase``), the lock-in sum is smaller where they change early or late, and this slope
-        displaces edges:
-        count is used instead.
+        after the other (no ``one_phase``), the lock-in sum is smaller where they change early or late, and this slope
+        displaces edges: count is used instead.
         """
         rate = self.facts.events_per_edge
         if rate >= LOCK_IN_MIN_EVENTS and not one_phase:
@@ -145,8 +143,7 @@ class EventImages:
         """Return the (H, W) image of one kind, brighter where the target is brighter.
 
         Names: ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` and ``on-latency``. The latter is
-          1 minus
-        the latency in units of the burst's length, and 0 where no ON event came.
+        1 minus the latency in units of the burst's length, and 0 where no ON event came.
         """
         makers = {
             "last-polarity": lambda: self.last_polarity.astype(np.float32),
@@ -239,10 +236,7 @@ def make_images(
 
 
 def _hot_pixels(sums: PixelSums, edges: int) -> NDArray[np.bool_]:
-    """Find the pixels that fire far more often than their surroundings.
-
-    Own rule: more than 2.5 m + 4 + 2 E events, with the median m of the 5 x 5 pixels around and E edges.
-    """
+    """Find the pixels with more than 2.5 m + 4 + 2 E events (own rule): m the median of 5 x 5 pixels, E edges."""
     return hot_pixels(sums.on_count, sums.off_count, 4 + 2 * edges)
 
 

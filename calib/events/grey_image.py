@@ -19,8 +19,7 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     """Stretch an (H, W) image to 0..255 between its quantiles `CLIPPED_SHARE` and 1 - `CLIPPED_SHARE`.
 
     Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255. A nan counts as the darkest value; all are 0
-      if
-    the image is constant or holds no finite value.
+    if the image is constant or holds no finite value.
 
     Examples
     --------

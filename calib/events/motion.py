@@ -55,8 +55,8 @@ def motion_between(first: View, second: View) -> Motion:
     """Compare the stars that two views of one pose share, at least `MIN_COMMON`: the shift from first to second.
 
     Medians are used instead of means, so that single wrong stars do not matter. The median absolute deviation times
-    1.4826 is the standard deviation of normal noise (Rousseeuw and Croux, 1993); the median of normal noise is
-    sqrt(pi / 2) = 1.2533 times as uncertain as its mean (Huber, 1981).
+    1.4826 is the standard deviation of normal noise (Rousseeuw and Croux, 1993); the median of normal noise is sqrt(pi
+    / 2) = 1.2533 times as uncertain as its mean (Huber, 1981).
     """
     _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     if a.size < MIN_COMMON:

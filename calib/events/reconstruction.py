@@ -105,8 +105,7 @@ def reconstruct(
     """Yield pictures at ascending times, us, from a stream of events; only one piece of it is held at a time.
 
     Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations. Where a time steps back, the
-    event is
-    taken at the latest time before it. The filter as published is not ``two_sided``: it uses no later events.
+    event is taken at the latest time before it. The filter as published is not ``two_sided``: it uses no later events.
     """
     if any(later <= earlier for earlier, later in pairwise(at_us)):
         raise InputMismatch("The times of the pictures do not ascend.", where="reconstruction")

@@ -117,8 +117,7 @@ def hyperprior(parallax_sigma: float, known: Mapping[str, tuple[float, float]] |
     """Return the hyperprior.
 
     Half of ``parallax_sigma``, a share of r for large radial terms, is typical; ``known`` are medians and 1-sigma of
-    the
-    logarithm of amplitudes that a station states.
+    the logarithm of amplitudes that a station states.
     """
     names = tuple(name for family in FAMILIES for name in family.names)
     mean = np.log([median for family in FAMILIES for median in family.medians])

@@ -1,8 +1,7 @@
 """The uncertainty budget of the posterior: V = sum over groups V P_g V, exact at each sample of the amplitudes.
 
-P_g is the information of a group: stars, readings, a statement, a field. With x = V q for the gradient q of a
-quantity, x moves the own fields and rotations too; each group contributes x^T P_g x, and they add up to q^T V q. What
-the
+P_g is the information of a group: stars, readings, a statement, a field. With x = V q for the gradient q of a quantity,
+x moves the own fields and rotations too; each group contributes x^T P_g x, and they add up to q^T V q. What the
 samples' means differ is a row of its own.
 """
 

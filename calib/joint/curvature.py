@@ -85,8 +85,7 @@ def best_amplitudes(
     """Return the logarithms of the amplitudes of the largest posterior, from a start, and their solution.
 
     Steps of Newton with the expected curvature, halved while the value does not fall; each changes a logarithm by at
-    most
-    ``farthest``, and promises at least ``enough``. The equations must be solvable at the start.
+    most ``farthest``, and promises at least ``enough``. The equations must be solvable at the start.
     """
     bounds = np.array(marginal.problem.hyper.bounds).T
     low, high = np.maximum(bounds[0], eta - farthest), np.minimum(bounds[1], eta + farthest)

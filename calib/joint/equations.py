@@ -85,7 +85,7 @@ class ViewStars:
         return cls(view.target_mm, view.points_px, whitening, polynomials, rim, rho)
 
     def precision(self, rim_noise: float) -> Array:
-        """Return (N,) how precise the stars are, 1 in the disc's middle; ``rim_noise`` is the c of that at the rim."""
+        """Return (N,) how precise stars are, 1 in the disc's middle; ``rim_noise`` is the c of the noise at its rim."""
         return np.asarray(1.0 / (1.0 + (rim_noise * self.rho**_RIM_NOISE_POWER) ** 2))
 
 

@@ -21,8 +21,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
     """Return the root mean square residual of poses left out, of which only the rotation is adjusted, px.
 
     The other poses predict the shared unknowns (one step from the mode), and the left-out pose has no own field. None
-    with
-    fewer than three poses.
+    with fewer than three poses.
     """
     marginal, solution = optimum.marginal, optimum.solution
     bench, equations = marginal.problem.bench, marginal.equations

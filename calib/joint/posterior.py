@@ -142,7 +142,7 @@ class Posterior:
 
 
 def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
-    """Return a statement against the posterior without it; b has it, with the fault with which it entered."""
+    """Return what a statement says against the posterior without it; ``b`` includes it, with the given fault."""
     entered = np.linalg.inv(one.information(fault))
     left = entered - one.rows @ covariance @ one.rows.T  # covariance of stated minus estimated
     off = one.values - one.rows @ b

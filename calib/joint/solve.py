@@ -145,7 +145,7 @@ def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]
 def searched(
     marginal: Marginal, eta: Array, steps: int, farthest: float = np.inf, enough: float = ROUGH
 ) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start, and their solution, as `best_amplitudes`, or `NotConverged`."""
+    """Return the best amplitudes from a start, and their solution; `NotConverged` if it cannot be solved."""
     try:
         return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough)
     except np.linalg.LinAlgError as error:

@@ -43,7 +43,7 @@ class Boresight:
         return float(np.degrees(np.arctan2(x, z))), float(np.degrees(np.arctan2(y, z)))
 
     def angle_to(self, normal: Array, sigma_rad: float) -> tuple[float, float]:
-        """Return the angle, degrees, of the ray to a (3,) direction of the flange's frame, and its U.
+        """Return the angle of the ray to a (3,) direction of the flange's frame, and its expanded uncertainty, degrees.
 
         An angle near zero has no single gradient, so the larger uncertainty of the ray's two directions is taken.
         """

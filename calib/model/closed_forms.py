@@ -39,8 +39,7 @@ def linear_solution(
     """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5).
 
     It takes (n, 3, 3) homographies of `view_homography`; n >= 2, or n >= 3 with a free principal point, which is
-    otherwise
-    the image's centre. None with too few views, or if the camera is not real (a negative square; noise can cause this).
+    otherwise the image's centre. None with too few views, or if the camera is not real (a negative square, by noise).
     """
     if len(homographies) < (3 if free_principal_point else 2):
         return None

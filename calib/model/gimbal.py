@@ -62,8 +62,7 @@ class Gimbal:
         """Return how the head turns the camera, and about which axes, at (n, 3) readings of pan, tilt, roll.
 
         Returns: (n, 3, 3) rotations, camera <- base; (n, 3, 3) unit vectors of pan, tilt and roll, seen from the
-          camera, in the
-        columns; and (n, 3) that of the axis about which pan leans against a right angle with tilt.
+          camera, in the columns; and (n, 3) that of the axis about which pan leans against a right angle with tilt.
         """
         pan, tilt, roll, before_pan = self._turns(angles_deg)
         leaning = roll @ tilt
@@ -116,8 +115,8 @@ def mountings(rotations: Array, heads: Array) -> tuple[Array, Array]:
     """Return (P, 3, 3) mountings A and standings B that fit (n, 3, 3) rotations of views and head, some maybe equal.
 
     From several rolls of the mounting, and as many of a camera that looks backwards, which a wrong sign of an axis
-    imitates: alternating least squares, where with A known B is the mean of G^T A^T R (mean
-    of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
+    imitates: alternating least squares, where with A known B is the mean of G^T A^T R (mean of rotations: Markley et
+    al., 2007), then steps of Gauss and Newton on both. Own procedure.
     """
     back = np.swapaxes(heads, 1, 2)
     upright = np.array([euler_zxy(0.0, 0.0, float(roll)) for roll in _START_ROLLS_DEG])

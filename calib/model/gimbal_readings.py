@@ -28,8 +28,7 @@ class ParallaxBound:
 
     Defocus, dimensionless: when the camera moves across the beam by s, the pattern appears to move by -defocus s on the
     target. A target at the finite distance D has the defocus r / D; an ideal collimator has 0. Off pivot, mm, is how
-    far
-    the entrance pupil is in front of the pivot.
+    far the entrance pupil is in front of the pivot.
     """
 
     defocus: float
@@ -50,8 +49,7 @@ class ParallaxBound:
         """Return the expected displacement of the pattern per tangent of the turn, as a share of r, and its 1-sigma.
 
         The pupil moves across the beam by off_pivot times the tangent of the turn, and the pattern by -defocus times
-        that.
-        Uncertainty of a product of two independent quantities: Goodman (1960).
+        that. Uncertainty of a product of two independent quantities: Goodman (1960).
         """
         d, off = self.defocus, self.pupil_off_pivot_mm
         sigma = np.sqrt(
@@ -68,12 +66,10 @@ class GimbalReadings:
 
     angles_deg: For each view any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
     reading_sigma_deg: Wobble of the axes included. It holds for the rotation about every axis of the head, also about
-      one
-    that the gimbal does not have.
+      one that the gimbal does not have.
     scale_sigma: Of each axis's scale (true angle over reading).
     eccentricity_deg: Of the amplitude of the encoder's error of one period a turn; over a small range of angles it acts
-      as a
-    scale error.
+      as a scale error.
     parallax: What bounds it; None if nothing does. The readings are then compared with the result, but do not enter it.
     source: A certificate, a data sheet, a measurement.
     """

@@ -1,8 +1,7 @@
 """The homography of one view: from the target plane to the image, fitted to stars on both, without a camera.
 
 It ignores lens distortion, so it is only a starting value. Stars that contradict their neighbours would spoil it, so
-they
-are found here too (`gross_errors`).
+they are found here too (`gross_errors`).
 """
 
 from __future__ import annotations
@@ -72,8 +71,8 @@ def gross_errors(view: View) -> Bools:
     """Return which stars of a view have a gross error: a point or an id that the neighbours on the target contradict.
 
     The rule is that of `calib.model.local_consistency.contradicts_neighbours`. If a star contradicts its neighbours,
-    the homography is found again by the least median of squares (Rousseeuw, 1984), which up to half of the stars
-    cannot spoil, and the stars are tested again. All False for fewer than 8 stars. Errors as of `rough_homography`.
+    the homography is found again by the least median of squares (Rousseeuw, 1984), which up to half of the stars cannot
+    spoil, and the stars are tested again. All False for fewer than 8 stars. Errors as of `rough_homography`.
     """
     return view.remembered("homography", _fit_without_gross_errors)[1]
 

@@ -104,10 +104,10 @@ def contradicts_neighbours(
     and does not agree with it. Second: a local affine map of the neighbours, fitted robustly, predicts each star.
     Iteratively reweighted least squares with Tukey's biweight (Holland and Welsch, 1977), started from the median of
     the neighbours. The limit is the larger of `LIMIT_SIGMAS` robust standard deviations and `LIMIT_PX`. The deviations
-    are those of all stars or of the neighbours, whichever are larger. `LIMIT_PX` is enlarged by `_RIM_FACTOR` where
-    the neighbours lie on one side: at the rim of a real beam, aberrations move a star by up to 2 px against its
-    neighbours. A star that is stated to be noisier than the best stars has a wider limit. Own procedure.
-    ``target`` and ``sigmas`` may have any unit; ``mapped``, px, is by any smooth map that roughly fits.
+    are those of all stars or of the neighbours, whichever are larger. `LIMIT_PX` is enlarged by `_RIM_FACTOR` where the
+    neighbours lie on one side: at the rim of a real beam, aberrations move a star by up to 2 px against its neighbours.
+    A star that is stated to be noisier than the best stars has a wider limit. Own procedure. ``target`` and ``sigmas``
+    may have any unit; ``mapped``, px, is by any smooth map that roughly fits.
     """
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
@@ -139,9 +139,9 @@ def contradicts_neighbours(
 def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest | None = None) -> float:
     """Return the 1-sigma per axis, px, that neighbouring stars show, without any camera; NaN for fewer than 8.
 
-    The median of the distances between stars and local quadratic least squares predictions, over 1.1774 =
-    sqrt(2 ln 2), the median length of a two-dimensional vector of standard normal components. Own estimate.
-    The arrays are those of `contradicts_neighbours`.
+    The median of the distances between stars and local quadratic least squares predictions, over 1.1774 = sqrt(2 ln 2),
+    the median length of a two-dimensional vector of standard normal components. Own estimate. The arrays are those of
+    `contradicts_neighbours`.
     """
     if len(target) < MIN_STARS:
         return float("nan")

@@ -1,9 +1,8 @@
 """What the rims of the views say about their discs, linearised: information and right sides of normal equations.
 
 A view has the unknowns centre, mean radius and Fourier coefficients of its edge (`calib.model.rim_fit`). Bright points
-at
-the border of the frame say where the rim is not: they enter as Gaussian sites by expectation propagation (Minka, 2001).
-The module uses the views one by one; it knows nothing of what they have in common.
+at the border of the frame say where the rim is not: they enter as Gaussian sites by expectation propagation (Minka,
+2001). The module uses the views one by one; it knows nothing of what they have in common.
 """
 
 from __future__ import annotations
@@ -77,8 +76,8 @@ def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Arra
 
     Variance of a product of two Gaussian variables, as in the second-order filter (Bar-Shalom, Li and Kirubarajan,
     2001, section 10.3.2): to second order, a distance changes by s (w + k s / 2). Here s is the turn of the point's
-    direction as seen from the centre, w the change of the edge's slope, and k the curvature of the edge.
-    The unknowns have (V, P) means, mm, and (V, P, P) covariances.
+    direction as seen from the centre, w the change of the edge's slope, and k the curvature of the edge. The unknowns
+    have (V, P) means, mm, and (V, P, P) covariances.
     """
     found = []
     orders = np.arange(2, _ORDERS + 1)
@@ -119,8 +118,7 @@ def reweighted(
 
     The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
     sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981). ``evidence`` is
-    what the
-    points said with their last sigmas; the unknowns found have (V, P) means, mm, and (V, P, P) covariances.
+    what the points said with their last sigmas; the unknowns found have (V, P) means, mm, and (V, P, P) covariances.
     """
     off = []
     for own, mean in zip(points, means, strict=True):

@@ -145,8 +145,7 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach
     """Fit the discs of all views together; the head of the module gives model and sources.
 
     The points enter with weights of Huber (1981). ``looks_mm`` are the (V, 2) points of the target at which the camera
-    looks,
-    ``middle_mm`` is well inside the beam, and ``reach_mm`` a first guess of the radius.
+    looks, ``middle_mm`` is well inside the beam, and ``reach_mm`` a first guess of the radius.
     """
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]

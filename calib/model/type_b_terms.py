@@ -48,20 +48,15 @@ class TypeBTerm:
     """A type B term; its value is a half width in the unit of its kind, or `coverage_factor` sigmas if ``normal``.
 
     kind: What the term changes. ``print_scale``: relative error of the scale of the printed target. ``print_bow``:
-      height of
-    a bowed target, mm, at `radius_mm` from the collimator's axis (required). ``thermal``: relative thermal expansion of
-    the
-    target. ``effective_radius``: relative difference between the radius of a certificate, which holds on the axis, and
-    the
-    effective radius over the beam. ``collimator_thermal``: relative change of that radius with temperature.
-    ``wavefront``:
-    RMS error of the slope of the collimator's wavefront, urad.
+      height of a bowed target, mm, at `radius_mm` from the collimator's axis (required). ``thermal``: relative thermal
+      expansion of the target. ``effective_radius``: relative difference between the radius of a certificate, which
+      holds on the axis, and the effective radius over the beam. ``collimator_thermal``: relative change of that radius
+      with temperature. ``wavefront``: RMS error of the slope of the collimator's wavefront, urad.
     source: A certificate, a drawing, a data sheet, a measurement; required.
     degrees_of_freedom: Of the value; infinite if it is exactly known.
     correction: Known relative change, applied to the data before the fit; for the kinds in `SCALES` and `RADII`.
     correlation_mm: Distance on the target over which slopes of the wavefront are alike; None for half the radius of the
-      area
-    that the stars cover.
+      area that the stars cover.
     """
 
     name: str
@@ -118,10 +113,8 @@ class TypeBTerm:
         """Return the normal term of a thermal expansion, with the expected expansion as its correction.
 
         Product of a coefficient of expansion and a difference of temperatures, measured minus reference (JCGM 100:2008,
-        annex
-        H.1): its variance has the first-order terms and, since the difference may be zero, the product of both
-        variances.
-        ``thermal`` is of the target, ``collimator_thermal`` of the radius of a certificate.
+        annex H.1): its variance has the first-order terms and, since the difference may be zero, the product of both
+        variances. ``thermal`` is of the target, ``collimator_thermal`` of the radius of a certificate.
         """
         parts = (
             expansion_per_c * difference_sigma_c,

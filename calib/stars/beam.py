@@ -53,8 +53,7 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: floa
     """Find the disc of light in an image of any sharpness, as the head of the module says; a share of 0 without light.
 
     Circle: linear least squares (Kåsa, 1976); with a given radius, least squares of the distances (Gander, Golub &
-      Strebel,
-    1994). Below the brightness ``least`` of white print nothing counts as light.
+    Strebel, 1994). Below the brightness ``least`` of white print nothing counts as light.
     """
     values = np.nan_to_num(np.asarray(image, np.float32))
     scale = max(values.shape) / REDUCED

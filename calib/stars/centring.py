@@ -115,10 +115,8 @@ def refine_by_symmetry(
 
     The cost is that of Schöps et al. (2020), arXiv:1912.02908, with this project's own additions; the head of the
     module gives the equations. The image is smoothed; ``used_to``, (N, 2) pitches, is how far each star's cell is used
-    along
-    columns and rows. A centre that moves further than ``reach_px`` from its guess, px, or whose cell lies too far
-    outside
-    of the image, is nan and not converged.
+    along columns and rows. A centre that moves further than ``reach_px`` from its guess, px, or whose cell lies too far
+    outside of the image, is nan and not converged.
     """
     n = len(guesses)
     fit = SymmetryFit(

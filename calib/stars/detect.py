@@ -201,8 +201,7 @@ def refine_candidates(
 ) -> tuple[Candidates, SymmetryFit, LocalMap, bool]:
     """Refine at least `MIN_STARS` centres by symmetry with the view's smooth map, and leave out stars that fail a test.
 
-    The sign is +1 if white is bright; the samples are ``step_px`` apart. The last result: whether the image is out of
-    focus.
+    The sign is +1 if white is bright; samples are ``step_px`` apart; the last result: whether it is out of focus.
     """
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)

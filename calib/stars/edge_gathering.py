@@ -51,8 +51,7 @@ def gather_edge_pixels(
 
     Own derivation: a pixel at q belongs to the place s in the star with q = c + A s + B(s, s). It is found by s0 = A^-1
     (q - c) and then s = A^-1 (q - c - B(s0, s0)). Pixels as close to an open side (`calib.stars.open_sides`) as the
-    limit
-    of the edge map are left out. The levels are from `quantise`, the (N, 2) centres in px.
+    limit of the edge map are left out. The levels are from `quantise`, the (N, 2) centres in px.
     """
     linear = local_map.linear
     sides = 2.0 * SYMMETRY_REACH * np.abs(linear).sum(axis=(1, 2))

@@ -1,8 +1,7 @@
 """Pixels near the edges of stars: their levels of brightness, counted, and the scores of each star's unknowns.
 
 How many rounds are made, and how much weight an edge has, is decided in `calib.stars.likelihood`. All compiled
-functions
-of the likelihood are here, next to those that they call.
+functions of the likelihood are here, next to those that they call.
 """
 
 from __future__ import annotations

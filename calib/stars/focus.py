@@ -69,8 +69,7 @@ def edge_widths_px(
     """Measure the standard deviation of the edges' blur, px, of groups of stars, as `likelihood.edge_width_px`.
 
     None for fewer than `MIN_STARS_FOR_WIDTH` stars. The image is not smoothed; the (N, 2) centres are right to about
-    0.1 px;
-    a good ``start_px`` saves time.
+    0.1 px; a good ``start_px`` saves time.
     """
     enough = [number for number, group in enumerate(groups) if len(group) >= MIN_STARS_FOR_WIDTH]
     found: list[float | None] = [None] * len(groups)
@@ -94,8 +93,8 @@ def blur_circle(
     The print is blurred by circles of several diameters. For each, the pixels are sorted into groups of equal expected
     brightness. The best circle is the one whose groups explain most of the image's variance: the correlation ratio
     (Pearson, 1905), which needs no model of how brightness becomes a grey value or a number of events. Image
-    registration by it: Roche et al. (1998). The search over enlargements of the tag is this project's own.
-    The homography is from [column row 1] of the target's grid to [u v 1] px.
+    registration by it: Roche et al. (1998). The search over enlargements of the tag is this project's own. The
+    homography is from [column row 1] of the target's grid to [u v 1] px.
     """
     middle = np.array(target.tag_centre_mm) / target.pitch_mm
     steps = (np.arange(ALONG) + 0.5) / ALONG * 2.0 * COMPARED - COMPARED

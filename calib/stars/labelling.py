@@ -51,8 +51,7 @@ def grid_homography(
     """Return where a collimator's grid is in a camera's image, (3, 3) from [column row 1] to [u v 1] px.
 
     H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p, mm, rotation R, camera <- target,
-    and
-    centre c = (x, y, -r) of the spherical motion, mm. The distortion of the lens, a few pixels at most, is neglected.
+    and centre c = (x, y, -r) of the spherical motion, mm. Distortion, a few pixels at most, is neglected.
     """
     columns = np.column_stack([rotation[:, 0], rotation[:, 1], -rotation @ centre_mm])
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)

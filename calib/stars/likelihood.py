@@ -102,10 +102,8 @@ def refine_by_likelihood(
 
     Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
     likelihood, which is this project's own. The levels are those of the image before smoothing; the centres are right
-    to
-    about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
-    `calib.stars.open_sides`;
-    None if all stars lie between stars.
+    to about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
+    `calib.stars.open_sides`; None if all stars lie between stars.
     """
     pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
@@ -157,8 +155,7 @@ def edge_widths_px(
     """Measure the standard deviation of the blur, px, of several groups of stars, each as `edge_width_px` does.
 
     The blurred printed stars are shared by all groups, and kept for the next call with the same pitch. Each group has a
-    star
-    at least; None for the pitch takes it from ``local_map``, None for the start is the middle of `EDGE_WIDTHS_PX`.
+    star at least; None for the pitch takes it from ``local_map``, None for the start is the middle of `EDGE_WIDTHS_PX`.
     """
     pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
     maps = _kept_edge_maps(target, pitch)
@@ -179,8 +176,8 @@ def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the prior precision of the unknowns, (N, 5).
 
     Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy distribution
-    (Student's with one degree of freedom), by iteratively reweighted least squares: in two dimensions its weight is
-    3 / (s^2 + b^2) (Lange, Little and Taylor, 1989).
+    (Student's with one degree of freedom), by iteratively reweighted least squares: in two dimensions its weight is 3 /
+    (s^2 + b^2) (Lange, Little and Taylor, 1989).
     """
     prior = np.zeros_like(unknowns)
     prior[:, 2] = SHIFT_SIGMA**-2

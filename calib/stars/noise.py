@@ -60,8 +60,7 @@ def variance_factor(
 
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
     freedom. The result is the mean of those squares that are not far above it. This estimator is this project's own.
-    The
-    ``typical`` factor is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
+    The ``typical`` factor is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
     """
     residuals, covariances = stencil_residuals(nodes, points, nominal)
     count, total = 0.0, 0.0

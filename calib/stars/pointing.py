@@ -1,7 +1,7 @@
 """Prediction of the grid of stars from a reading of the gimbal, by earlier views whose stars the tag labelled.
 
-The prediction serves to label stars if the tag is out of view: no estimate of a camera depends on it. The
-module uses homographies and readings, no image and no stars. The grid is at
+The prediction serves to label stars if the tag is out of view: no estimate of a camera depends on it. The module uses
+homographies and readings, no image and no stars. The grid is at
 
     H = K [r1 r2 -R c] diag(p, p, 1),   R = A G B,
 

@@ -1,7 +1,7 @@
 """Stars for a live picture: the same search as `calib.stars.detect`, without likelihood and covariances.
 
-The centres are those of symmetry, refined once: good to some hundredths of a pixel if the image is in focus. Stars
-that cannot be identified have no ids. The module is for aiming and focusing only; no calibration uses it.
+The centres are those of symmetry, refined once: good to some hundredths of a pixel if the image is in focus. Stars that
+cannot be identified have no ids. The module is for aiming and focusing only; no calibration uses it.
 """
 
 from __future__ import annotations
@@ -102,8 +102,7 @@ def follow_stars(image: NDArray[np.generic], last: QuickStars, target: StarTarge
     Own procedure: the tag's modules must still agree with the print, nearly all stars must be found by symmetry and
     look like stars, and their typical shift must be small. So a camera that has turned is noticed, also by exactly one
     pitch. It takes a tenth of the time of `find_stars_quickly`. Stars that have come into view are not found. The
-    earlier
-    stars must have been in focus and labelled by the whole tag.
+    earlier stars must have been in focus and labelled by the whole tag.
     """
     if last.tag is None or last.blurred or last.local_map is None or len(last.points_px) < MIN_STARS:
         return None

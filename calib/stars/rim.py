@@ -74,8 +74,7 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
     """Find the rim of the beam in the image, of events or a photograph, in which the stars of a view were found.
 
     Points at which the light ends, and at which the frame ends inside the beam. None if the stars are too few for a
-    map, or
-    bright and dark print do not differ. Own procedure; the head of the module describes it.
+    map, or bright and dark print do not differ. Own procedure; the head of the module describes it.
     """
     try:
         mapped = _map_nodes(view, target)
@@ -211,8 +210,7 @@ def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
     """Fit a circle to the border between bright and dark cells; without a border, one about the bright samples.
 
     Linear least squares for x^2 + y^2 = 2 a x + 2 b y + c (Kåsa, 1976). The circle only divides the rim into sections:
-    if the
-    border is almost straight or curved the other way, it is one of twice the size of the bright part, on its side.
+    if the border is almost straight or curved the other way, it is twice as large as the bright part, on its side.
     """
     lit = samples.places_mm[samples.levels > 0.5]
     middle = lit.mean(axis=0)

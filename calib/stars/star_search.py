@@ -132,8 +132,8 @@ def search_stars(
     """Find the best place, px, of a star around each guess, in steps of one pixel, and its correlation, -1 to 1.
 
     Normalised cross-correlation (Lewis, 1995); nan if no place lies sufficiently inside the image, (H, W) float32,
-    smoothed.
-    Guesses (N, 2), px; linear maps (N, 2, 2), px per pitch; radii (N,), px; the sign is +1 if white is bright, else -1.
+    smoothed. Guesses (N, 2), px; linear maps (N, 2, 2), px per pitch; radii (N,), px; the sign is +1 if white is
+    bright, else -1.
     """
     n, samples = len(guesses), template.values.size
     best, score = np.empty((n, 2)), np.empty(n)

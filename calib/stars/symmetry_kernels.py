@@ -60,9 +60,8 @@ def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any,
     """Return an image, as a cubic B-spline of its pixels, and its derivatives along x and y, all float32.
 
     ``pixels`` are its rows, one after the other. The point lies ``a`` px to the right of and ``b`` px below pixel
-    number ``at``; ``width`` and ``at`` are int32. The point must be more than a pixel inside of the image.
-    The spline blurs a little more than bilinear interpolation, but it has no kinks at pixels; bilinear values would
-    pull edges
+    number ``at``; ``width`` and ``at`` are int32. The point must be more than a pixel inside of the image. The spline
+    blurs a little more than bilinear interpolation, but it has no kinks at pixels; bilinear values would pull edges
     that run along the pixel grid towards the grid. Unser (1999), with the pixels as coefficients.
     """
     wx, sx, wy, sy = _spline_weights(a), _spline_slopes(a), _spline_weights(b), _spline_slopes(b)

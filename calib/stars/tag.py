@@ -45,8 +45,7 @@ def find_tag(
 
     The detector (Garrido-Jurado et al., 2014; tags: Olson, 2011) gets the image reduced, blurred, unchanged and median
     filtered, until it finds the tag. With ``reduced_only`` it gets only the reduced pictures, which takes a fifth of
-    the time,
-    if the image is large enough for any; other tags in them are then no reason to refuse the image.
+    the time, if the image is large enough for any; other tags in them are then no reason to refuse the image.
     Raises TargetNotFound: If the image shows the tag more than once, or only another tag.
     """
     others: set[int] = set()

@@ -73,9 +73,9 @@ class StarTemplate(NamedTuple):
         """Learn from stars, right to a few px, what a star looks like in an image; None if the places show no stars.
 
         If the lens is out of focus and the image is black and white, white covers the middle of each star, and the
-        black segments are short. The sharp pattern then correlates badly and is best a pixel or two off the centre.
-        Own procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black
-        and white), as the print is. So the learnt pattern cannot move a centre. Linear maps are (N, 2, 2) px per pitch.
+        black segments are short. The sharp pattern then correlates badly and is best a pixel or two off the centre. Own
+        procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black and
+        white), as the print is. So the learnt pattern cannot move a centre. Linear maps are (N, 2, 2) px per pitch.
         """
         samples = _samples(image, centres, linear, self)
         samples = sign * samples[np.isfinite(samples).all(axis=1)]
@@ -185,10 +185,9 @@ def star_contrasts(
     """Return each star's correlation with its pattern, (N,) -1 to 1, and its contrast by octants, (N, OCTANTS).
 
     Correlation: Lewis (1995); nan if too much of the star lies outside of the image. Own contrast: mean of white minus
-      mean of
-    black in the outer part of each octant; an octant with more white than black, or one of them only, is compared with
-    the
-    mean of the star. Centres (N, 2), px; linear maps (N, 2, 2), px per pitch; the sign is +1 if white is bright.
+    mean of black in the outer part of each octant; an octant with more white than black, or one of them only, is
+    compared with the mean of the star. Centres (N, 2), px; linear maps (N, 2, 2), px per pitch; the sign is +1 if white
+    is bright.
     """
     n = len(centres)
     score, contrast = np.empty(n), np.empty((n, OCTANTS))

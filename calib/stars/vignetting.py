@@ -1,8 +1,8 @@
 """Vignetted stars: the outermost stars of the beam, and their larger uncertainty.
 
 At the rim of the beam the light falls off across a star, which moves its edges. The edges of all such stars move
-outwards. The covariances from a star's own pixels do not show this shift, and the focal length would absorb it.
-The module uses no images and no camera model.
+outwards. The covariances from a star's own pixels do not show this shift, and the focal length would absorb it. The
+module uses no images and no camera model.
 """
 
 from __future__ import annotations

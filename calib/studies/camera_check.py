@@ -106,8 +106,7 @@ def check_camera(
     """Compare the camera of new views with a stated one, both with the same image size.
 
     Covariances are in the order of `CameraModel.parameter_names`; None is exact. The generator draws the changes that
-    the
-    uncertainties allow; the factor k follows from their largest ones.
+    the uncertainties allow; the factor k follows from their largest ones.
     """
     if stated.image_size != found.image_size:
         sizes = [" x ".join(str(side) for side in one.image_size) for one in (stated, found)]

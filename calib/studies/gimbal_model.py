@@ -36,8 +36,7 @@ class GimbalModel:
     """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, and the errors of it that are estimated.
 
     A slip has the index of its axis and of the first pose after it; squareness is the error of the right angle of pan
-    and tilt;
-    smooth is an error of the rotations that is quadratic in the angles.
+    and tilt; smooth is an error of the rotations that is quadratic in the angles.
     """
 
     angles: Array
@@ -77,9 +76,8 @@ class GimbalModel:
     def heads(self, values: Array) -> tuple[Array, Array]:
         """Return the (n, 3, 3) rotations, head <- base, by readings and errors, and their (n, 3, d) derivatives.
 
-        The derivatives are rotation vectors about the head's axes.
-        The (p,) values are scales, slips, squareness and coefficients of the bends (rad); derivatives are by those
-        before these.
+        The derivatives are rotation vectors about the head's axes. The (p,) values are scales, slips, squareness and
+        coefficients of the bends (rad); derivatives are by those before these.
         """
         read, count = np.deg2rad(self.angles), len(self.free)
         turned = read.copy()
@@ -119,8 +117,7 @@ def pair_ratios(
 
     The ratio of each axis minimises the sum of the absolute differences of the angles (least absolute deviations, by
     iteratively reweighted least squares; Holland and Welsch, 1977). Rotations are camera <- target, covariances of
-    rotation
-    vectors (3 n, 3 n), rad^2; offsets are (s,) slips, rad.
+    rotation vectors (3 n, 3 n), rad^2; offsets are (s,) slips, rad.
     """
     i, j = np.triu_indices(len(rotations), 1)
     turns = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))

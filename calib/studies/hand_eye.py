@@ -102,9 +102,8 @@ def check_hand_eye(
     The unknown rotations and scales are estimated by generalised least squares. Robot-world and hand-eye equation:
     Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
     covariance: Paule and Mandel (1982). Rotations, covariance (of `Calibration.rotation_covariance`) and Birge ratio
-      are those
-    of a `Calibration`. ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the 1-sigma of
-    the scales.
+    are those of a `Calibration`. ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the
+    1-sigma of the scales.
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """

@@ -160,8 +160,7 @@ def global_fit(rotations: Array, model: GimbalModel, metric: Metric, values: Arr
     """Refine from all mountings that fit the rotations; return the minima that were found, by increasing chi-square.
 
     Minima with a scale below half or above twice its start are last, because a pan-tilt head with both A and the sign
-    of an
-    axis reversed gives the same rotations.
+    of an axis reversed gives the same rotations.
     """
     tried: list[Array] = []
     found = []

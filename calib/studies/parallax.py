@@ -115,8 +115,7 @@ class PupilWalk:
     def parallax(self, defocus: float, defocus_sigma: float, *, r_mm: float, fx_px: float) -> Parallax:
         """Return the parallax that follows from the collimator's defocus, dimensionless, and its standard uncertainty.
 
-        Product of two independent quantities: `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the
-        opposite share of fx.
+        Product as of `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the opposite share of fx.
         """
         bound = ParallaxBound(defocus, defocus_sigma, self.pupil_off_pivot_mm, self.sigma_mm)
         share, sigma = bound.mean_and_sigma(r_mm)

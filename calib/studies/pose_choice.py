@@ -46,8 +46,7 @@ def next_poses(
     """Return the poses that lower the worst projection uncertainty most, the best first, before a straight gimbal.
 
     The candidates, degrees, lie within the station's limits; those that show too little are skipped; each is chosen at
-    most
-    once.
+    most once.
     Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
     Raises DegenerateViews: If too few candidates show the target.
     """
@@ -61,8 +60,7 @@ def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
 
     Without three or more views turned about two axes, the camera is assumed to be mounted straight, and only the base
     is fitted: the mean of the rotations that the views give, projected on the rotations (Moakher, 2002). Without views,
-      the
-    gimbal stands straight before the target. Missing angles are zero.
+    the gimbal stands straight before the target. Missing angles are zero.
     """
     if not len(rotations):
         return Gimbal()
@@ -83,7 +81,7 @@ class WeighedPose:
 
 
 class PoseWeigher:
-    """Weighs possible poses against those recorded, not those that failed, with ``min_stars`` or more.
+    """Weighs possible poses, none that failed, against those recorded so far; each must show ``min_stars``.
 
     Uncertainties are those of the joint adjustment for the expected amplitudes, with camera and collimator of the last
     calibration, or the expected ones. The discount for neighbouring poses is this project's own.

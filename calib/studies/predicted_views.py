@@ -49,10 +49,8 @@ class CollimatorErrors:
 
     Root mean square lengths, px, star noise included, of errors that follow the collimator (0 for an ideal one), and of
     those that differ from pose to pose (0 if as small as those of a good collimator). The wander is a random
-    displacement of
-    the entrance pupil across the beam from pose to pose, 1 sigma per axis, mm (0 if a gimbal holds the camera). Defocus
-    as in
-    `calib.model.gimbal_readings.ParallaxBound`.
+    displacement of the entrance pupil across the beam from pose to pose, 1 sigma per axis, mm (0 if a gimbal holds the
+    camera). Defocus as in `calib.model.gimbal_readings.ParallaxBound`.
     """
 
     rms_px: float = 0.0

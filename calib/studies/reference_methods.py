@@ -87,8 +87,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
     """Calibrate by OpenCV's ``calibrateCamera`` (the method of Zhang, 2000), with the same distortion coefficients.
 
     A fisheye lens is calibrated by OpenCV's ``fisheye.calibrate``, which states no uncertainties. The mean residual and
-    that
-    of left-out views are those of Starbench's planar model, which has the same optimum.
+    that of left-out views are those of Starbench's planar model, which has the same optimum.
     Raises DegenerateViews: If OpenCV fails, or its result is not finite.
     Raises InputMismatch: If the options ask for skew, which OpenCV's model does not have.
     """

@@ -156,8 +156,8 @@ def through_collimator(
     """Estimate the rotation from all poses that both cameras saw, by generalised least squares.
 
     Aitken (1936), for the rotation vectors of R_second R_first^T. Both looked into one collimator: its centre and
-    radius are
-    the same unknowns, and what was known of them before counts once. ``stated`` is what other views say of each camera.
+    radius are the same unknowns, and what was known of them before counts once. ``stated`` is what other views say of
+    each camera.
     Raises DegenerateViews: If the calibrations have no view with the same name.
     Raises InputMismatch: If a stated camera contradicts the views.
     """

@@ -98,7 +98,7 @@ def _rms_left_out(
     without: Sequence[AdjustmentParameters],
     parameters: AdjustmentParameters,
 ) -> list[float]:
-    """Return the rms residuals, px, of each pose left out: of a view only the rotation is adjusted; of a board, all."""
+    """Return the rms residuals, px, of each pose left out, with its rotation (of a board: its pose) adjusted."""
     found = []
     for views, one in zip(poses, without, strict=True):
         others, by_hand = one, False

@@ -102,8 +102,7 @@ def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tupl
     """Return how image points over the sensor follow the camera's parameters, as `projection_uncertainty` uses it.
 
     Without the implied rotation: (P, 2) points, px, none beyond the fold of the distortion; (P, 2, K) derivatives, in
-      the
-    order of `CameraModel.parameter_names`.
+    the order of `CameraModel.parameter_names`.
     """
     pixels = sensor_grid(camera.image_size, points_across).reshape(-1, 2)
     left, _, _, seen = _without_turn(camera, pixels)
