@@ -41,10 +41,7 @@ T = TypeVar("T")
 
 
 class ReplyReader:
-    """Reads the reply to one request, whole within ``deadline_s``. A ``read_reply`` function gets it from the link.
-
-    This thread holds the line meanwhile.
-    """
+    """Reads the reply to one request, whole within ``deadline_s``, for ``read_reply``; this thread holds the line."""
 
     def __init__(self, link: Link, deadline_s: float) -> None:
         self._link = link

@@ -65,10 +65,7 @@ class RehearsedView:
 
 
 class RehearsedWorld:
-    """A simulated bench without its devices; of devices and pixels, only serial numbers are used.
-
-    `ConfigError` names a key that is unknown or not valid; there must be no board.
-    """
+    """A simulated bench without its devices (only serial numbers are used), and without a board."""
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
         self.night = _night(config.get("rehearsal", {}))
@@ -97,10 +94,7 @@ class RehearsedWorld:
         return replace(self._truth, camera=replace(camera, fx=camera.fx * stretch, fy=camera.fy * stretch))
 
     def truth_record(self, on_s: float) -> dict[str, Any]:
-        """Return the truth at a time as plain numbers, as ``truth.json`` of a simulated bench holds it.
-
-        Sections are dicts by parameter; focal lengths are those of the lens's focus.
-        """
+        """Return the truth at a time as ``truth.json`` holds it, with the focal lengths of the lens's focus."""
         return truth_record(self.truth(on_s))
 
     def record(self, angles_deg: Mapping[str, float], on_s: float, before: int) -> RehearsedView:

@@ -98,10 +98,7 @@ class Evk4Line:
             raise self._lost(f"{how}; {busy_text(late_s)}" if late_s else how, busy=late_s > 0)
 
     def receive(self) -> Frame | None:
-        """Wait a short time for the next frame: an answer or words; None if no frame is complete yet.
-
-        A fault that the camera itself reports is raised as `CameraError`.
-        """
+        """Wait shortly for the next answer or words, None if no frame is complete; raise the camera's own faults."""
         frame = self._take_frame()
         if frame is None:
             ready, _, _ = select.select([self._socket], [], [], POLL_S)

@@ -103,7 +103,7 @@ class Evt3Decoder:
         self._passing = empty_events(0)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Decode words, (N,) uint16, in pieces of at most ``max_events`` events, but at least 32.
+        """Decode words, (N,) uint16, in pieces of at most ``max_events`` events, of which 32 is the least.
 
         A malformed word raises `RecordingCorrupt` after the pieces before it.
         """

@@ -54,10 +54,7 @@ _BYTE, _EIGHT, _TWELVE = np.uint64(0xFF), np.uint64(8), np.uint64(12)
 
 @njit(**JIT)
 def max_event_count(words: Any) -> int:
-    """Return an upper bound of the number of events that (N,) uint16 words hold, without decoding them.
-
-    It is the number if all events have a time and a place; never too small.
-    """
+    """Return an upper bound of the number of events that (N,) uint16 words hold; never too small."""
     n = 0
     for k in range(len(words)):
         n += _MOST_EVENTS[words[k]]

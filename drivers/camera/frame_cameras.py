@@ -254,10 +254,7 @@ class OpenCvFrameCamera:
         return settings
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
-        """Take frames; see `FrameCamera.capture`.
-
-        Frames buffered from before are dropped; a repeated frame is refused.
-        """
+        """Take frames; see `FrameCamera.capture`. Older buffered ones are dropped, a repeated frame is refused."""
         self._stop_asked.clear()
         self._require_open()
         if self._network:

@@ -334,10 +334,7 @@ def _beside(clock: Clock, work: Callable[[], T]) -> T:
 
 
 def write_frames(path: Path, frames: Sequence[Frame]) -> int:
-    """Write frames, each (height, width) uint8 or uint16, at least one, as a new TIFF; return its length, bytes.
-
-    All have one size and bit depth; the path must not exist.
-    """
+    """Write one or more frames, (height, width) uint8 or uint16, all alike, as a new TIFF; return its length, bytes."""
     check_new(path)
     partial = path.with_name(f"{path.stem}.partial.tiff")
     import cv2

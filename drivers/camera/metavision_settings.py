@@ -70,10 +70,7 @@ def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
 
 
 def read_monitoring(device: Any, call: str) -> float | None:
-    """Read one number of the monitoring facility, by the name and in the unit of its method.
-
-    None if the device is closed (None), or the camera does not measure it or has failed to.
-    """
+    """Read a number of the monitoring facility, in its method's unit; None if closed, not measured, or failed."""
     monitoring = device.get_i_monitoring() if device is not None else None
     if monitoring is None:
         return None

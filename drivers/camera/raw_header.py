@@ -80,10 +80,7 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
 
 
 def header_fields(start: bytes) -> tuple[dict[str, str], int | None]:
-    """Read keys and texts of the lines ``% key value`` in the first 65536 bytes of a file.
-
-    The second result is the header's length, bytes; None if it does not end.
-    """
+    """Read lines ``% key value`` in a file's first 65536 bytes, and the header's length, None if it does not end."""
     fields: dict[str, str] = {}
     at = 0
     while start[at : at + 2] == b"% ":

@@ -81,10 +81,7 @@ class RecordedCamera:
         )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Accept settings that change nothing: no biases, the wanted state of the trigger input.
-
-        A bias other than 0, or a region of interest, is refused.
-        """
+        """Accept settings that change nothing; refuse a bias other than 0, or a region of interest."""
         refuse_roi(settings, self._where)
         if changed := sorted(name for name, value in settings.biases.items() if value):
             raise CameraSettingRefused(

@@ -302,10 +302,7 @@ class DynamixelBus(Link):
         return repeat(lambda: self._read_state(servo))
 
     def write_value(self, servo: int, address: int, data: bytes) -> None:
-        """Write a value; repeat it when no status packet comes, which does no harm.
-
-        Not a goal while the torque is on: see `move`.
-        """
+        """Write a value, again when no status packet comes; no goal while the torque is on: see `move`."""
         repeat(lambda: self._write(servo, address, data))
 
     def move(self, servo: int, goal: int) -> None:

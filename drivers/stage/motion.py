@@ -45,10 +45,7 @@ def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
 def longest_move_s(
     limits: Mapping[str, AxisLimits], from_deg: Mapping[str, float], to_deg: Mapping[str, float]
 ) -> float:
-    """Return the expected time, s, of a move in which the axes of ``to_deg`` start together: the slowest one's.
-
-    It is 0 when no axis moves.
-    """
+    """Return the expected time, s, of a move of the axes of ``to_deg`` at once: the slowest one's, 0 without any."""
     return max((move_time_s(limits[axis], from_deg[axis], to_deg[axis]) for axis in to_deg), default=0.0)
 
 

@@ -68,10 +68,7 @@ class ZaberChain(Link):
         return reply
 
     def query(self, device: int, axis: int, words: str) -> Reply:
-        """Send a command that does no harm twice, until its reply is valid; return the reply that accepts it.
-
-        The arguments are those of ``command``.
-        """
+        """Send a command (see ``command``) that does no harm twice, until its reply is valid; return that reply."""
         return repeat(lambda: self.command(device, axis, words))
 
     def query_integer(self, device: int, axis: int, words: str) -> int:

@@ -273,10 +273,7 @@ def has_many_lights(truth: Truth) -> bool:
 
 
 def images_of_lights(truth: Truth, angles_deg: Mapping[Any, float]) -> list[ImageOfLight]:
-    """Return the images of all lights in view of the board, or of both boards.
-
-    A pixel belongs to one light at most: to that of the nearer dot.
-    """
+    """Return the images of all lights in view of the boards; a pixel belongs to one at most, that of the nearer dot."""
     flickers = is_flickering(truth.board, view_of(truth.board, truth.target))
     boards = placed_boards(truth, angles_deg)
     if truth.board.blinks:

@@ -44,10 +44,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 
 
 def still_picture(truth: Truth, angles_deg: Mapping[Any, float]) -> NDArray[np.float32]:
-    """Return the `picture` of a camera that stands still, shared: do not change it.
-
-    The last two are kept, as one pose is recorded often.
-    """
+    """Return the `picture` of a camera that stands still; the last two are kept and shared, so do not change it."""
     return _kept_picture(truth, tuple(sorted(angles_deg.items())))
 
 

@@ -43,10 +43,7 @@ THINNEST_THRESHOLD: Final = 0.2
 def make_pixels(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
 ) -> Pixels:
-    """Return pixels with the thresholds of a camera, without light and without requests.
-
-    Padding pixels, up to whole blocks, never request.
-    """
+    """Return a camera's pixels, without light or requests; padding pixels, up to whole blocks, never request."""
     blocks = -(-width // BLOCK)
     shape = (height, blocks * BLOCK)
     cell = np.zeros((*shape, sensor_state.N_CELL), np.float32)
@@ -275,10 +272,7 @@ class Sensor:
 
 
 class _Output:
-    """Arrays that events are written to; they grow in place, so that no event is ever held twice.
-
-    If events are not kept, they are overwritten.
-    """
+    """Arrays that events are written to; they grow in place, or are overwritten if events are not kept."""
 
     def __init__(self, room: int, *, keep: bool = True) -> None:
         self.n = 0

@@ -64,10 +64,7 @@ class Unit(ABC):
 
 
 class Controller(Unit):
-    """A controller with a line of its own, as a dialect of that line.
-
-    After a silence of ``byte_timeout_s`` the beginning of a message is dropped.
-    """
+    """A controller with a line of its own, as its dialect; half a message is dropped after ``byte_timeout_s``."""
 
     def __init__(
         self,

@@ -98,10 +98,7 @@ class GimbalTruth(Section):
     seed: Count = 0  # Seed of the phases, the wobble and the readings' errors; 0: the bench's seed
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all errors by name (``scale`` and ``backlash_deg`` by axis), the random numbers and the law.
-
-        It is a section of ``truth.json``.
-        """
+        """Return errors by name (``scale``, ``backlash_deg`` by axis), random numbers and law, for ``truth.json``."""
         return {
             "wobble_deg": self.wobble_deg,
             "eccentricity_deg": self.eccentricity_deg,

@@ -160,10 +160,7 @@ class MotorTrajectory:
 
 
 def _time_to(position: float, piece: Piece) -> float:
-    """Return the earliest time after a piece's start at which it passes a position, which it must do.
-
-    It is 0 if the piece starts beyond it.
-    """
+    """Return when, at the earliest, a piece passes a position, as it must; 0 if it starts beyond it."""
     distance, v, a = position - piece.position, piece.velocity, piece.acceleration
     side = math.copysign(1.0, v if v != 0.0 else a)
     root = math.sqrt(max(0.0, v * v + 2.0 * a * distance))

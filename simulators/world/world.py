@@ -77,10 +77,7 @@ class SyncLine:
 
 
 def _noise(numbers: IntArray) -> NDArray[np.float64]:
-    """Return a fixed pseudo-random value for each number, uniform in -1 to 1.
-
-    The finaliser of SplitMix64 (Steele, Lea and Flood 2014).
-    """
+    """Return a fixed pseudo-random value in -1 to 1 for each number: SplitMix64 (Steele, Lea and Flood 2014)."""
     z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -323,10 +320,7 @@ class World:
             return all(h.at(t_s).settled_from_s <= t_s for h in self._axes.values())
 
     def resting_microsteps(self, t_s: float) -> Mapping[AxisName, int]:
-        """Return where each axis that was set rests, or will rest, by its motion at a time: microsteps, by name.
-
-        The order is alphabetical.
-        """
+        """Return where each axis that was set rests, or will rest, by its motion at a time, in the order of names."""
         with self._lock:
             return {name: h.at(t_s).microsteps for name, h in sorted(self._axes.items())}
 

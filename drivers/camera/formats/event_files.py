@@ -137,10 +137,7 @@ def _attributes(recording: RawFile) -> Mapping[str, str]:
 
 
 def _in_chunks(recording: RawFile, triggers: list[Triggers], *, size: int = CHUNK_EVENTS) -> Iterator[Events]:
-    """Yield events in pieces of exactly ``size`` (the last may be shorter); append the triggers met to the list.
-
-    All pieces are views of the same arrays.
-    """
+    """Yield events in pieces of ``size`` (the last may be shorter), views of the same arrays; append the triggers."""
     whole = empty_events(size)
     filled = 0
     for events, edges in recording.pieces():

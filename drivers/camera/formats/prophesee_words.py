@@ -35,10 +35,7 @@ _SIZES: Final = {"49": (1280, 720), "48": (1280, 720), "42": (1280, 720), "21": 
 
 
 def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
-    """Read the header in a file's first 65536 bytes: keys in small letters, and the header's length, bytes.
-
-    A header without an end raises `ValueError`.
-    """
+    """Read the header in a file's first 65536 bytes: keys in small letters, and its length, bytes, if it ends."""
     fields, size_bytes = raw_header.header_fields(start)
     if size_bytes is None:
         raise ValueError(f"its header does not end within {MAX_HEADER_BYTES} bytes")
