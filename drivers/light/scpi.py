@@ -5,10 +5,11 @@ nothing. Generators of several makes have different commands:
 
 ``keysight``: 33220A, 33250A and compatible generators, with one channel without a number. (Not the 33120A, which has
 neither levels nor an output switch.) Source: "Agilent 33220A 20 MHz Function/Arbitrary Waveform Generator User's
-Guide", chapter "Remote Interface Reference". ``numbered``: channels with a number, ``SOUR1:`` and ``OUTP1``: Keysight
-33500B, Rigol DG. (Not Tektronix AFG, which has a duty cycle for pulses only.) Source: Keysight, "33500B Series:
-Operating and Service Guide". ``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``. Source: Siglent,
-"SDG Series Programming Guide".
+Guide", chapter "Remote Interface Reference".
+``numbered``: channels with a number, ``SOUR1:`` and ``OUTP1``: Keysight 33500B, Rigol DG. (Not Tektronix AFG, which has
+a duty cycle for pulses only.) Source: Keysight, "33500B Series: Operating and Service Guide".
+``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``. Source: Siglent, "SDG Series Programming
+Guide".
 """
 
 from __future__ import annotations
