@@ -63,8 +63,7 @@ def read_document(
 ) -> Located[Model]:
     """Read and check a YAML file; settings (`sequences.settings`) replace values of the returned text.
 
-    Raises DocumentFaults: With every fault found: a file that cannot be opened, text that is not plain YAML, values
-      that the model refuses.
+    Raises DocumentFaults: With every fault: a file that does not open, no plain YAML, values that the model refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
     read = check_document(data, file_with_settings(str(path), settings or {}), model)

@@ -93,8 +93,7 @@ class Bundle:
     def _derivatives(self, parameters: AdjustmentParameters) -> Array:
         """Return the (G + L, 2, N) derivatives of the weighted image points, one row of stars for each.
 
-        Own derivation, by the chain rule: a rotation t on the camera's side moves P by t x P, and a shift s of the
-        centre moves it by -R s.
+        Own, by the chain rule: a rotation t on the camera's side moves P by t x P, a shift s of the centre by -R s.
         """
         obs, points = self.observations, self._in_camera(parameters)
         _, by_point, by_camera = parameters.camera.project_with_jacobians(points.T)

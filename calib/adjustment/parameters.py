@@ -44,8 +44,7 @@ class AdjustmentParameters:
         """Return the parameters after a step: (G,) increments of the shared ones, and local ones of each view.
 
         A rotation is updated by a small rotation about itself, R <- exp([t]x) R, as Triggs et al. (2000) recommend.
-        ``local`` is (n, 3) rotation vectors, rad, on the camera's side; or (n, 6), followed by shifts of each view's
-        centre, mm.
+        ``local`` is (n, 3) rotation vectors, rad, on the camera's side; or (n, 6), with shifts of the centres, mm.
         """
         known = {**self.camera.to_dict(), **self.collimator.to_dict()}
         for name, step in zip(names, shared.tolist(), strict=True):

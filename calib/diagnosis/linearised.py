@@ -22,8 +22,7 @@ Array = NDArray[np.float64]
 class ShiftEquations:
     """The cost of an adjustment as a function of a shift of each of n views, everything else adjusted to it.
 
-    If view i is shifted by s_i, the sum of squares is ``squares - 2 sum_i gradient_i s_i + sum_ij s_i information_ij
-    s_j``, in weighted residuals.
+    Sum of squares, weighted, for shifts s_i: ``squares - 2 sum_i gradient_i s_i + sum_ij s_i information_ij s_j``.
     """
 
     squares: float  # Sum of the squared weighted residuals without shifts

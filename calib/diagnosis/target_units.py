@@ -45,9 +45,8 @@ def check_target_units(
 ) -> TargetUnits | None:
     """Look for a wrong unit of the target positions; None if nothing is implausible, which is no proof of the unit.
 
-    ``r_mm`` is the radius from an adjustment in which it was free; without it, a closed form is compared with a known
-    radius. ``known_r_mm`` is from a passport, a certificate or a data sheet; without it, only implausible numbers
-    count.
+    ``r_mm`` is the radius from an adjustment in which it was free; without it, a closed form is compared.
+    ``known_r_mm`` is from a passport, a certificate or a data sheet; without it, only implausible numbers count.
     """
     tolerance = _TOLERANCE_ADJUSTED
     if r_mm is None and known_r_mm is not None:

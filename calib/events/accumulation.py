@@ -102,8 +102,7 @@ def _add_events(
     """Add every event to all sums, which are flat; what depends on the time alone is computed once for each time.
 
     Whether an event is the first of its burst is added as 0 or 1: a branch would be foreseen wrongly too often, and the
-    loop would take four times as long. The head of `calib.events.event_image` gives the equations; lock-in: Meade
-    (1983).
+    loop would take four times as long. Equations: head of `calib.events.event_image`; lock-in: Meade (1983).
     """
     # In variables of their own: the compiled loop would load their addresses from the tuple for every event.
     on_count, off_count, on_seen, off_seen, on_latency, lock_in, on_fired, off_fired, last_polarity = sums

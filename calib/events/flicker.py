@@ -277,8 +277,7 @@ def _check_expected(period_us: float, expected_hz: float | None) -> None:
 def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[float, float]) -> float:
     """Return the flicker's frequency, Hz, from the (2, bins) numbers of ON and OFF events.
 
-    The power is divided by the number of events: its mean is 1 for events at random times. This is half the power of
-    Leahy et al. (1983).
+    The power is divided by the number of events: mean 1 for random times, half that of Leahy et al. (1983).
     """
     bins = rates.shape[1]
     span_s = bins * bin_us * 1e-6
@@ -313,8 +312,7 @@ def _harmonic_power(
 ) -> NDArray[np.float64]:
     """Return the sum of the powers of the first harmonics of each frequency, (frequencies,).
 
-    For binned times, this is the Z^2_n statistic of Buccheri et al. (1983) up to a factor, added over ON and OFF
-    events.
+    Up to a factor the Z^2_n statistic of Buccheri et al. (1983) for binned times, added over ON and OFF events.
     """
     times = np.arange(rates.shape[1]) * (bin_us * 1e-6)
     power = np.zeros(frequencies_hz.size)

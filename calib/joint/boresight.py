@@ -24,8 +24,7 @@ _UNDETERMINED = 0.05
 def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> Boresight | None:
     """Return the mounting with its uncertainty.
 
-    None without readings, if they do not determine it, or if by them the camera looks backwards (wrong sign of an
-    axis).
+    None if no readings determine it, or if by them the camera looks backwards, as by the wrong sign of an axis.
     """
     if gimbal is None:
         return None

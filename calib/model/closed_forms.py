@@ -89,8 +89,7 @@ def _solution_from_entries(
 ) -> ClosedFormSolution | None:
     """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real.
 
-    Own, of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2 and fy^2 = w22 - w23^2 with W = K K^T; r^2 is a mean of two
-    values.
+    Own, of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2, fy^2 = w22 - w23^2 with W = K K^T; r^2 is the mean of two.
     """
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
     squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
@@ -176,8 +175,7 @@ def zhang_matrix(
     """Solve for the (3, 3) camera matrix, px, from the homographies of all views, with zero skew.
 
     With w = K^-T K^-1, each view gives h1^T w h2 = 0 and h1^T w h1 = h2^T w h2: Zhang (2000), eqs. 3 and 4 and section
-    3.1. A principal point that is not free is the image's centre. None if the views do not determine it (frontal,
-    noise).
+    3.1. A principal point that is not free is the image's centre. None if frontal views or noise do not allow it.
     """
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)

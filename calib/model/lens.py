@@ -46,8 +46,7 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     """Distort normalised points as `distort`, and return the derivatives (own; by the product and the chain rule).
 
     The K coefficients may have other names beside, which change nothing: the skew belongs to the camera matrix.
-    Returns: (N, 2) points; derivatives by the points, (N, 2, 2), and by the named coefficients, (N, 2, K), 0 for
-      others.
+    Returns: (N, 2) points; derivatives by the points, (N, 2, 2), and by the coefficients, (N, 2, K), 0 for others.
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
@@ -101,8 +100,7 @@ def _bent(x: Array, y: Array, r2: Array, radial: Array, k: Array) -> Array:
 def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
     """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Own derivatives of `_brown`: Brown (1971), with OpenCV's rational radial factor. In memory each derivative is one
-    contiguous row over the points.
+    Own derivatives of `_brown`. In memory each derivative is one contiguous row over the points.
     """
     x, y = np.ascontiguousarray(points.T)
     r2, _, denominator, radial = _radial_terms(x, y, k)

@@ -140,8 +140,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     """Return the 1-sigma per axis, px, that neighbouring stars show, without any camera; NaN for fewer than 8.
 
     The median of the distances between stars and local quadratic least squares predictions, over 1.1774 = sqrt(2 ln 2),
-    the median length of a two-dimensional vector of standard normal components. Own estimate. The arrays are those of
-    `contradicts_neighbours`.
+    the median length of a two-dimensional standard normal vector. Own estimate. Arrays as of `contradicts_neighbours`.
     """
     if len(target) < MIN_STARS:
         return float("nan")

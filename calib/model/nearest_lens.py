@@ -15,8 +15,7 @@ _POINTS_ACROSS = 33
 def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel, float]:
     """Fit a camera with only the given coefficients; return it, and its largest difference over the sensor, px.
 
-    Gauss-Newton over a grid of image points with equal weights; focal lengths and principal point are free, and the
-    axes stay those of the camera.
+    Gauss-Newton over a grid of equal weights; focal lengths and principal point are free, the axes stay.
     """
     width, height = camera.image_size
     across = np.linspace(0, width - 1, _POINTS_ACROSS), np.linspace(0, height - 1, _POINTS_ACROSS)

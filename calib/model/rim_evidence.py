@@ -152,8 +152,7 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     """Return better Gaussian sites for (L, 2) bright points, mm, each a factor Phi((rim - point) / sigma), damped.
 
     Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
-    and Williams (2006), section 3.6. Mean and covariance, (P,) and (P, P), are with these sites; ``about`` is where the
-    distances are linearised.
+    and Williams (2006), section 3.6. The (P,) mean is with these sites; distances are linearised at ``about``.
     """
     design, distance = _linearised(bright, about)
     gap = design @ mean - distance

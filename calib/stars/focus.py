@@ -68,8 +68,7 @@ def edge_widths_px(
 ) -> list[float | None]:
     """Measure the standard deviation of the edges' blur, px, of groups of stars, as `likelihood.edge_width_px`.
 
-    None for fewer than `MIN_STARS_FOR_WIDTH` stars. The image is not smoothed; the (N, 2) centres are right to about
-    0.1 px; a good ``start_px`` saves time.
+    None for fewer than `MIN_STARS_FOR_WIDTH` stars. The image is not smoothed; centres are right to about 0.1 px.
     """
     enough = [number for number, group in enumerate(groups) if len(group) >= MIN_STARS_FOR_WIDTH]
     found: list[float | None] = [None] * len(groups)

@@ -115,8 +115,7 @@ def fit_grid_map(
 
     The scale of the residuals is the median length over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional
     vector of standard normal components. Own procedure: linear least squares, repeated without the stars beyond
-    `OUTLIER_SIGMAS`; sigma is enlarged by (1 - terms / stars)^(-1/2) for the terms fitted. The grid is in pitches; N >=
-    4 and not on a line, or `TooFewStars`.
+    `OUTLIER_SIGMAS`; sigma is enlarged by (1 - terms / stars)^(-1/2). The grid, N >= 4 pitches, is not on a line.
     """
     centre = grid.mean(axis=0)
     scale = float(max(np.abs(grid - centre).max(), 1.0))

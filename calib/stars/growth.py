@@ -1,8 +1,7 @@
 """From the first stars to all: growth over the grid, where the stars found predict their neighbours.
 
-The module decides the order in which nodes are searched. `calib.stars.template` recognises a star,
-`calib.stars.grid_map` predicts its place. Growth from the tag outwards is that of Schöps et al. (2020),
-arXiv:1912.02908.
+The module decides the order of the search (outwards: Schöps et al., 2020, arXiv:1912.02908). `calib.stars.template`
+recognises a star, `calib.stars.grid_map` predicts its place.
 """
 
 from __future__ import annotations
@@ -93,8 +92,8 @@ def grow_star_grid(
 
     Growth of this kind is that of Schöps et al. (2020), arXiv:1912.02908. If the stars correlate badly with the sharp
     pattern, the pattern is learnt from the image, and growth starts again with it; the larger result is used. Stars are
-    located to about half a pixel, to two if they are out of focus. The image is smoothed; ``exists`` tells of (N, 2)
-    nodes whether each may have a star.
+    located to half a pixel, to two if out of focus. The image is smoothed; ``exists`` tells which (N, 2) nodes may be
+    stars.
     """
     grown, scores = _grow(image, start, StarTemplate.of(segments, SEARCH_RADII), exists)
     if scores and np.median(scores) >= SHARP_CORRELATION:

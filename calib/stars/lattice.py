@@ -55,11 +55,11 @@ class _Candidates(NamedTuple):
 
 
 def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | None:
-    """Find a star with neighbours on all four sides, at either contrast; None if there is none.
+    """Find a star with neighbours on all four sides, at either contrast, in a smoothed image; None if there is none.
 
-    The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square of neighbours is
-    this project's own. The grid is relative: node (0, 0) is the star found, and the directions are those of the target
-    up to quarter turns. The image is smoothed.
+    The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square is own. The grid
+    is
+    relative: node (0, 0) is the star found, and the directions are those of the target up to quarter turns.
     """
     for found in _candidates_by_pitch(image, segments):
         # Stars respond more strongly than the corners of their cells, but not in all kinds of image.

@@ -124,8 +124,8 @@ def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, s
     """Fit a logistic fall of the level in each section: its place and its slope along the rim; and one width for all.
 
     Nonlinear least squares by Gauss-Newton (Björck, 1996, section 9.2) of 1 / (1 + exp((rho - place - slope t) /
-    width)), with t along the rim. The sums have one minimum over the width, so none is tried that is wider than a
-    clearly worse one.
+    width)), with t along the rim. The sums have one minimum over the width: wider than a clearly worse one is not
+    tried.
     """
     level = np.clip(levels, -0.3, 1.3)
     nothing = np.full(len(start), np.nan)

@@ -103,8 +103,7 @@ def seen_minus_read(
     """Return (3 n,) seen minus read rotations, rad, and (3 n, 6 + p) derivatives of the latter by A, B and values.
 
     Own derivation: with R = E A G B, a rotation vector a on the left of A turns R by E a, and b on the left of B turns
-    it by E A G b. A motor turns the head about its own axis. The bends are small, so their derivative is taken at E =
-    1.
+    it by E A G b. A motor turns the head about its own axis. The bends are small: their derivative is taken at E = 1.
     """
     bends = model.bends
     direct = model.parameter_count - bends.shape[2]

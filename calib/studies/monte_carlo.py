@@ -93,9 +93,8 @@ def calibrate_once(
 ) -> Repetition:
     """Calibrate predicted views with the noise of one run, from 0, of a study; return the result, or why there is none.
 
-    Draws from the stated distributions: JCGM 101:2008. Seed of the study and number of the run give the run's seed.
-    ``drift_mm`` is 1-sigma per axis of each view's centre about the shared one. ``outliers`` is the share of stars with
-    an error of 2 px (1 sigma per axis).
+    Draws: JCGM 101:2008. Seed of the study and number of the run give the run's seed. ``drift_mm`` is 1-sigma per axis
+    of each view's centre; ``outliers`` is the share of stars with an error of 2 px (1 sigma per axis).
     """
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     rng = np.random.default_rng([seed, run])

@@ -233,8 +233,7 @@ def consider_covariance(information: Array, names: Sequence[str], passport: Pass
     """Return the (G, G) covariance of all parameters if some are held at a passport's values.
 
     This is a consider covariance (Tapley, Schutz and Born, 2004, chapter 6). With the information S, free parameters f
-    and held parameters p, a change of p moves f by -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1
-    S_fp)^T.
+    and held parameters p, a change of p moves f by M = -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + M cov_p M^T.
     """
     held = [list(names).index(name) for name in passport.names]
     free = [i for i in range(len(names)) if i not in held]

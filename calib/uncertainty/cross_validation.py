@@ -50,10 +50,9 @@ class CrossValidation:
 
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
-    """Adjust without each of at least 3 poses in turn, from the optimum of all views, and predict its views.
+    """Adjust without each of at least 3 poses in turn, from the optimum of all, and predict its views (Stone, 1974).
 
     With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
-    Cross-validation: Stone (1974).
     """
     poses = views_of_poses(bundle)
     at_optimum = bundle.costs(parameters, loss)
