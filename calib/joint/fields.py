@@ -81,17 +81,14 @@ class FieldBasis:
             [self.shape(lambda h: _square(h) * h), self.shape(lambda h: _square(h) ** 2 * h)]
         )
 
-    def shifted(self, direction: Sequence[float], higher: float) -> Array:
-        """Return (2 K, 4) what the radial terms become about an axis that is shifted along a direction.
-
-        Terms of fifth order typically are ``higher`` times those of third order.
-        """
+    def shifted(self, direction: Sequence[float]) -> Array:
+        """Return (2 K, 4) what the radial terms become about an axis that is shifted along a direction."""
         e = np.asarray(direction, float)
         along = [
             lambda h: _square(h) * e,
             lambda h: (h @ e)[:, None] * h,
-            lambda h: higher * _square(h) ** 2 * e,
-            lambda h: higher * _square(h) * (h @ e)[:, None] * h,
+            lambda h: 20.0 * _square(h) ** 2 * e,
+            lambda h: 20.0 * _square(h) * (h @ e)[:, None] * h,
         ]
         return np.column_stack([self.shape(one) for one in along])
 

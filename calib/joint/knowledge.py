@@ -281,7 +281,7 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
 
     The errors of the glass are then those about a shifted axis, in proportion to its radial terms.
     """
-    shifted = np.column_stack([layout.basis.shifted(e, RADIAL_RATIO) for e in ((1.0, 0.0), (0.0, 1.0))])
+    shifted = np.column_stack([layout.basis.shifted(e) for e in ((1.0, 0.0), (0.0, 1.0))])
     shapes = np.zeros((len(passport.names), shifted.shape[1]))
     for k, name in enumerate(passport.names):
         if name.startswith("common_"):

@@ -23,7 +23,7 @@ _WANDERS = 0.012
 #: A wander counts if it is more than this share of the discs' uncertainty; discs that are known worse would be noise.
 _SEEN = 1.0 / 3.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
-_AS_TURNS = 36.0
+_AS_TURNS = 12.0
 #: The mean of the places is held to this, tangents: it does what a common field does.
 _SAME = 4e-3
 
