@@ -59,7 +59,10 @@ class LightConfig(FlickerConfig):
 
 
 class MoveConfig(StrictModel):
-    """A pose to move to, 0 degrees for axes that it does not name; without angles, that of the ``repeat``."""
+    """A pose to move to; without angles, the pose of the surrounding ``repeat``.
+
+    An axis that the pose does not name goes to 0 degrees.
+    """
 
     name: Name | None = None
     pan_deg: Angle | None = None
