@@ -147,7 +147,7 @@ POSES = np.random.default_rng(4).uniform(-0.45, 0.45, (150, 2))
 
 def over(points, drawn):
     """Displacements at points of the disc."""
-    return np.array([displacement_field(u, v, drawn) for u, v in points])
+    return np.column_stack(displacement_field(*points.T, drawn))
 
 
 def test_the_displacement_has_the_rms_asked_for_over_disc_and_poses():
