@@ -325,9 +325,8 @@ def refusal(request: Request, record: BatchRecord) -> str:
 class RequestInbox:
     """Answers the requests to a batch in its folder, locked by this process.
 
-    ``answer`` decides on a request and writes the decision to the journal. It is called with None for a file that is
-    not a request, and with the name of the file. The clock is asked to stop when answers cannot be written to the
-    journal any more.
+    ``answer`` decides on a request and writes the decision to the journal. It gets the request, or None if the file
+    holds no request, and the name of the file. If the journal can no longer be written, the clock is asked to stop.
     """
 
     def __init__(

@@ -171,7 +171,7 @@ NOTHING_KNOWN: Known = {}
 
 
 def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerprint: str) -> bool:
-    """Enter the authorisation of a folder that was just made; False if this bench has no ledger."""
+    """Write into the ledger that a person has authorised this folder. False if the bench has no ledger."""
     if not ledger.path.exists():
         return False
     with storage_errors(folder):

@@ -144,7 +144,7 @@ class Observations:
 
     @cached_property
     def sigmas_per_px(self) -> float:
-        """The factor from px to standard deviations of the typical star."""
+        """How many standard deviations of a typical star make 1 px."""
         return math.sqrt(median(np.abs(self.whitening[:, 0, 0] * self.whitening[:, 1, 1])))
 
     @cached_property

@@ -102,7 +102,7 @@ def reconstruct(
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
     two_sided: bool = True,
 ) -> Iterator[ReconstructedPicture]:
-    """Yield pictures at ascending times, us, from a stream of events; only one piece of it is held at a time.
+    """Yield pictures at ascending times, us, from a stream of events. Only one piece of the stream is in memory.
 
     Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations. Where a time steps back, the
     event is taken at the latest time before it. The filter as published is not ``two_sided``: it uses no later events.

@@ -212,7 +212,8 @@ def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
 def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, Array]:
     """Return the pose of each view, given the camera matrix: H ~ K [r1 r2 t] with t = -R c (Zhang, 2000, section 3.1).
 
-    For (..., 3, 3) matrices: (..., n, 3, 3) rotations, camera <- target; (..., n, 3) camera centres on the target, mm.
+    matrix: (..., 3, 3). Returns (..., n, 3, 3) rotations, camera <- target, and (..., n, 3) camera centres in the frame
+    of the target, mm.
     """
     columns = np.linalg.inv(matrix)[..., None, :, :] @ homographies
     lengths = np.sqrt((columns[..., :2] ** 2).sum(axis=-2)).mean(axis=-1)

@@ -156,7 +156,10 @@ def _best_pose(
 def _judge(
     camera: CameraModel, covariance: Array | None, points: Array, seen: _Seen, least: float
 ) -> OneViewCheck:
-    """Compare what changes of the camera explain with the noise, of variance ``least`` or more, and its covariance."""
+    """Tell whether a change of the camera explains more than noise and covariance do.
+
+    least: Smallest variance of the noise.
+    """
     along = seen.basis.T @ seen.residuals
     over = seen.residuals - seen.basis @ along
     freedom = len(over) - 6 - len(along)

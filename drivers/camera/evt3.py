@@ -105,7 +105,7 @@ class Evt3Decoder:
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode words, (N,) uint16, in pieces of at most ``max_events`` events, of which 32 is the least.
 
-        A malformed word raises `RecordingCorrupt` after the pieces before it.
+        At a malformed word, it first yields what came before, then raises `RecordingCorrupt`.
         """
         start = 0
         while start < len(words):

@@ -164,7 +164,7 @@ def _hints(*, denied: bool) -> list[str]:
 
 
 def stated(about: Mapping[str, Any], ending: str) -> str:
-    """Return what the camera states under the name with this ending; empty if nothing."""
+    """Return the camera's statement whose name ends so; empty if there is none."""
     return next((str(text) for name, text in about.items() if name.endswith(ending)), "")
 
 

@@ -109,7 +109,7 @@ class RawFile:
     def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode events and triggers in the order of the file, at most ``max_events`` events in a piece.
 
-        A malformed word raises `RecordingCorrupt` after the pieces before it.
+        At a malformed word, it first yields what came before, then raises `RecordingCorrupt`.
         """
         decoder = self._decoder()
         for words in self.words():

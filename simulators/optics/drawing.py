@@ -231,8 +231,8 @@ def draw(
     """Add the areas of polygons, (N, corners, 2) mm, clockwise as seen, to a picture; corners may repeat.
 
     Each polygon is smaller than the image, and left out if none of its corners lies within the angle of the rays,
-    (rows, columns, 2) from ``lens.ray_grid``, from the optical axis: the lens polynomial is not valid there. ``steps``:
-    (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
+    (rows, columns, 2) from ``ray_grid``, from the optical axis: the lens polynomial is not valid there. ``steps``:
+    (rows of cells, columns of cells + 1) float32, changed in place as by ``add_edge``.
     """
     reach = float(np.linalg.norm(rays, axis=-1).max())
     shown = polygons_mm[_within(polygons_mm, projection, reach).any(axis=1)]

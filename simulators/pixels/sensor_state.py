@@ -112,7 +112,7 @@ def update_row(px: Pixels, r: int) -> None:
 
 @njit(forceinline=True, **INNER)
 def retime(px: Pixels, r: int, c: int, before: float) -> None:
-    """Update the minima after the request of one pixel was moved from ``before``, us after the epoch."""
+    """Update the minima: one pixel's next time, us after the epoch, was ``before`` and has changed."""
     b = c // BLOCK
     old = px.block_min[r, b]
     new = px.t_next[r, c]

@@ -97,7 +97,7 @@ class _Cleared:
 
 
 def _cleared_up_with(error):
-    """Clear an object away, with an error raised meanwhile, and go on working."""
+    """Delete an object whose finaliser raises an error, and go on working."""
 
     def fail(_gone):
         raise error
