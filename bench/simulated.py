@@ -1,8 +1,7 @@
 """The simulated bench in place of the station's devices. No other module of the bench imports the simulators.
 
-The simulators run in a process of their own and answer on pseudo-terminals and a socket, so that the drivers work as
-with real devices. That process ends with this one, in whatever way this one ends: its standard input is then closed.
-Its true parameters are read once, after the calibration, for the final comparison only.
+The simulators run in a process of their own, on pseudo-terminals and a socket, so that drivers work as with real
+devices; it ends when its input closes, with this one. The truth is read once, after the calibration.
 """
 
 from __future__ import annotations
@@ -34,10 +33,7 @@ _START_TIMEOUT_S = 120.0
 
 
 class SimulatedBench:
-    """A simulated bench in a process of its own, which the constructor starts.
-
-    ``endpoints`` are ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
-    """
+    """A simulated bench in a process of its own; ``endpoints`` are ports by device, ``sim:light`` that of ``light``."""
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
         self._ordering = threading.Lock()
@@ -134,10 +130,9 @@ class SimulatedBench:
             return stdout.readline().rstrip("\n")
 
     def set_up(self, device: str, what: str, **numbers: float) -> dict[str, Any]:
-        """Do at the simulated camera what the hands of a person would do. The image changes at once.
+        """Do at once what a person's hands would do at the simulated camera, or refuse it.
 
-        ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the others of docs/simulated-bench.md;
-        refused if the ring, for example, does not reach that distance.
+        ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the others of docs/simulated-bench.md.
         """
         text = self.order(json.dumps({"device": device, "fault": what, **numbers}))
         try:

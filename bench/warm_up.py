@@ -1,7 +1,4 @@
-"""Compiles the loops of the program by using each once. numba keeps them on the disk; later processes read them.
-
-`bench.terminal.compiling` calls this module for each part in a process of its own. The stage does not move.
-"""
+"""Compiles the loops of the program by using each once; later processes read them from the disk. The stage stays."""
 
 from __future__ import annotations
 

@@ -89,11 +89,7 @@ class Pulse:
 
 
 class Bench:
-    """A gimbal, a light and two cameras in one world; they answer inside a ``with`` block.
-
-    ``hands`` are those at the camera's lens and mount. The truth file is written again when somebody changes lens or
-    mount.
-    """
+    """A gimbal, a light and two cameras in one world; they answer inside a ``with`` block. ``hands`` are a person's."""
 
     def __init__(self, folder: Path, config: BenchConfig | None = None, seed: int = 1) -> None:
         self._folder = folder

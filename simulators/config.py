@@ -100,11 +100,7 @@ class BenchConfig:
     paced: bool = True  # Whether bytes are delayed as by the line's baud rate
 
     def truth_for(self, seed: int) -> Truth:
-        """Return the truth of a bench, with the backlash of the axes.
-
-        The mounting is drawn from the seed if the configuration asks for that; the gimbal's errors, unless they have
-        their own seed.
-        """
+        """Return the truth of a bench, with the axes' backlash; the seed may draw mounting and gimbal errors."""
         gimbal, axes = self.truth.gimbal, self.axes
         pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in AXES)
         gimbal = replace(gimbal, seed=gimbal.seed or seed, backlash_deg=(pan, tilt, roll))

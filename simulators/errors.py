@@ -9,10 +9,7 @@ from __future__ import annotations
 
 
 class SimulatorError(Exception):
-    """Base class of the simulators' errors.
-
-    ``where`` is a key, file or port; ``remedy`` a sentence that says what to do; both may be empty.
-    """
+    """Base class; ``where`` is a key, file or port, ``remedy`` a sentence what to do; both may be empty."""
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = _one_stop(what)

@@ -37,11 +37,7 @@ class VirtualCapture:
 
 
 class VirtualCamera:
-    """A simulated camera in its scene, by a ``simulation`` section as of a station file.
-
-    The seed is that of the gimbal's errors, of the mounting if the section does not state it, and of the camera's
-    pixels.
-    """
+    """A simulated camera in its scene, by a ``simulation`` section; the seed is for what that does not state."""
 
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
         self._truth: Truth = bench_config(section).truth_for(seed)
@@ -60,10 +56,7 @@ class VirtualCamera:
     def capture(
         self, angles_deg: Mapping[str, float], *, seed: int, light_hz: float = 60.0, periods: int = 2
     ) -> VirtualCapture:
-        """Turn the camera and record whole periods of the light.
-
-        ``angles_deg`` are readings of the axes; the loads stand behind the play of their gears.
-        """
+        """Turn the camera and record whole periods; loads stand behind their play at readings ``angles_deg``."""
         for axis, angle in angles_deg.items():
             moved = angle - self._last.get(axis, 0.0)
             self._sides[axis] = float(np.sign(moved)) if moved else self._sides.get(axis, 0.0)

@@ -1,4 +1,1 @@
-"""Alignment of camera, lens and light before a run, with a live image: `starbench align`.
-
-This room opens the devices of a station. It moves an axis or switches the light only when a person asks for it.
-"""
+"""Alignment before a run, with a live image: an axis moves, the light goes on, only when a person asks for it."""

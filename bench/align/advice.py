@@ -1,7 +1,6 @@
 """What the operator should do next, from what a live picture shows: plain sentences, the most important first.
 
-Each sentence says what was seen and what to do. Nothing is said that the figures do not show. The limits are those by
-which a run judges its recordings. Turns and focus come only when light and signal are good enough to see them.
+Nothing is said that the figures do not show; the limits are those by which a run judges its recordings.
 """
 
 from __future__ import annotations

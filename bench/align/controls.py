@@ -1,7 +1,6 @@
 """Moves of the stage by a person: small steps within the limits, homing, and a stop that waits for nothing.
 
-One thread does the moves, one after the other. `StageControl.stop` never passes through that thread: it drops what
-waits and sends the stop on the caller's own thread. Nothing moves unless `move_by` or `home` was called.
+One thread does the moves; `StageControl.stop` sends the stop on the caller's own thread and drops what waits.
 """
 
 from __future__ import annotations
@@ -243,10 +242,9 @@ class StageControl:
     # ------------------------------------------------------------------ what a person asks for
 
     def move_by(self, steps_deg: Mapping[str, float], by: str = "") -> dict[str, float]:
-        """Turn axes by small steps; return the goal of each, degrees. Steps given meanwhile are added to the goal.
+        """Turn axes by small steps, added to the goal; return each goal, degrees, at once.
 
-        The move itself goes on after the return. If a goal lies outside the limits, or the stage cannot move now,
-        `ControlRefused` is raised and nothing is moved.
+        `ControlRefused`, and nothing moves, if a goal lies outside the limits or the stage cannot move now.
         """
         self._check_steps(steps_deg)
         if not self.moving:

@@ -1,7 +1,6 @@
 """Camera and light in the hands of a person who aligns: settings are changed, and read back from the device.
 
-All access to the camera goes through the loop that records, so that settings change between two slices only. The light
-goes on only when `LightControl.set` is called with ``on=True``. The module moves nothing.
+Access to the camera goes through the loop that records, so settings change between two slices only. Nothing moves.
 """
 
 from __future__ import annotations
@@ -82,10 +81,7 @@ class CameraControl:
         self._loop = loop
 
     def set_bias(self, name: str, value: int) -> Mapping[str, int]:
-        """Change one bias (offset from the factory value, in the camera's own steps), and read all of them back.
-
-        Before a `ControlRefused` (no such bias, or outside its range) nothing was sent.
-        """
+        """Change one bias, offset in the camera's own steps; read all back. When refused, nothing was sent."""
         ranges = self._ranges
         if not self.is_event or name not in ranges:
             raise ControlRefused(
@@ -205,10 +201,7 @@ class LightControl:
         duty_percent: float | None = None,
         level_percent: float | None = None,
     ) -> LightReading:
-        """Change the light, and read back what it does; None leaves a value as it is.
-
-        Before a `ControlRefused` (a value outside its range) nothing was sent.
-        """
+        """Change the light, and read back what it does; None leaves a value. When refused, nothing was sent."""
         changes = {
             "waveform": waveform,
             "frequency_hz": frequency_hz,

@@ -1,9 +1,7 @@
 """The course of the focus while a person turns the focus ring: the best seen, the right way, and how far to turn.
 
-A turn of the ring shows as a change of the figures, whenever it comes and however quickly pictures come: what a turn
-has done is said until the next one. How far the person has turned is not known. So turns are counted in units of the
-first one, and each turn is taken to be as long as was asked for. The module computes with numbers; times come in as
-arguments.
+A turn shows as a change of the figures, whenever it comes. How far the person has turned is not known: turns are
+counted in units of the first one, and each is taken to be as long as was asked for.
 """
 
 from __future__ import annotations
@@ -83,11 +81,7 @@ def measure_focus(
     before: FocusFigures | None = None,
     again: Sequence[str] = (),
 ) -> FocusFigures:
-    """Measure how sharp a picture, (H, W) float32 grey values, is; the sharpness alone without tag and stars.
-
-    ``stars`` is None if they were not searched. The regions of ``before``, a picture shortly before, are kept; None to
-    measure all regions.
-    """
+    """Measure how sharp a picture, (H, W) float32, is, in the regions of ``before`` if given; alone without stars."""
     detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
     coarse = coarse_detail(image, beam.lit) if beam.share > 0.0 else None
     if stars is None:
@@ -203,10 +197,7 @@ class _Rest:
 
 
 class FocusCourse:
-    """The focus figures over the last ``kept_s``, with the best seen, which are kept until `forget`.
-
-    Times come from the caller's clock.
-    """
+    """The focus figures over the last ``kept_s`` of the caller's clock, with the best seen, kept until `forget`."""
 
     def __init__(self, *, kept_s: float = 600.0) -> None:
         self._kept_s = kept_s
@@ -256,8 +247,8 @@ class FocusCourse:
     def better_before_px(self) -> float | None:
         """Return the best edge width since the camera was last turned, px, if the present one is clearly worse.
 
-        Own rule: the median of the last `_RECENT` values is worse by more than `_CLEARLY` standard deviations and by
-        more than `_LEAST_BETTER`. The deviation is that of neighbouring values from each other (von Neumann, 1941).
+        Own rule: the median of the last values is worse by both limits; the deviation is that of neighbours (von
+        Neumann, 1941).
         """
         best, now = self._best_here_px, self._recent(1)
         if best is None or now is None:
@@ -272,10 +263,7 @@ class FocusCourse:
         self.best_sharpness = self.best_coarse_detail = None
 
     def trend(self) -> str:
-        """Return what the last turn has done to the edge width: ``better``, ``worse``, or empty before the first one.
-
-        Without an edge width, the coarse detail counts.
-        """
+        """Return what the last turn did to edge width or coarse detail: ``better``, ``worse``, empty before a turn."""
         if len(self._rests) < 2:
             return ""
         return "worse" if self._rests[-1].worse_than(self._rests[-2]) > 0.0 else "better"
@@ -283,9 +271,8 @@ class FocusCourse:
     def turn_on(self) -> float | None:
         """Return how far to turn next, in units of the last turn: below 0 to turn back; None before the first turn.
 
-        The square of the edge width is a parabola over the ring: the blur grows evenly on both sides of the best place
-        (thin lens, Hecht, Optics, section 5.2), and adds to the width of a sharp edge in squares. Three places give it.
-        Two places give it if the last turn has not passed the best one.
+        The square of the edge width is a parabola over the ring (thin lens, Hecht, Optics, section 5.2). Three places
+        give it; two if the last turn has not passed the best one.
         """
         if len(self._rests) < 2:
             return None
@@ -325,10 +312,7 @@ class FocusCourse:
         return here / (before - here) if before != here else _LARGEST_TURN
 
     def _follow(self, kind: Literal["width", "detail"], column: int) -> None:
-        """Take the two newest figures: the ring stands where it stood, is being turned, or has been turned anew.
-
-        Two that differ tell nothing: a picture was taken during a turn.
-        """
+        """Tell from two like figures whether the ring stands, turns, or has been turned."""
         pair = self._values(column, 2)
         value, noise = sum(pair) / 2.0, self._noise(column)
         if len(pair) < 2 or abs(pair[1] - pair[0]) > max(_CLEARLY * noise, _A_TURN * value):

@@ -1,8 +1,7 @@
 """The figures of one live picture, as the align page shows them, and how a slice is measured.
 
-A slice is a short recording: an event camera's RAW file of whole flicker periods, or one picture of a frame camera.
-`LiveMeter` measures one slice after the other: it keeps the course of the focus, and searches the stars only as often
-as asked. The module opens no device, and nothing here moves an axis or switches a light.
+A slice is an event camera's RAW file of whole flicker periods, or one picture of a frame camera. No device is used
+here.
 """
 
 from __future__ import annotations
@@ -167,11 +166,7 @@ class StarWatch:
         beam: Beam,
         watch: StopWatch,
     ) -> Found | None:
-        """Return what was found last, measured again if possible; None if stars must be searched at once.
-
-        Stars of an earlier picture are never shown where something has moved since. While the stage turns, the search
-        waits until it is due.
-        """
+        """Return what was found last, measured again; None to search at once: stars are never shown after a motion."""
         stars = last.stars
         if stars is not None and stars.tag is not None and not stars.blurred:
             stars = follow_stars(image.values, stars, setting.target)
@@ -248,11 +243,7 @@ class LiveFigures:
     took_ms: Mapping[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all figures as numbers, texts, lists and None, ready for JSON.
-
-        These are the attributes by name, those of ``signal`` beside them, and ``tag``, ``square`` and ``disc`` as
-        mappings or None.
-        """
+        """Return all figures for JSON: the attributes, and those of ``signal`` beside them."""
         corners, square, centre = self.tag_corners_px, self.square, self.disc_centre_px
         plain = vars(self) | {name: getattr(self.signal, name) for name in _OF_SIGNAL}
         for name in ("signal", "tag_id", "tag_corners_px", "disc_centre_px", "disc_radius_px"):
@@ -271,10 +262,9 @@ class LiveFigures:
 class LiveMeter:
     """Measures one slice after the other, in one thread.
 
-    ``stars_every_s`` is the shortest time between two searches for stars, s. In between, stars around the whole tag are
-    measured again in each picture, where they stand; if they have moved, they are searched at once. Other stars are
-    shown again as long as the picture is the same. If a search takes long, as without a tag, the next one waits longer,
-    so that pictures keep coming.
+    ``stars_every_s`` is the shortest time between two searches. In between, stars around the whole tag are measured
+    again where they stand; if they have moved, they are searched at once. After a long search the next one waits
+    longer.
     """
 
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
@@ -288,9 +278,8 @@ class LiveMeter:
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
         """Measure the next slice: image, signal, stars, focus, where to turn, advice.
 
-        The image is (H, W) uint8, tone-mapped so that faint patterns show; white print is bright. A slice that cannot
-        be read, or shows nothing, gives a dark image and figures whose advice says why. No error of the recording or of
-        the engine is passed on. The setting may change from slice to slice.
+        The image is (H, W) uint8, tone-mapped; dark, with figures that say why, if the slice shows nothing. Never
+        raises.
         """
         watch = StopWatch()
         try:

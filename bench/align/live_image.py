@@ -1,8 +1,7 @@
 """The live image: what is known of the bench, and a slice as grey values for the search of stars and for the screen.
 
-An event camera's slice becomes the event image of whole flicker periods, counted while it is decoded: no list of events
-is made, which takes most of the time. Without a flicker, the number of events of each pixel is shown. A frame camera's
-slice becomes the mean of its frames. The module reads the slice's file and nothing else.
+Events of whole flicker periods are counted while they are decoded: a list of events takes most of the time. Without a
+flicker all events of a pixel count; a frame camera's slice becomes the mean of its frames.
 """
 
 from __future__ import annotations
@@ -71,11 +70,7 @@ class SignalFigures:
 def measure_signal(
     events: Events, triggers: Triggers, data_bytes: int, expected_hz: float | None, *, compare: bool = True
 ) -> SignalFigures:
-    """Measure the signal of a slice; figures without a flicker if none is found.
-
-    ``expected_hz`` is the light's frequency as set, None if unknown. With ``compare`` the frequency is measured by the
-    events also if the sync edges give it, which takes as long as a third of the image.
-    """
+    """Measure the signal of a slice; ``compare`` measures the frequency by events even if sync edges give it."""
     ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
     duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
     count = len(events.t)
@@ -99,10 +94,7 @@ def measure_signal(
 def signal_of_counts(
     statistics: StreamStatistics, triggers: Triggers, data_bytes: int, expected_hz: float
 ) -> SignalFigures | None:
-    """Return the signal of a slice whose events were only counted, without figures that need the times of events.
-
-    None if only these can show the flicker; ``expected_hz`` is None if unknown.
-    """
+    """Return the signal of a slice whose events were only counted; None if only their times show the flicker."""
     count, duration_s = statistics.events, statistics.duration_s
     by_triggers, fault = _by_triggers(triggers, expected_hz)
     flicker = by_triggers or _assumed(count, duration_s, expected_hz)
@@ -115,10 +107,7 @@ def signal_of_counts(
 
 
 def shows_flicker(signal: SignalFigures | None) -> bool:
-    """Return whether a slice is long enough for its events to show their frequency.
-
-    One period is not: its ON and its OFF burst could be two periods of twice the frequency.
-    """
+    """Return whether events show their frequency: one period could be two of twice the frequency."""
     if signal is None or signal.flicker is None or not signal.events_per_s:
         return False
     return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS
@@ -258,10 +247,7 @@ class LiveSetting:
         level_percent: float | None = None,
         waveform: Waveform = "square",
     ) -> LiveSetting:
-        """Take from a station file what the figures need, with the gates that a sequence has by default.
-
-        ``frequency_hz`` is that of the light's flicker as set; None if unknown.
-        """
+        """Take what the figures need from a station, at a flicker frequency as set, with a sequence's default gates."""
         expected, collimator = station.expected, station.collimator
         r_mm = collimator.nominal_r_mm or (expected.r_mm if expected else None)
         if isinstance(collimator.certificate, CertificateConfig):
@@ -377,10 +363,9 @@ def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> Liv
 
 
 def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the picture, (H, W) float32, for the screen: stretched between its quantiles, faint parts brighter.
+    """Return a picture, (H, W) float32, stretched between quantiles, for the screen, uint8; all 0 if it is even.
 
-    The result is uint8; all 0 if the values are all equal. Own tone map: 255 u^`GAMMA`, where u is the stretched value
-    (gamma correction: Poynton, Digital Video and HD, 2012).
+    Own tone map: 255 u^`GAMMA`, where u is the stretched value (gamma correction: Poynton, Digital Video and HD, 2012).
     """
     sample = values[::4, ::4]
     low, high = (float(q) for q in np.quantile(sample, [_CLIPPED, 1.0 - _CLIPPED]))

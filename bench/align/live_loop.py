@@ -1,9 +1,7 @@
 """The live picture: one thread records short slices, another one measures the newest of them.
 
-Slices are recorded with the camera's normal driver into a private folder, in memory where there is room, and removed as
-soon as they are measured. A process that was killed leaves its folder behind; the next session removes it. Only the
-newest picture is kept. While one slice is measured, the next one is recorded. Settings of the camera are changed
-between two slices, by the recording thread (`LiveLoop.on_camera`).
+Slices lie in a private folder, in memory where there is room, until they are measured; a killed process leaves its
+folder to the next session. Settings change between two slices, by the recording thread (`LiveLoop.on_camera`).
 """
 
 from __future__ import annotations
@@ -169,10 +167,7 @@ class _Slice:
 
 
 class LiveLoop:
-    """Records and measures slices until it is closed; only this object uses the open camera.
-
-    ``on_picture`` is called after each new picture or fault, by any thread.
-    """
+    """Records and measures slices until closed, alone with the camera; any thread calls ``on_picture`` with news."""
 
     def __init__(
         self,
@@ -289,10 +284,7 @@ class LiveLoop:
                 old.path.unlink(missing_ok=True)
 
     def _wait_until_due(self, last_s: float) -> bool:
-        """Wait until the next slice would be recorded just in time to be measured; False if there is a task.
-
-        Slices that nobody measures would take time from the one that is measured.
-        """
+        """Wait until a slice would be recorded just in time to be measured; False if there is a task."""
         with self._wake:
             while not (self._closing or self._tasks):
                 now_s = time.monotonic()

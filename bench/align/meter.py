@@ -1,8 +1,6 @@
 """Measures slices in a process of its own, so that a stop and the page never wait for a measurement.
 
-The engine's compiled loops hold Python's global lock for tens of milliseconds. In the process of the page they would
-delay a stop by as much. The process starts with the session, takes one slice after the other from its standard input,
-and ends when that closes, in whatever way the page's process ends.
+The engine's compiled loops hold Python's global lock for tens of milliseconds. The process ends when its input closes.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Opens a station's devices with their controls for aligning, and leaves them safe at the end.
 
-Opening moves nothing and switches nothing on. Stage and light may open while the picture is shown: it is said when they
-are open, or why they are not. Closing stops the stage, switches the light off and closes the camera. Each of these is
-done even if another one fails, and says what the device confirmed. On the simulated bench, hands turn the focus ring,
-set the aperture and turn the camera, as a person does it on a real one.
+Opening moves and switches nothing. Stage and light may open while the picture is shown. Closing stops the stage,
+switches the light off and closes the camera, each even if another fails. The simulated bench has hands, as a person.
 """
 
 from __future__ import annotations
@@ -162,10 +160,7 @@ def open_bench(
     on_change: Callable[[], None],
     say: Callable[[str], None],
 ) -> Bench:
-    """Open the devices and make their controls; the loop is not started yet.
-
-    If a device cannot be opened, the others are closed.
-    """
+    """Open all devices, or none, and make their controls; the loop is not started yet."""
     clock = BenchClock()
     meter = make_meter()  # first: its process starts while the devices open
     try:

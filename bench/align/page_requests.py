@@ -1,7 +1,4 @@
-"""What the align page can ask for: each request is checked, and becomes one call of the session.
-
-A request is one JSON object. A value that is missing or of a wrong type is refused in words; nothing is changed then.
-"""
+"""What the align page can ask for: one JSON object each, checked, refused in words, or one call of the session."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """The checks that a run makes before it moves, made while a person aligns: green or red, each with its remedy.
 
-The devices are asked what `bench.run.states` asks them, and one recording is made and judged as a run does it, at
-the present pose and with the present light. Nothing moves, and the light stays as it is.
+The devices are asked as by a run, and one recording is judged as there. Nothing moves, the light stays as it is.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Run a session of aligning from the command line, on a page.
-
-Ctrl-C stops the stage at once, from the signal itself. Then the light goes off, the devices are closed, and what each
-device confirmed is printed.
-"""
+"""Run a session of aligning from the command line, on a page; Ctrl-C stops the stage from the signal itself."""
 
 from __future__ import annotations
 
@@ -53,10 +49,7 @@ _FREE = frozenset({"stop", "take", "beat", "leave", "propose", "check"})
 
 
 def align_app(session: Session, files: PageFiles | None = None) -> Starlette:
-    """Make the application of the align page.
-
-    ``files`` is where the page may write; None for the session's station file and the working directory.
-    """
+    """Make the align page; ``files`` is where it may write, None for station file and working directory."""
     pages = _Pages(session, files or PageFiles(session.station.file))
     return page_app(
         [
@@ -226,8 +219,7 @@ def align_on_page(
 ) -> int:
     """Serve the align page of a station until Ctrl-C; return 0 if every device confirmed a safe state, else 1.
 
-    ``settings`` (``PATH=VALUE``) replace values of the file; ``token`` is None if the page needs none. Raises
-    `UsageError` if the port is in use, or other computers could use the page without a token.
+    ``settings`` (``PATH=VALUE``) replace values of the file. Other computers need a ``token`` (else `UsageError`).
     """
     session = make_session(station, settings, seed=seed)
     path = find_document(station, SHIPPED_STATIONS)
@@ -254,10 +246,7 @@ def align_on_page(
 
 
 def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> Session:
-    """Read the station file and make a session; no device is opened yet.
-
-    ``settings`` (``PATH=VALUE``, also with ``station.`` before the path) replace values of the file.
-    """
+    """Make a session, no device open yet; ``settings`` (``PATH=VALUE``) replace values of the station file."""
     given = {}
     for text in settings:
         path, equals, value = text.partition("=")

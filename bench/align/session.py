@@ -1,8 +1,7 @@
 """One session of aligning: the open devices, the live picture, the controls, and the list of what happened, for a page.
 
-The session opens the station's devices and shows what they see. Nothing moves and no light goes on unless a method was
-called that asks for it. `Session.stop` reaches the stage's controllers from any thread. A stage that a page has set in
-motion is stopped when this page is lost. `Session.close` leaves the bench safe, and says what each device confirmed.
+Nothing moves and no light goes on unless a method was called that asks for it. `Session.stop` reaches the stage's
+controllers from any thread. A stage set in motion by a page is stopped when that page is lost.
 """
 
 from __future__ import annotations
@@ -53,11 +52,7 @@ class Happened:
         self._count = 0
 
     def say(self, text: str, topic: str = "") -> None:
-        """Add a sentence on a topic: what it is about and who did it.
-
-        If the entry before has the same topic and is some seconds old at most, this one takes its place. An empty topic
-        makes an entry of its own, unless it says the same again.
-        """
+        """Add a sentence on a topic, in place of a recent one on the same; an empty topic is always a new entry."""
         now_s = self._clock()
         topic = topic or text
         with self._lock:
@@ -170,10 +165,7 @@ class Session:
         return [] if bench is None else failures_of(bench)
 
     def close(self) -> list[Confirmation]:
-        """Leave the bench safe (stage stopped, light off, camera closed); return what each open device confirmed.
-
-        A second call does nothing.
-        """
+        """Leave the bench safe, once; return what stage, light and camera confirmed, each if it was open."""
         if self._ended.is_set():
             return []
         self._ended.set()
@@ -196,10 +188,7 @@ class Session:
         return bench.loop.latest if bench is not None else LivePicture()
 
     def state(self) -> dict[str, Any]:
-        """Return everything besides the picture, as plain values for JSON.
-
-        These are ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``hands``, ``controls``, ``messages``.
-        """
+        """Return everything besides the picture, as plain values for JSON."""
         bench, station = self._bench, self.station.value
         condition = (
             "open" if bench else "opening" if self._opening else "failed" if self._failure else "closed"

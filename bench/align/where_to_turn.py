@@ -1,10 +1,8 @@
 """Where to turn the camera: the offset of tag and beam from the middle of the image, the roll, poses that show the rim.
 
-Conventions are those of the bench (`calib.model.rotation.euler_zxy`): a larger pan moves the pattern to the right in
-the image, a larger tilt moves it up, and a larger roll turns it clockwise. These signs hold for a camera that stands
-upright on its gimbal. A camera may be mounted on its side or upside down, and an axis may have the wrong sign in the
-station file; turns would then lead away from the middle. So the motion of the tag between two pictures is compared with
-the readings of the stage. The module computes with numbers only.
+As in `calib.model.rotation.euler_zxy`, a larger pan moves the pattern right, a larger tilt up, a larger roll clockwise,
+for a camera upright on its gimbal. It may stand otherwise, or an axis have the wrong sign in the station file: so the
+tag's motion between two pictures is compared with the stage's readings.
 """
 
 from __future__ import annotations
@@ -69,9 +67,9 @@ class SeenMotion:
     ) -> tuple[float, float] | None:
         """Return the turns of pan and tilt, degrees, that bring the tag to the middle, by the motion seen.
 
-        The motion of an axis that has not turned yet is taken to be rotated as that of the other one. Own procedure: a
-        linear equation with the motions as columns. ``tag_px`` is the centre of the tag (column, row), ``size`` the
-        image's width and height, px. None if the signs of the bench hold, as far as was seen.
+        Own procedure: a linear equation with the motions as columns; an axis that has not turned is taken as
+        perpendicular to the other. ``tag_px`` is (column, row). None if the signs of the bench hold, as far as was
+        seen.
         """
         rotations = {axis: _angle_deg(_UPRIGHT[axis], motion) for axis, motion in self._learnt.items()}
         if not any(abs(angle) > _UNUSUAL_DEG for angle in rotations.values()):
@@ -146,12 +144,7 @@ class TurnFigures:
         return math.hypot(self.pan, self.tilt) <= limit
 
     def to_json(self) -> dict[str, object]:
-        """Return the figures as plain values.
-
-        These are ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and ``up_px``),
-        ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``square_borders``, ``focal_px``,
-        ``rim_poses``, ``beyond``.
-        """
+        """Return the figures as plain values; without a focal length px stand in place of degrees."""
         in_deg = self.unit == "°"
         return {
             "pan_deg": self.pan if in_deg else None,
@@ -182,9 +175,8 @@ def where_to_turn(
 ) -> TurnFigures:
     """Find out where to turn in an image of a width and height, px.
 
-    ``stars`` is None if they were not searched, ``reading_deg`` (angles by axis) empty if unknown. ``motion`` is how
-    the pattern was seen to move; None to rely on the signs of the bench. ``square`` is a dark one that looks like the
-    tag, if no tag was recognised.
+    ``motion`` None relies on the signs of the bench. ``square`` is a dark one that looks like the tag, if none was
+    found.
     """
     grid, target = grid_of(stars), setting.target
     named = stars is not None and (bool(stars.named_by) or stars.tag is not None)
@@ -262,11 +254,7 @@ def turn_to_centre(
 
 
 def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float | None:
-    """Return the angle of the pattern against the pixel rows or diagonals in the middle of the image.
-
-    It is -22.5 to 22.5; positive is clockwise. ``grid`` is (3, 3), from [column row 1] to [u v 1] px, or None; ``size``
-    is width and height, px.
-    """
+    """Return the angle of the grid, (3, 3), against the pixel rows or diagonals: -22.5 to 22.5, clockwise."""
     if grid is None:
         return None
     middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
@@ -294,17 +282,10 @@ def rim_poses(
     setting: LiveSetting,
     reading_deg: Mapping[str, float],
 ) -> str:
-    """Return which poses show the rim of the beam.
+    """Return as a sentence which poses show the rim of the beam, in whole degrees rounded outwards; empty if unknown.
 
-    The rim is taken to be `half_angle_deg` or the radius in the image away from the beam's centre, whichever is larger;
-    if the centre is not seen, from the tag. A tenth of the image beyond the rim has to be in view. The angles are whole
-    degrees, rounded away from the middle.
-
-    size: Width and height of the image, px.
-    focal_px: Focal length, px; None if unknown.
-    off: Turns of pan and tilt that centre the beam, degrees; None if unknown.
-    beam: The beam's disc.
-    Returns: A sentence; empty if it is not known.
+    The rim is `half_angle_deg` or the radius in the image from the beam's centre, whichever is larger; from the tag if
+    the centre is not seen. A tenth of the image beyond it has to be in view. ``size`` px; ``off`` turns, degrees.
     """
     if focal_px is None or off is None or not reading_deg:
         return ""  # without a reading, no angle of a pose is known
@@ -336,10 +317,9 @@ def rim_poses(
 
 
 def grid_of(stars: QuickStars | None) -> NDArray[np.float64] | None:
-    """Return the homography of the grid, (3, 3), from [column row 1] to [u v 1] px: from the stars, or the tag alone.
+    """Return the homography from [column row 1] to [u v 1] px, (3, 3): from stars, or the tag alone; None without.
 
-    Columns and rows are those of the target if the stars have ids, else of any origin and quarter turn. None if there
-    is nothing.
+    Columns and rows are those of the target if the stars have ids, else of any origin and quarter turn.
     """
     if stars is None:
         return None

@@ -1,9 +1,7 @@
 """Write what was found into the station file or a sequence. Comments and order are kept; a difference is shown first.
 
-A `Proposal` is made from the file as it is. It holds the difference, and nothing is written yet. `Proposal.write`
-checks that the file is still the same, and replaces it in one step. The strict reader has checked the new text before.
-A file that came with Starbench, or that cannot be written, is never changed: the proposal is then a copy under a new
-name.
+`Proposal.write` checks that the file is still the same, and replaces it in one step. A file that came with Starbench,
+or that cannot be written, is never changed: the proposal is then a copy under a new name.
 """
 
 from __future__ import annotations
@@ -50,11 +48,9 @@ def station_values(
     level_percent: float | None = None,
     hands: Mapping[str, Any] | None = None,
 ) -> tuple[dict[DocumentPath, Text], list[str]]:
-    """Return what a station file must state, from what a session found.
+    """Return what a station file must state, from what a session found; None leaves values as they are.
 
-    ``position_deg``, by axis, shall become zero (`ControlRefused` if it cannot), ``level_percent`` of the light 100 %;
-    ``biases`` are offsets, ``frame`` exposure and gain by name, ``hands`` what those of a simulated bench have left at
-    lens and mount. None leaves values as they are.
+    ``position_deg``, by axis, shall become zero (`ControlRefused` if it cannot), ``level_percent`` 100 %.
     """
     values: dict[DocumentPath, Text] = {}
     notes = []
@@ -177,11 +173,7 @@ class Proposal:
         }
 
     def write(self, mark: str) -> None:
-        """Write the file, in one step: at any moment it has its old contents or its new ones.
-
-        ``mark`` is that of the proposal that the person saw. Refused if file or values have changed since, or a copy
-        would replace another file.
-        """
+        """Write the file in one step; refused if file or values changed since the person saw ``mark``."""
         where = str(self.path)
         if mark != self.mark:
             raise ControlRefused(
@@ -202,8 +194,7 @@ def propose_values(
 ) -> Proposal:
     """Propose to set values (YAML text by path) of a file; missing keys are added at the end of their mapping.
 
-    ``target`` is a new file to write instead, needed (else `ControlRefused`) where the source must not be changed.
-    Raises `ScriptError`, with every fault, if the new text is not valid.
+    ``target`` is a new file, needed where the source must not be changed (else `ControlRefused`).
     """
     before = _read(source)
     document, yaml = _load(source, before)
@@ -221,11 +212,9 @@ def propose_pose(
     light: Mapping[str, str] | None = None,
     target: Path | None = None,
 ) -> Proposal:
-    """Propose to add a pose to a list of a sequence, and to set its light; nothing is written.
+    """Propose to add a pose to a list of a sequence (made if missing), and to set its light; nothing is written.
 
-    ``poses`` names the list, which is made if it does not exist; None for the file's first one; a grid is refused.
-    ``name`` is that of the pose, or None; ``light`` YAML text by key of ``defaults.light``, None to leave it.
-    ``target`` and errors as for `propose_values`.
+    ``poses`` None is the file's first list; ``light`` YAML text by key of ``defaults.light``; else as `propose_values`.
     """
     before = _read(source)
     document, yaml = _load(source, before)

@@ -1,8 +1,7 @@
 """Parse JSON that others may have written: one reading only, and bounded, so that memory and stack are too.
 
 What two readers could read differently is refused: a key that stands twice, a byte-order mark, ``NaN``, blanks behind
-the end. `canonical_json` is the one form that the program writes; it also shows numbers that are too large. Files are
-read by `bench.records.storage`, which bounds their size. `leaves` and `mapped` go through what was read.
+the end. `canonical_json` is the one form that the program writes.
 """
 
 from __future__ import annotations
@@ -19,10 +18,7 @@ MOST_VALUES: Final = 5_000_000
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Parse JSON of a bounded depth and number of values, which every reader reads alike.
-
-    All else raises `ValueError`, never RecursionError.
-    """
+    """Parse JSON of bounded depth and size that all readers read alike, else `ValueError`, never RecursionError."""
     marks: tuple[Any, ...] = (b",", b"[", b"{") if isinstance(data, bytes) else (",", "[", "{")
     if sum(data.count(mark) for mark in marks) > MOST_VALUES:
         raise ValueError(f"it has more than {MOST_VALUES} values")

@@ -1,12 +1,9 @@
 """The clock of the bench. Every wait of a run goes through it, so that a request to stop ends every wait.
 
-A request to stop does not travel through the queue of the work. A signal handler or another thread calls
-`BenchClock.request_stop`; the next ``sleep`` of the work, or ``check`` between two pieces of work, raises `Aborted`. An
-interlock calls ``interrupt`` in the same way: the work then receives `Interrupted`, and may continue after
-``clear_interruption``. While the bench makes its devices safe, the clock is ``shielded`` from both.
-
-``inactive_s`` reports for how long the work has neither waited, nor checked, nor read the time. It grows where a driver
-hangs. The time of a `VirtualClock` passes only where the work waits.
+A signal handler or another thread calls `BenchClock.request_stop`; the next ``sleep`` or ``check`` raises `Aborted`, or
+`Interrupted` after an interlock's ``interrupt``, until ``clear_interruption``. While devices are made safe, the clock
+is ``shielded`` from both. ``inactive_s`` grows where a driver hangs: the work neither waits, nor checks, nor reads the
+time. The time of a `VirtualClock` passes only where the work waits.
 """
 
 from __future__ import annotations
@@ -41,8 +38,7 @@ class Interrupted(Exception):
 class _SignalSafeEvent:
     """A ``threading.Event`` that a signal handler may set during any of its other calls.
 
-    An Event has a lock. A handler that sets it while the same thread holds that lock would deadlock.
-    ``SimpleQueue.put`` is reentrant (documentation of Python's ``queue``), so that a handler may call it.
+    An Event has a lock, at which a handler would deadlock; ``SimpleQueue.put`` is reentrant (Python's ``queue``).
     """
 
     def __init__(self) -> None:
@@ -103,11 +99,7 @@ class BenchClock:
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
-        """Wait, s (negative: 0). A request to stop or to pause ends the wait at once, unless the clock is shielded.
-
-        Raises `Aborted` at a stop, `Interrupted` when an interlock asks for a pause, or what ``request_failure`` was
-        given.
-        """
+        """Wait, s (negative: 0). Unless shielded, `Aborted`, `Interrupted` or a failure ends the wait."""
         self._asleep = True
         try:
             if self._shields:

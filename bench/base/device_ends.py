@@ -1,8 +1,4 @@
-"""How a run left each device: what confirmed a safe state, what did not, and what was never opened. Uses no device.
-
-Nothing is claimed that no device has answered. The same states stand in the journal, the JSON output, the terminal and
-the messages.
-"""
+"""How a run left each device: what confirmed a safe state, what did not, and what was never opened. Uses no device."""
 
 from __future__ import annotations
 
@@ -72,9 +68,6 @@ def lost_ends(why: str) -> list[DeviceEnd]:
 
 
 def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
-    """Return a sentence for stage and light each, if it did not confirm that it is safe, each sentence once.
-
-    A camera is no reason to check the bench: it neither moves nor shines.
-    """
+    """Return a sentence for stage and light each, if not confirmed safe; a camera neither moves nor shines."""
     unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
     return list(dict.fromkeys(unsure))

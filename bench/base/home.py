@@ -43,11 +43,9 @@ _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 
 def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
-    """Set ``NUMBA_CACHE_DIR`` if numba would not find a folder it may write to, for child processes too.
+    """Set ``NUMBA_CACHE_DIR``, for children too, if numba would find no folder to write to; one that is set stays.
 
-    The folder is private to the user, in the system's folder for temporary files, and is used again by the next call.
-    If another user has taken its name, a new folder is made: a kernel is a program, and a program of another user must
-    not be executed. A value that is already set is kept.
+    The folder is the user's own in the system's temporary one: a kernel is a program, and another user's must not run.
     """
     if environ.get(VARIABLE) or _may_write(beside / "__pycache__") or _may_write(_user_cache(environ)):
         return
@@ -60,11 +58,7 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
 
 
 def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Path = _ROOT) -> tuple[str, ...]:
-    """Return the parts of the program whose loops no earlier process has compiled.
-
-    A part counts as compiled if one of its last kernels is; `remove_stale_kernels` removes all kernels of a folder
-    together.
-    """
+    """Return the parts whose loops nobody has compiled, by one of their last kernels (see `remove_stale_kernels`)."""
     if environ.get(VARIABLE):
         caches = [Path(environ[VARIABLE])]
     elif _may_write(root / "calib" / "__pycache__"):
@@ -82,9 +76,7 @@ def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Pat
 def remove_stale_kernels(root: Path = _ROOT) -> int:
     """Remove compiled kernels older than their folder's source files, so that none is loaded; return how many.
 
-    numba compares ages itself, with two gaps. It first unpickles the index of the kernels, which fails where a class
-    that the index names was renamed. And it does not see that another compiled function, which a kernel calls, changed.
-    Files that cannot be removed are left.
+    numba's own test fails at a class that was renamed, and misses a change of another compiled function that is called.
     """
     removed = 0
     caches = (

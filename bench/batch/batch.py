@@ -1,8 +1,7 @@
 """A batch: does the runs of a queue file one by one, each in its own process, and continues after any failure.
 
-The batch's journal records what has happened, so an interrupted batch continues where it stopped. An interrupted run is
-resumed; it is never started a second time and never counted as done. `schedule` decides which run is next;
-`batch_record` holds the state of the batch. This module reaches no device.
+From its journal an interrupted batch continues; an interrupted run is resumed, never started twice, never counted as
+done.
 """
 
 from __future__ import annotations
@@ -146,11 +145,7 @@ RunWork = Callable[[Item, Path, Path], WorkerEnd]
 
 
 class Batch:
-    """A batch in its folder, which this process locks: a new or empty folder, or that of an interrupted batch.
-
-    The folder keeps a copy of the queue and continues with no other one. A rehearsed batch never continues as a real
-    one, and a real one never as a rehearsed one.
-    """
+    """A batch in its folder, which this process locks: a new one, or an interrupted one of the same queue."""
 
     def __init__(
         self,

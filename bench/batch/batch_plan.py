@@ -1,7 +1,4 @@
-"""Plan of a batch: checks the queue with all its files, and predicts when each run begins and ends.
-
-`schedule` gives the times, from the planned duration of every run. Runs nothing and writes nothing.
-"""
+"""Plan of a batch: checks the queue with all its files, and predicts when each run begins and ends. Writes nothing."""
 
 from __future__ import annotations
 
@@ -67,11 +64,7 @@ class Pace:
 
 
 def paces(runs: Sequence[LedgerRun]) -> dict[str, Pace]:
-    """Return the pace of each station, from the newest runs of a ledger that finished without a stop.
-
-    Returns: By the name of the station, and of all stations together under an empty name; a station without such a run
-      is missing.
-    """
+    """Return each station's pace, and under an empty name that of all, from the newest runs without a stop."""
     found: dict[str, list[float]] = {}
     for run in reversed(runs[-_MOST_READ:]):
         if run.how == "finished" and (one := _ratio(Path(run.folder))) is not None:
@@ -254,10 +247,7 @@ def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
 
 
 def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
-    """Predict when each run of a queue begins and ends, if the batch begins at a given time.
-
-    ``paces`` are how long earlier runs took against their plans, by the name of the station.
-    """
+    """Predict when each run begins and ends; ``paces`` are earlier runs' times over their plans, by station."""
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
     plans = {job.name: plan_of(job) for job in queue.jobs}
@@ -325,8 +315,8 @@ def refusal(request: Request, record: BatchRecord) -> str:
 class RequestInbox:
     """Answers the requests to a batch in its folder, locked by this process.
 
-    ``answer`` decides on a request and writes the decision to the journal. It gets the request, or None if the file
-    holds no request, and the name of the file. If the journal can no longer be written, the clock is asked to stop.
+    ``answer`` journals a decision on a request (None: the file holds none) in a file; if it cannot, the clock is asked
+    to stop.
     """
 
     def __init__(
@@ -360,10 +350,10 @@ def _inbox_of(folder: Path) -> Inbox[Request]:
 
 
 def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> Requested | None:
-    """Send a request to a batch, and wait for the answer if a process works on it.
+    """Send a request to a batch; return the journal's answer, ``word by taken why`` and ``job`` or ``name``.
 
-    The answer is that in the journal: ``word by taken why`` and ``job`` or ``name``; None if there is none yet: the
-    request then stays until the batch continues. A rehearsal that has ended takes none.
+    None if no process works on the batch: the request then stays until it continues. A rehearsal that has ended takes
+    none.
     """
     if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
         raise RunFolderError(

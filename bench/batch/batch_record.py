@@ -1,7 +1,4 @@
-"""State of a batch, computed from its journal: its runs, their attempts and ends, and the requests.
-
-Reads events of the journal only, no files. The batch itself, its status and its summary use this state.
-"""
+"""State of a batch, computed from its journal alone: its runs, their attempts and ends, and the requests."""
 
 from __future__ import annotations
 
@@ -161,7 +158,7 @@ class BatchRecord:
         """Whether a run needs no further attempt.
 
         It finished, was aborted or withdrawn, or its processes failed ``attempts`` times without a further recorded
-        pose. A power cut or a kill is no failure; after ``MOST_CUTS`` of them the run is given up, too.
+        pose. A power cut or a kill is no failure, up to ``MOST_CUTS``.
         """
         if item.key in self.withdrawn:
             return True

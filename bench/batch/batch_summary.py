@@ -1,7 +1,6 @@
 """Summary of a batch: every run, the reasons of failures, and the trend of each camera's parameters.
 
-Uses the batch's journal and the journals of its runs. The summary is written as ``summary.json`` and ``summary.html``,
-and can be written again at any time.
+Made from the batch's journal and those of its runs, as ``summary.json`` and ``summary.html``, again at any time.
 """
 
 from __future__ import annotations
@@ -338,10 +337,7 @@ def read_batch_status(
 def follow_batch(
     folder: Path, sleep: Callable[[float], None] = time.sleep, *, ticks: bool = False
 ) -> Iterator[BatchStatus]:
-    """Read the status whenever a run begins or ends, until no process works on the batch.
-
-    With ``ticks`` also in between, for the course of the run in progress.
-    """
+    """Read the status at each begin and end, with ``ticks`` also in between, until no process works on the batch."""
     seen, waits = -1, 0
     while True:
         with storage_errors(folder):

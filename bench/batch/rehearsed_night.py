@@ -1,8 +1,7 @@
 """Rehearsal of a whole batch on a virtual clock, in this process: ten hours take less than a minute.
 
-Queue, schedule, steps, journals and summary are those of a real batch; `rehearsal` lists what is left out. The
-rehearsal is written in memory if the system has a folder there, and then copied to its folder, because no file of it
-needs to be synced one by one.
+All is as in a real batch but what `rehearsal` lists. It is written in memory if possible, then copied: no sync is
+needed.
 """
 
 from __future__ import annotations
@@ -32,10 +31,9 @@ _ROOM_BYTES = 1_000_000_000
 def rehearse_batch(
     queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Rehearse a batch from ``begin``, a virtual time with zone, to its end, in a new or empty folder.
+    """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
 
-    The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte. A
-    rehearsal cannot be continued.
+    The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
     """
     make_folder(folder)
     with storage_errors(folder):

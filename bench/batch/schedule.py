@@ -1,7 +1,6 @@
 """Schedule of a batch: which run is next, when it begins, and for which runs no time is left.
 
-Pure functions of times in seconds; the batch itself, its plan and its status all use them. Times count from the begin
-of the batch. Times of day are converted to seconds once, when the batch begins.
+Pure functions of times in s from the batch's begin; times of day are converted once, when the batch begins.
 """
 
 from __future__ import annotations
@@ -97,11 +96,7 @@ def bounds_of(queue: Queue, begun: datetime) -> Bounds:
 def items_of(
     jobs: Sequence[JobConfig], begun: datetime, now_s: float = 0.0, zone: str | None = None
 ) -> list[Item]:
-    """List every run of some jobs: the repetitions of each job, in the order of the jobs.
-
-    They may begin ``now_s`` after the begin of the batch: at its opening, or when the jobs were added. ``zone`` is that
-    of times of day; None for this computer's.
-    """
+    """List every repetition of some jobs in order; they may begin at ``now_s``. ``zone`` None is this computer's."""
     items = []
     for job in jobs:
         first_begin_s = now_s

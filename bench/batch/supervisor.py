@@ -1,13 +1,8 @@
 """Supervises one worker process, and makes the bench safe if the worker cannot do so any more.
 
-A worker gives signs of life (`bench.run.heartbeat`). The supervisor notices at once that a worker has ended, and within
-``SILENCE_S`` that it hangs: it is stopped, deadlocked, or in a driver that computes without end or never returns. A
-hanging worker is ended by SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL. Then
-its devices are opened again and made safe. A worker whose supervisor was killed is supervised by the next one in the
-same way.
-
-There is one limit, whatever the cause (docs/decisions/0041-one-time-out.md): a lamp that burns and a stage that moves
-are to be safe in bounded time, also where a busy computer and not the worker is to blame.
+The end of a worker is noticed at once, a hang within ``SILENCE_S`` (docs/decisions/0041-one-time-out.md). A hanging
+worker is ended by SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL; then its
+devices are opened again and made safe. A worker whose supervisor was killed is supervised by the next one.
 """
 
 from __future__ import annotations
@@ -122,8 +117,7 @@ def supervise(
 def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> WorkerEnd | None:
     """Supervise a worker that outlived its supervisor, to its end; return how it was ended if it hung, else None.
 
-    The folder's lock shows whether a worker is alive (if none is, this returns at once); the folder records how it
-    ended. A stop requested from the clock ends it safely and is raised again.
+    Returns at once if the folder's lock shows none. A stop requested from the clock ends the worker safely.
     """
     if not is_locked(folder):
         return None

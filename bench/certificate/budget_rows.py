@@ -1,13 +1,7 @@
-"""The uncertainty budget of each result: from the engine's budget and the certificates behind its rows, and as printed.
+"""The uncertainty budget of each result, from the engine's budget and the certificates behind it, and as printed.
 
-results.json states one coverage factor for all results, and enlarges the standard uncertainty of a result that has
-fewer degrees of freedom than the focal length. A certificate states each result with its own degrees of freedom and its
-own k (JCGM 100, G.4): the standard uncertainty is then smaller, k is larger, and U = k u is the same. Numbers only: no
-file, no clock.
-
-U is printed with two significant digits, the value to the same digit (JCGM 100, 7.2.6 and EA-4/02). U is rounded up,
-unless it would be rounded down by 1 % or less. Printed numbers are decimal texts with ``-`` and a point, so that PDF
-and DCC print the same.
+Each result has its own degrees of freedom and its own k (JCGM 100, G.4); U = k u is that of results.json. U has two
+significant digits and is rounded up, unless rounding down takes 1 % or less (JCGM 100, 7.2.6; EA-4/02).
 """
 
 from __future__ import annotations
@@ -148,11 +142,9 @@ def row_names(calibration: CalibrationData) -> list[str]:
 
 
 def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
-    """Return the uncertainty of a result with its own degrees of freedom, from ``calibration`` of results.json.
+    """Return a result's uncertainty with its own degrees of freedom (Welch and Satterthwaite, JCGM 100, G.4.1).
 
-    Formula of Welch and Satterthwaite (JCGM 100, G.4.1). The engine evaluates all sources of the adjustment that are
-    not known beforehand together; they count as one source. There are never more degrees of freedom, nor a smaller U,
-    than results.json states.
+    All sources of the adjustment that are not known beforehand are evaluated together, so they count as one.
     """
     if own_factors := calibration.get(
         "coverage_factors"

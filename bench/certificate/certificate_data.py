@@ -1,7 +1,6 @@
-"""A certificate as data. `certificate.json` holds it; the PDF, the DCC and every printed number derive from it.
+"""A certificate as data: `certificate.json`, from which PDF, DCC and every printed number derive. No file, no clock.
 
-It holds values and texts only: no file, no clock, no key. Times are UTC, ``2026-03-31T09:15:00Z``; dates are
-``2026-03-31``. Numbers in brackets are clauses of ISO/IEC 17025:2017.
+Times are UTC, ``2026-03-31T09:15:00Z``; numbers in brackets are clauses of ISO/IEC 17025:2017.
 """
 
 from __future__ import annotations

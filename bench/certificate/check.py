@@ -1,8 +1,4 @@
-"""Derive a certificate again from its own folder, and compare it with the laboratory's ledger. Nothing is written.
-
-certificate.json follows from results.json and lab.yaml; PDF and DCC follow from certificate.json. What only the sealed
-run can give is compared with the run, if it still lies where the ledger says.
-"""
+"""Derive a certificate again from its own folder, and compare it with the laboratory's ledger. Nothing is written."""
 
 from __future__ import annotations
 
@@ -31,10 +27,7 @@ _UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErr
 
 
 def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
-    """Derive the files of a certificate again and compare every byte; compare number and run with the ledger.
-
-    Without the laboratory's ledger, or one that has the number, nothing is compared with it.
-    """
+    """Derive the files again and compare every byte; compare number and run with the ledger, if it has the number."""
     found = Findings()
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     for name in sorted(_FILES - names):

@@ -1,7 +1,6 @@
 """What lab.yaml and the run must answer: the clauses of ISO/IEC 17025:2017, each with the field that answers it.
 
-A certificate that leaves a clause open is refused; the message names the clause and the key of lab.yaml. So is one
-whose lab.yaml contradicts the run or itself. The table is printed in docs/certificates.md. No file is read here.
+A certificate that leaves a clause open, or contradicts the run, is refused. docs/certificates.md prints the table.
 """
 
 from __future__ import annotations

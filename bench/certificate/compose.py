@@ -1,8 +1,7 @@
 """From results.json and lab.yaml to a certificate. Same input, same certificate: no clock, no file, no key.
 
-So a verifier can compose the certificate again from the two files in its folder and compare every byte. The fixed texts
-and the statements of conformity are made here, too. The guard band is the expanded uncertainty, w = U (ILAC-G8:09/2019,
-4.2.2 and 4.2.3). The decision uses the printed numbers, so that a reader can repeat it.
+The guard band is the expanded uncertainty, w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3); the decision uses the printed
+numbers, so that a reader can repeat it.
 """
 
 from __future__ import annotations
@@ -99,11 +98,7 @@ _FISHEYE = (
 
 
 def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
-    """Return the fixed texts of a certificate, in the order in which they are printed.
-
-    ``also`` is why a second certificate is issued for the run, ``verified`` what was verified before the issue; or
-    empty.
-    """
+    """Return the fixed texts in printed order; ``also`` says why the run has a second certificate, or is empty."""
     calibration = found["calibration"]
     notes = " ".join(str(note) for note in calibration.get("notes") or [])
     left_out = "; ".join(str(line) for line in calibration.get("not_included") or [])
@@ -143,11 +138,7 @@ RULE = (
 
 
 def _rules_of(found: Results, lab: LabConfig) -> Sequence[LabRuleConfig]:
-    """Return the limits to state conformity with: the laboratory's, or those of the run if it has none.
-
-    Limits of the collimator are left out: the certificate is about the camera. A value that the run did not determine
-    must have none.
-    """
+    """Return the laboratory's limits for conformity, or else the run's, without those of the collimator."""
     if lab.decision_rules:
         return lab.decision_rules
     judged = found.get("conformity")
@@ -198,10 +189,7 @@ class Identity:
 
 
 def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
-    """Return the certificate of a run. Every clause is answered, and nothing contradicts the run (checked before).
-
-    An uncertainty budget that is missing or does not add up raises `EvidenceError`.
-    """
+    """Return a run's certificate, its clauses checked before; `EvidenceError` if the budget does not add up."""
     simulated = bool(found["run"]["simulated"])
     supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
     results = run_facts.results_of(found, supplied)

@@ -1,9 +1,7 @@
-r"""A certificate as a digital calibration certificate (DCC): PTB's DCC 3.2.1 with D-SI 2.1.0.
+r"""A certificate as a digital calibration certificate (DCC): PTB's DCC 3.2.1 with D-SI 2.1.0. Same input, same bytes.
 
-`render_dcc` writes what the certificate states and nothing else: the same certificate gives the same bytes. It touches
-no clock and no schema. `dcc.xml.j2` is the form; what it cannot say by itself stands here: words from several fields,
-and numbers as D-SI wants them. The content follows ISO/IEC 17025:2017, 7.8. Lengths in the image have the unit
-``\one``, because D-SI has no pixel; a statement defines the pixel.
+`dcc.xml.j2` is the form; here are words from several fields, and numbers as D-SI wants them. The content follows
+ISO/IEC 17025:2017, 7.8. Lengths in the image have the unit ``\one``: D-SI has no pixel; a statement defines it.
 """
 
 from __future__ import annotations
@@ -74,10 +72,7 @@ _REF_TYPES = {
 
 
 def render_dcc(certificate: Certificate, versions: Versions = VERSIONS[0]) -> bytes:
-    """Return a certificate as a digital calibration certificate, not signed, in one of `dcc_xml.VERSIONS`.
-
-    Without lxml, `UsageError` is raised.
-    """
+    """Return the DCC of a certificate, not signed, in one of `dcc_xml.VERSIONS`; it needs lxml."""
     if versions not in VERSIONS:
         raise ValueError(f"DCC {versions.dcc} with D-SI {versions.si} cannot be written")
     etree = library("lxml.etree")

@@ -1,7 +1,6 @@
-"""Reads a length with its uncertainty from the digital calibration certificate of a reference, such as a collimator.
+"""Reads a length, number, date, issuer and hash from the DCC of a reference, such as a collimator.
 
-`read_reference` takes number, date, issuer and value from the DCC as they are stated, and the hash of its bytes. It
-judges neither the signature (`dcc_signature`) nor the form (`dcc_xml`).
+It judges neither the signature (`dcc_signature`) nor the form (`dcc_xml`).
 """
 
 from __future__ import annotations
@@ -60,11 +59,7 @@ class Reference:
 
 
 def read_reference(data: bytes, where: str, *, wanted: str = "") -> Reference:
-    """Read a length from a DCC by id, label or name; an empty one is the focal length, or the only length.
-
-    Raises `EvidenceError` if the DCC cannot be read, hides parts of values in comments, has no number, or does not
-    state the length unmistakably.
-    """
+    """Read a length by id, label or name (empty: the focal length, or the only one); `EvidenceError` if in doubt."""
     root = read_dcc(data, where)
     if next(root.iter(library("lxml.etree").Comment), None) is not None:
         raise EvidenceError(

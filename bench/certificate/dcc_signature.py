@@ -1,9 +1,7 @@
 """XAdES signatures of digital calibration certificates (ETSI EN 319 132-1), enveloped, by a key of the laboratory.
 
-The signature is one element at the end of the DCC. It covers the whole document, the certificates in it and the time of
-signing that the signer states. It proves neither that time nor, unless a trusted certificate is named, who signed.
-`without_signature` gives back the bytes that were signed. The same key, time and DCC give the same bytes: RSA with the
-padding of PKCS#1 v1.5, or ECDSA with the nonces of RFC 6979. signxml makes and checks the signatures.
+A signature covers the whole document; it proves neither the stated time nor, without a trusted certificate, who signed.
+The same key, time and DCC give the same bytes: RSA with PKCS#1 v1.5, or ECDSA with the nonces of RFC 6979.
 """
 
 from __future__ import annotations
@@ -39,10 +37,7 @@ _KEY_FORM = "Use a key in PEM: RSA of 2048 bits or more, or ECDSA on P-256, P-38
 
 
 def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> PrivateKey:
-    """Load the laboratory's key for signatures in XML from a PEM file, which only its owner can read.
-
-    ``ask_passphrase`` is for a protected key; None if nobody can be asked.
-    """
+    """Load a PEM key that only its owner can read; ``ask_passphrase`` None if nobody can be asked for one."""
     with storage_errors(path):
         refuse_readable_by_others(path)
         secret = path.read_bytes()
@@ -95,10 +90,7 @@ def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
 
 
 def in_order(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Certificate]:
-    """Return a chain with the certificate of the private key first, each followed by that of its issuer.
-
-    Raises `EvidenceError` if none belongs to the key, or one is no part of the chain.
-    """
+    """Return a chain with the key's own certificate first, each followed by its issuer's; or raise `EvidenceError`."""
     public = key.public_key()
     left = list(chain)
     leaf = next((one for one in left if one.public_key() == public), None)
@@ -153,10 +145,7 @@ def refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "")
 def leads_to(
     certificates: Sequence[x509.Certificate], trusted: Sequence[x509.Certificate], when: datetime
 ) -> bool:
-    """Return whether a chain leads to a trusted certificate (RFC 5280, 6.1, without names and policies).
-
-    The signer's certificate is the first; the issuers must be valid at the time ``when``, with its zone.
-    """
+    """Return whether a chain, signer first, leads to a trusted certificate (RFC 5280, 6.1, no names or policies)."""
     current, left = certificates[0], list(certificates[1:])
     for _ in range(MOST_CERTIFICATES):
         if current in trusted:
@@ -208,10 +197,7 @@ class DccSignature:
 def signer_of_files(
     key_file: Path, certificate_file: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> Callable[[bytes, datetime], bytes]:
-    """Load the laboratory's key and certificates; return what signs a DCC with them at a time (see `sign_dcc`).
-
-    ``ask_passphrase`` is for a protected key; None if nobody can be asked.
-    """
+    """Load the laboratory's key and certificates; return what signs a DCC with them at a time (see `sign_dcc`)."""
     library("signxml")
     key = load_signing_key(key_file, ask_passphrase=ask_passphrase)
     chain = in_order(load_certificates(certificate_file), key)
@@ -223,9 +209,8 @@ def sign_dcc(
 ) -> bytes:
     """Sign a DCC as `render_dcc` wrote it, at a time with its zone; `without_signature` gives ``data`` again.
 
-    ``chain`` holds the key's certificate, and those that lead to one that readers trust, in any order. Raises
-    `EvidenceError` if the DCC is signed already or not written by Starbench, no certificate belongs to the key, or that
-    one is not valid at the time or not meant for signatures.
+    ``chain`` holds the certificates of the key and its issuers in any order; the key's must be valid and meant for
+    signatures.
     """
     root = read_dcc(data, "the DCC")
     if next(root.iter(SIGNATURE), None) is not None:
@@ -312,11 +297,10 @@ def without_signature(data: bytes) -> bytes:
 def verify_signature(
     data: bytes, where: str, *, trusted: Sequence[x509.Certificate] = (), when: datetime | None = None
 ) -> DccSignature | None:
-    """Verify the signature of a DCC; return who signed, or None if it has no signature.
+    """Verify the signature of a DCC; return who signed, or None without a signature; else raise `EvidenceError`.
 
-    ``trusted`` is empty to check only that the document belongs to the signature; ``when`` None stands for the time
-    that the signer states. Raises `EvidenceError` if the signature is not valid, does not cover the whole document, or
-    is not of a trusted certificate.
+    ``trusted`` empty checks only that document and signature belong together; ``when`` None is the time the signer
+    states.
     """
     root = read_dcc(data, where)
     signatures = list(root.iter(SIGNATURE))

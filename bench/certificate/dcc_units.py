@@ -1,8 +1,7 @@
 r"""Units of the Digital System of Units (D-SI), as its XML writes them: ``\milli\metre``, ``\metre\per\second``.
 
-The schema takes any text for a unit; these functions do not. Units and prefixes are those of the SI brochure (BIPM, 9th
-edition, tables 2 to 8) in the notation of D-SI (Hutzschenreuter et al. 2019, SmartCom Digital System of Units, chapter
-2). D-SI has no pixel: lengths in the image have the unit ``\one``.
+Units are those of the SI brochure (BIPM, 9th edition, tables 2 to 8) in the notation of D-SI (Hutzschenreuter et al.
+2019, SmartCom Digital System of Units, chapter 2).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""The XML of digital calibration certificates (DCC): versions, names, safe reading, elements, bytes and PTB's schemas.
+"""The XML of digital calibration certificates: versions, names, safe reading, elements, bytes and PTB's schemas.
 
-Reading loads no entity, no document type and nothing from other files or the network. lxml is imported by the functions
-that need it, because it belongs to the extra ``certificate``.
+Reading loads no entity and nothing from other files or the network. lxml (extra ``certificate``) is imported late.
 """
 
 from __future__ import annotations
@@ -207,10 +206,7 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
 
 
 def load_schema(folder: Path, versions: Versions) -> XMLSchema:
-    """Load the schemas of a folder, which must have these versions.
-
-    Raises `UsageError` when a file is missing, is not a schema or has another version, or lxml is not installed.
-    """
+    """Load the schemas of a folder, which must have these versions; `UsageError` if one is missing or no schema."""
     etree = library("lxml.etree")
     if not folder.is_dir():
         raise UsageError("There is no such folder of schemas.", where=str(folder), remedy=_REMEDY)

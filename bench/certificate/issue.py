@@ -1,8 +1,7 @@
 """Issue a certificate: verify the run, take a number, render, seal, and enter it in the ledger; or amend one.
 
-Nothing is asked and nothing is authorised here: the certificate is SEALED, and a person authorises it later. Everything
-that can be refused is refused before a number is taken. An amendment has a new number and the results of the old
-certificate, which it names by hash; the old one stays as it is.
+A person authorises it later. What can be refused is refused before a number is taken. An amendment has a new number and
+the results of the old certificate, which it names by hash; the old one stays as it is.
 """
 
 from __future__ import annotations
@@ -86,10 +85,7 @@ def certificate_files(
     plots: Mapping[str, str],
     sign: Callable[[bytes], bytes] | None = None,
 ) -> dict[str, bytes]:
-    """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
-
-    ``sign`` returns the DCC with a signature in it; None for none.
-    """
+    """Return the files of the folder but the seal's; same input, same bytes. ``sign`` signs the DCC; None: unsigned."""
     from bench.certificate.dcc import render_dcc
     from bench.certificate.pdf import render_pdf
 
@@ -195,11 +191,10 @@ def issue(
     also: str = "",
     accept_not_compared: bool = False,
 ) -> Issued:
-    """Issue the certificate of a sealed run.
+    """Issue the certificate of a sealed run; raises `DocumentFaults` with all faults of lab.yaml.
 
-    ``also`` is why a second certificate of the run is needed; empty: a second one is refused. With
-    ``accept_not_compared`` the run may have parts that could not be made again from the recordings. Raises
-    `DocumentFaults` with all faults of lab.yaml: clauses without an answer, and contradictions to the run.
+    Without ``also``, the reason, a second one is refused. ``accept_not_compared`` allows parts that could not be made
+    again.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -219,10 +214,10 @@ def make_certificate(
     amended: Callable[[Certificate], Amends] | None = None,
     amends: str = "",
 ) -> Issued:
-    """Make, seal and enter a certificate of a run that was verified.
+    """Make, seal and enter the certificate of a verified run.
 
-    ``also`` is why a second certificate is needed, or empty. ``amended`` returns what the certificate amends, given the
-    certificate without that; None if it amends none. ``amends`` is the number that it replaces, or empty.
+    ``also`` is why there is a second one, ``amends`` the number that it replaces; both may be empty. ``amended``
+    returns what it amends, given the certificate without that; None if it amends none.
     """
     folder = folder.absolute()
     try:

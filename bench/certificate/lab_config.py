@@ -1,8 +1,7 @@
 """The file ``lab.yaml``: what a certificate says that a run cannot know. One file for each calibrated item.
 
-What the run itself proves (serial number, dates, software, settings, the collimator's certificate) is not in it. Nearly
-every key may be left out here; `bench.certificate.clauses` then refuses the certificate and names the clause. Where a
-laboratory has nothing to state, it writes ``none``. docs/certificates.md describes every key.
+Nearly every key may be left out here; `bench.certificate.clauses` refuses what is open. docs/certificates.md has them
+all.
 """
 
 from __future__ import annotations

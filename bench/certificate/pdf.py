@@ -1,13 +1,8 @@
 """The certificate as PDF/A-3a, made by typst (extra ``certificate``). The same input gives the same bytes.
 
-All text reaches typst as data, never as markup. The date of the document is the date of issue, and the clock and the
-fonts of the computer are not used.
-
-A certificate never shows an empty box for a character. What the laboratory wrote must be printable: else the
-certificate is refused, with the field and the characters. What comes from the sealed run cannot be changed any more:
-there a character that is missing is printed as its code, such as ``[U+5C71]``, and a note says so. The fonts are DejaVu
-Sans and DejaVu Sans Bold; Matplotlib brings them. They have Latin, Greek, Cyrillic, Armenian, Georgian, Hebrew and
-Arabic letters and mathematical signs, but no Chinese, Japanese, Korean, Indian or Thai letters.
+Text reaches typst as data, never as markup; clock and fonts of the computer are not used. Fonts are Matplotlib's DejaVu
+Sans and DejaVu Sans Bold, without Chinese, Japanese, Korean, Indian and Thai letters: the laboratory's texts must be
+printable, or the certificate is refused; a character of the sealed run is printed as its code, ``[U+5C71]``.
 """
 
 from __future__ import annotations
@@ -156,10 +151,7 @@ def render_pdf(
     attachments: Mapping[str, bytes],
     plots: Mapping[str, str] | None = None,
 ) -> bytes:
-    """Render a certificate as PDF/A-3a with files attached by name: ``dcc.xml`` and ``results.json``.
-
-    ``plots`` is SVG by name, from `plots_of_run`; None to draw what follows from ``results``, results.json, alone.
-    """
+    """Render a certificate with its attachments; ``plots`` None draws what ``results`` alone gives."""
     _typst()
     content = json.loads(certificate.to_json())
     refuse_missing(content)

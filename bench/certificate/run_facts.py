@@ -1,7 +1,6 @@
-"""What a certificate takes from results.json: results, covariance, further numbers, item, conditions, deviations.
+"""What a certificate takes from results.json; nothing of this is typed by hand. No file, no clock.
 
-Nothing of this is typed by hand. Numbers and texts only: no file, no clock. Calculated numbers have nine digits, so
-that they are the same on another computer.
+Calculated numbers have nine digits, so that they are the same on another computer.
 """
 
 from __future__ import annotations
@@ -200,10 +199,7 @@ def camera_identity(found: Results, item: ItemConfig) -> Camera:
 
 
 def conditions_of(found: Results) -> tuple[Condition, ...]:
-    """Return the conditions that the run recorded.
-
-    These are temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
-    """
+    """Return the recorded conditions: temperatures, light, event rate, the board if one was seen, camera settings."""
     light, camera = _light_and_camera(found)
     attempts = [one for pose in found["poses"] for one in pose["attempts"] if one["accepted"]]
     rows = [

@@ -1,8 +1,7 @@
 """A sealed run as the source of a certificate: verified first, and refused if it is none. It reads the run's folder.
 
-What was verified is stated by one of a few sentences that this module makes, so a check makes it again in place of
-believing it. What wrote the certificate stands at the end of its list of software: the program's own files by their
-hash, and the libraries that decide bytes. A verifier that is another program cannot expect the same bytes.
+The certificate's list of software ends with what wrote it: the program's files by hash, and the libraries that decide
+bytes; a verifier that is another program cannot expect the same bytes.
 """
 
 from __future__ import annotations
@@ -45,10 +44,7 @@ _SHOWN = 16
 
 @functools.cache
 def written_with() -> tuple[Software, ...]:
-    """Return what writes a certificate here: ``certificate_form`` and the libraries that are installed.
-
-    The form is the first 16 characters of a SHA-256 over the files.
-    """
+    """Return what writes a certificate here: libraries, and ``certificate_form``, 16 digits of its files' SHA-256."""
     import bench
 
     root = Path(bench.__file__).parent.parent
@@ -164,10 +160,9 @@ class Source:
 
 
 def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool = False) -> Source:
-    """Verify a run, and read what a certificate needs; ``verify`` does as the command `verify`.
+    """Verify a finished run with ``verify``, and read what a certificate needs; `EvidenceError` where it may have none.
 
-    With ``accept_not_compared`` the run may have parts that could not be made again. Raises `EvidenceError` when it is
-    not sealed, does not verify, was not finished, is a rehearsal, or has no converged result.
+    With ``accept_not_compared`` the run may have parts that could not be made again.
     """
     if not is_sealed(folder):
         raise EvidenceError(

@@ -1,8 +1,7 @@
 """The series of certificate numbers, kept in the laboratory's ledger: without gaps, each number given once.
 
-A number is reserved before a certificate is made, and entered as issued when its folder has its final name. A number
-without either end was left by a process that was killed or failed; the next certificate of the same run takes it, or a
-person declares it void with a reason. Nothing is removed from the ledger.
+A number is reserved before a certificate is made, and issued when its folder has its final name. One that was left open
+goes to the next certificate of the same run, or a person declares it void. Nothing is removed from the ledger.
 """
 
 from __future__ import annotations
@@ -199,10 +198,10 @@ def one_at_a_time(home: Path) -> Iterator[None]:
 
 
 def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
-    """Reserve the next number on the disk, or take the open one of the same run.
+    """Reserve the next number on the disk, or take the open one of the run; lost numbers before it are entered as lost.
 
-    Numbers that were lost before it are entered as lost. Raises `EvidenceError` when the clock was set back, another
-    number is open, the run has a certificate already, or what is to be amended is not the newest one.
+    Raises `EvidenceError` if the clock was set back, another number is open, the run has a certificate already, or what
+    is to be amended is not the newest one.
     """
     with ledger.locked() as journal:
         found = numbers(journal.entries)

@@ -1,7 +1,6 @@
 """Results of pieces of work on the disk, by the hash of all that decides them: lines of JSON in one file.
 
-A line is synced before the work counts as done. A line that a power cut left half does not count. One process at a time
-works in the folder of the file.
+A line is synced before the work counts as done; half a line does not count. One process at a time works in the folder.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Workers on this computer: a pool of one process for each, so that it is known with which work a process died.
-
-Such a pool is replaced, and its work is done again. A worker ends with the command, however that ends.
-"""
+"""Workers on this computer: a pool of one process for each, so that it is known with which work a process died."""
 
 from __future__ import annotations
 
@@ -54,10 +51,7 @@ def _started(memory_bytes: int | None) -> _Worker:
 
 
 class Processes(Workers):
-    """Workers on this computer: ``count`` of them, or (None) one for each processor.
-
-    ``memory_bytes`` is what each may use, None for no limit; only Linux limits it.
-    """
+    """``count`` workers here (None: one a processor); ``memory_bytes`` limits each, on Linux only."""
 
     size = 1
 
@@ -207,10 +201,7 @@ _REMEDY = "Start it, check the address, then repeat the command: what was done i
 
 
 class DaskWorkers(Workers):
-    """Workers of a Dask scheduler, ``tcp://host:8786`` or ``tls://host:8786``, with Dask's own certificates.
-
-    ``without_worker_s`` is how long to wait while the scheduler has no worker.
-    """
+    """Workers of a Dask scheduler, ``tcp://host:8786`` or ``tls://...``; waits ``without_worker_s`` if it has none."""
 
     most_deaths = 3  # how often Dask may give a piece of work up, each time after several deaths
 

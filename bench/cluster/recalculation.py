@@ -1,7 +1,7 @@
 """Calibrates many runs again: one piece of work for each recording, then one for each run.
 
-Recordings of the next runs are handed out while earlier ones are in progress, and never more than keeps the workers
-busy. Each run ends with one row: done, or failed with the reason. A run that fails stops no other.
+Never more recordings are handed out than keep the workers busy. Each run ends with one row; one that fails stops no
+other.
 """
 
 from __future__ import annotations
@@ -54,10 +54,9 @@ _KEY_SHOWN = 8
 
 
 class ResultsFolders(Table):
-    """The folder of a recalculation, made if it does not exist; one process at a time works in it.
+    """The folder of a recalculation, used by one process at a time; what an interrupted one did is used again.
 
-    What an earlier, interrupted recalculation did is used. ``key`` is the bench's; None leaves the results drafts.
-    ``table_only`` writes no folder for a run.
+    ``key`` is the bench's; None leaves the results drafts. ``table_only`` writes no folder for a run.
     """
 
     foreign = "The folder is not that of a recalculation"
@@ -187,11 +186,7 @@ class Counts:
 
 
 class Recalculation:
-    """Calibrates many runs again; ``output`` is the folder for results, or None.
-
-    ``ended`` is called with the row of each run, ``progress`` with the counts, and the seconds left if known, when
-    anything ends or time passes.
-    """
+    """Calibrates many runs again; ``ended`` gets each run's row, ``progress`` counts and seconds left, if known."""
 
     def __init__(
         self,
@@ -337,11 +332,7 @@ class Recalculation:
 
 
 def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, None]:
-    """List the recordings of the next runs in threads while earlier ones are calibrated, if they are behind URLs.
-
-    Yields the number of the run from 0, the run, and a function that returns or raises what `list_recordings` does. A
-    run on a disk is listed in that call.
-    """
+    """List the next runs' recordings behind URLs in threads; yield number from 0, run, and what gives the list."""
     pool = ThreadPoolExecutor(_AHEAD)
     waiting: deque[_Next] = deque()
     try:

@@ -1,7 +1,6 @@
 """What workers do to calibrate a run again: find the stars of one recording, then calibrate from all of them.
 
-Each function depends on files and arguments only, and gives what `bench.results.offline.calibrate_paths` gives in one
-process, to the last digit. They write kept views only; the command that hands out the work writes and seals results.
+The result is that of `bench.results.offline.calibrate_paths` in one process, to the last digit. Only views are written.
 """
 
 from __future__ import annotations
@@ -67,10 +66,7 @@ class Place:
 
     @contextmanager
     def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
-        """Give the folder as a path on this computer; for a URL a copy, which exists only in the block.
-
-        ``only`` names the small files that are needed, None for all; on a disk all are there.
-        """
+        """Give the folder as a path here; of a URL a copy that exists in the block, of ``only`` these small files."""
         if not self.is_remote:
             yield Path(self.name)
             return
@@ -310,11 +306,7 @@ def calibrate_found(
     task: Task,
     files: bool,
 ) -> Recalculated:
-    """Calibrate from the views of a place.
-
-    ``sealed_by`` will seal the results, or nobody does. ``files``: the files of the results are wanted, which takes
-    longer.
-    """
+    """Calibrate from a place's views; ``sealed_by`` will seal the results; ``files`` are made too, if asked."""
     require_program_of(task.program)
     with place.folder() as folder, _named(place, folder):
         listed = list(view_sources(folder, task.choices))

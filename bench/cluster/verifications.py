@@ -1,7 +1,6 @@
 """Many sealed folders checked by workers: one piece of work each.
 
-Seals, trust and files are checked each time. Only what was made again may be kept: it depends on nothing but the bytes
-of the folder and the program, and takes most of the time.
+Only what was made again may be kept, which depends on the bytes of folder and program; the rest is checked each time.
 """
 
 from __future__ import annotations
@@ -96,10 +95,7 @@ def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Convert
 def convert_one(
     source: Path, target: Path, kind: str, known: Mapping[str, Any] | None, program: str
 ) -> tuple[dict[str, Any], bool]:
-    """Convert one file on a worker, unless ``known``, the row of an earlier conversion to the same name, is it.
-
-    Also return whether the file was made before.
-    """
+    """Convert one file, unless ``known``, the row of an earlier conversion, is it; also return whether it was."""
     # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
     from drivers.camera.formats.event_conversion import convert
 
@@ -161,10 +157,7 @@ class Checked:
 
 
 def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Checked:
-    """Check one sealed folder on a worker, without the ledger, which only the bench has.
-
-    ``known`` are key and findings of an earlier command; None if there are none.
-    """
+    """Check one sealed folder without the bench's ledger; ``known`` are an earlier command's key and findings."""
     require_program_of(check.program)
     made: list[Checked] = []
     derive = partial(_derive, check=check, known=known, made=made)

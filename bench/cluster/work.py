@@ -1,7 +1,6 @@
 """Pieces of work for one process, for the processes of this computer, or for a Dask scheduler: one interface for all.
 
-A piece of work is a pure function at the top of a module, with its arguments. It may be done again after a worker
-died, so it must not change anything that a second try would change again. This module starts no process.
+A piece of work is a pure function at the top of a module: it may be done again after a worker died.
 """
 
 from __future__ import annotations
@@ -44,10 +43,7 @@ class Finished:
 
 
 class Workers:
-    """Does pieces of work, in any order, by executors of `concurrent.futures`.
-
-    Work with which a worker died is done again; if that happens too often, the work counts as failed.
-    """
+    """Does pieces of work, in any order, by `concurrent.futures`; again if a worker died, up to a limit."""
 
     most_deaths = 10
     """How many workers may die with a piece of work before it counts as failed."""
@@ -75,10 +71,7 @@ class Workers:
         """Cancel what is in progress, and end the workers that were started here."""
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
-        """Wait for the end of any piece of work; empty after the time, or if a worker died whose work is done again.
-
-        Raises `WorkersLost` if nobody is left who could do the work.
-        """
+        """Wait for any piece to end; empty after the time or a worker's death. `WorkersLost` if no worker is left."""
         done = wait(self._busy, timeout_s, FIRST_COMPLETED).done
         return [end for one in done if (end := self._end(self._busy.pop(one), one)) is not None]
 

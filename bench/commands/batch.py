@@ -107,10 +107,7 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
 
 
 def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
-    """Print how a batch ended: every run, and each camera's parameters over the batch.
-
-    Exit status: 0 every run has a result, 3 stopped on request, 4 a run does not keep its limits, else 1.
-    """
+    """Print a batch's end; exit status 0 every run has a result, 3 stopped, 4 a limit is not kept, else 1."""
     from bench.batch.batch_summary import PAGE, summary_lines
 
     show(summary, [*summary_lines(summary), f"Summary: {folder / PAGE}"])

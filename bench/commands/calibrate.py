@@ -43,10 +43,9 @@ def calibrate_each(
     no_seal: bool,
     find_again: bool,
 ) -> int:
-    """Calibrate runs, and print a line for each; return 1 if a run failed.
+    """Calibrate runs, a line each; return 1 if one failed.
 
-    ``output`` is for a table of all runs, and for the results of each unless ``table_only``; ``find_again`` uses no
-    views that an earlier command has kept.
+    ``output`` is for a table of all, and each run's results unless ``table_only``; ``find_again`` uses no kept views.
     """
     if table_only and output is None:
         raise UsageError("There is no folder for the table.", where="--table-only", remedy="Give one: -o.")
@@ -99,10 +98,7 @@ def _sum_lines(counts: Counts, output: Path | None) -> Iterator[str]:
 
 
 def run_text(row: Mapping[str, Any]) -> str:
-    """Return one line about a run: values with U and k, and the largest change; or why it failed.
-
-    The change is against the run's own results.
-    """
+    """Return one line on a run: values with U and k, the largest change from its own results; or why it failed."""
     name = Path(str(row["folder"]).rstrip("/")).name
     if row["state"] != "done":
         failure = row["failure"]

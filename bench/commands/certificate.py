@@ -1,7 +1,4 @@
-"""The group `certificate`: certificates of sealed runs are issued, amended, listed and shown; more in two modules.
-
-`bench.commands.certificate_authorise` and `bench.commands.certificate_dcc` hold the other commands of the group.
-"""
+"""The group `certificate`: certificates are issued, amended, listed and shown; two modules hold its other commands."""
 
 from __future__ import annotations
 

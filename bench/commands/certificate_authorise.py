@@ -93,10 +93,9 @@ def _write_request(folder: Path, what: str | None, path: Path) -> int:
 def _stamp_folder(
     folder: Path, what: str | None, tsa: str | None, token: Path | None, tsa_certificates: Path | None
 ) -> int:
-    """Add a time stamp beside the seal, after checking it.
+    """Add a time stamp beside the seal, after checking it; ``tsa_certificates`` None are this bench's.
 
     ``what`` is ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is of.
-    ``tsa_certificates`` are root certificates of trusted authorities; this bench's own where None.
     """
     from bench.evidence.seal import add_beside
     from bench.evidence.timestamp import UncheckedError, as_reply, read_authorities

@@ -1,8 +1,7 @@
 """The command line, `starbench`: the list of commands, and how every command ends. A module has one command or some.
 
-Only the module of the called command is imported. With ``--json`` a command prints one object to standard output and
-everything else to standard error. Exit status: 0 done, 1 failed, 2 invalid argument or file, 3 stopped on request
-(`bench.commands.output`), 130 ended by Ctrl-C.
+Only the called command's module is imported. With ``--json`` one object goes to standard output, all else to standard
+error. Exit status: 0 done, 1 failed, 2 invalid argument or file, 3 stopped on request, 130 ended by Ctrl-C.
 """
 
 from __future__ import annotations

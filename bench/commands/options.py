@@ -1,7 +1,6 @@
 """Arguments and options that several commands share; paths are checked before any work begins.
 
-Each path type checks what it was given and, where it is wrong, says what to do. It changes no file. A wrong argument
-ends the command with exit status 2.
+A wrong one is told with what to do, exit status 2.
 """
 
 from __future__ import annotations
@@ -193,10 +192,7 @@ class OutputFolder(_Path):
 
 
 class RunFolder(_Path):
-    """The folder of a run, or with ``batch`` of a batch.
-
-    ``journal``: the run must have begun: the folder holds a journal, or a process has it locked.
-    """
+    """The folder of a run, or with ``batch`` of a batch; with ``journal`` it must hold one, or be locked."""
 
     name = "folder"
     completed_as = "dir"

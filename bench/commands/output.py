@@ -1,8 +1,4 @@
-"""How commands print: text for people, with ``--json`` one object for programs, errors in plain words.
-
-This is the only module that knows whether ``--json`` was given. Results and errors come from the modules that make
-them.
-"""
+"""How commands print: text for people, with ``--json`` one object for programs, errors in plain words."""
 
 from __future__ import annotations
 
@@ -63,10 +59,7 @@ def wants_json() -> bool:
 def show(
     data: Mapping[str, Any] | Callable[[], Mapping[str, Any]], text: str | Iterable[str], *, err: bool = False
 ) -> None:
-    """Print a result: ``data`` as JSON if that is wanted, else the lines of ``text``.
-
-    A function or a generator does its work only if it is printed.
-    """
+    """Print ``data`` as JSON if wanted, else the lines of ``text``; only a function that is printed does its work."""
     if wants_json():
         print_json(data() if callable(data) else data)
         return
@@ -101,10 +94,7 @@ def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> 
 
 
 def print_error(error: Exception, arguments: Sequence[str]) -> int:
-    """Print an error in plain words; with ``--json``, also as an object on standard output.
-
-    With ``--debug`` among the words of the call, the traceback is printed, as always for a defect.
-    """
+    """Print an error in plain words, with ``--json`` as an object; a traceback with ``--debug``, or of a defect."""
     if isinstance(error, DocumentFaults):
         error = ScriptError([str(fault) for fault in error.faults])
     failure = failure_of(error)

@@ -203,10 +203,7 @@ def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list
 
 
 def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[str]]:
-    """Return the folders of all runs in the ledger that still exist, and a fault for each of the others.
-
-    If the ledger is damaged, the folders come from the index; the damage is among the breaks of the ledger.
-    """
+    """Return the ledger's existing run folders, a fault for the others; the index's if the ledger is damaged."""
     try:
         entries = ledger.runs()
     except JournalBroken:

@@ -73,8 +73,8 @@ def chart_runs(
 ) -> int:
     """Write the page of control charts, and print the verdict; None stands for all parameters, or all runs.
 
-    Exit status: 1 if a parameter is out of control or drifts, or ledgers and folders do not agree; else 0. The limits
-    come from the first ``baseline`` runs.
+    Exit status: 1 out of control, a drift, or ledgers and folders that differ; else 0. ``baseline`` runs set the
+    limits.
     """
     _require_page(page)
     merged = find_runs(choice)

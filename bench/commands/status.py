@@ -191,10 +191,7 @@ def follow(
     ticks: bool = False,
     monotonic: Callable[[], float] = time.monotonic,
 ) -> Iterator[Status]:
-    """Read the status of a run after every change, as long as a process works on the run.
-
-    With ``ticks`` also when nothing has changed, with the remaining time counted down.
-    """
+    """Read a run's status after every change while a process works on it; with ``ticks`` also in between."""
     for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
         yield status
 

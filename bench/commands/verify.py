@@ -125,10 +125,7 @@ def verify(
 
 
 def show_verification(found: Verification) -> int:
-    """Print what the verification of a sealed folder found; the exit status is 0 without fault, 1 with one.
-
-    It is 4 without a fault if not everything was compared.
-    """
+    """Print what a verification found; exit status 0 without fault, 1 with one, 4 if not everything was compared."""
     show(found.to_dict, _valid_lines(found) if found.ok else _fault_lines(found), err=not found.ok)
     if not found.ok:
         return 1
@@ -164,10 +161,7 @@ def _valid_lines(found: Verification) -> Iterator[str]:
 
 
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
-    """Check folders by many workers, and print a line for each; the exit status is as for one folder.
-
-    ``output`` keeps what was derived again; None to keep nothing.
-    """
+    """Check folders by workers, a line each, exit status as for one; ``output`` keeps what was derived, or None."""
     from bench.cluster.kept_rows import KeptRows
     from bench.cluster.verifications import VERIFIED, check_one
     from bench.cluster.work import map_work
@@ -239,10 +233,7 @@ def _with(found: Verification, more: Findings) -> Verification:
 
 
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
-    """Return what checks each kind of sealed folder further, for `bench.evidence.verify.verify_folder`.
-
-    These are ledger, recordings, and with ``again`` the numbers.
-    """
+    """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
     from bench.cluster.verifications import derivations_of
 
     def of_folder(folder: Path) -> Findings:

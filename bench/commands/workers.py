@@ -53,8 +53,7 @@ WORKERS = click.option(
 def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
     """Return who does the work, to be closed: a number of processes (None: one a processor) or a Dask scheduler.
 
-    ``most`` is the number of pieces of work, if it is known: no more processes are started. A single piece is done by
-    the command itself, unless a number of processes is asked for.
+    ``most`` is the number of pieces, if known; a single one is done here, unless processes are asked for.
     """
     if isinstance(who, str):
         from bench.cluster.processes import DaskWorkers

@@ -1,7 +1,4 @@
-"""What each method makes of the images of one repetition, compared with the truth.
-
-Every method gets the same views. Its own stated uncertainty is judged as well: whether the truth lies within k sigma.
-"""
+"""What each method makes of the images of one repetition, compared with the truth; its own stated uncertainty, too."""
 
 from __future__ import annotations
 
@@ -68,8 +65,7 @@ def gimbal_ratio_error(
 ) -> float | None:
     """Return by what share the camera turns more than the gimbal says; None without two views and readings.
 
-    Rotation between two images by Kabsch (1976), from the rays of their common stars; the shares of all pairs of poses
-    are weighted by the square of their angle. Pan and tilt of the readings are about axes at right angles.
+    Rotation between two images by Kabsch (1976), from common stars; pairs of poses are weighted by the squared angle.
     """
     if len(readings_deg) != len(views):
         return None
@@ -146,10 +142,7 @@ def read_data(data: DataConfig) -> tuple[View, ...]:
 
 
 def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
-    """Calibrate two random disjoint subsets of recorded views.
-
-    The row has camera, sigmas and residuals of the first subset, and its difference from the second; or ``error``.
-    """
+    """Calibrate two random disjoint subsets of views: camera, sigmas, residuals, and their difference; or ``error``."""
     row: dict[str, Any] = {"views": 0, "missed": [], "images_cpu_s": 0.0}
     began = time.process_time()
     assert column.data is not None
@@ -321,8 +314,8 @@ def compare_with_truth(
 ) -> dict[str, Any]:
     """Compare a calibrated camera with the true one, after the best common rotation: turned a little, it is the same.
 
-    Returns ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``, ``corner_urad``
-    (largest); and, if the calibration states a covariance, whether fx and the worst corner are ``covered`` by k sigma.
+    ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``, ``corner_urad``
+    (largest); with a covariance, whether fx and the worst corner are ``covered`` by k sigma.
     """
     offset = np.asarray(camera_difference(found, true, _ACROSS).offset_px)
     away = np.linalg.norm(offset, axis=2) / true.fx * 1e6

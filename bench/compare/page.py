@@ -75,10 +75,7 @@ def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 
 
 def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
-    """Draw the error of direction against the number of images, as SVG; empty if no line has three points.
-
-    There is a line for columns that differ in nothing else.
-    """
+    """Draw the error of direction against the number of images, one line for alike columns, as SVG."""
     series = _by_images(columns)
     if not series:
         return ""

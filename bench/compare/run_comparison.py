@@ -1,7 +1,7 @@
 """Runs a comparison and keeps what is done: an interrupted comparison continues where it stopped. Others do its tasks.
 
-The folder holds ``spec.yaml`` and ``rows.jsonl``: one line for each repetition of each column, written as soon as it is
-known. A line is used again if it has the same key: column, repetition, seed and program.
+``rows.jsonl`` has a line for each repetition of each column, used again for the same column, repetition, seed and
+program.
 """
 
 from __future__ import annotations
@@ -63,8 +63,7 @@ def compare(
 ) -> list[Row]:
     """Run what is not done yet; return one row for each repetition of each column, in their order.
 
-    ``do_tasks`` does tasks by `run_task`, in any order, and yields the rows of each. ``on_progress`` is called with the
-    number of rows done, of all rows, and the time left, s, if known.
+    ``do_tasks`` yields the rows of tasks in any order; ``on_progress`` gets rows done, all rows, and s left, if known.
     """
     _prepare(folder, text)
     done = _read_rows(folder / ROWS)

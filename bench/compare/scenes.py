@@ -1,7 +1,6 @@
 """The images of one repetition: poses before the collimator, or placements of a board, recorded by a simulated camera.
 
-All randomness follows from the seed of the repetition. Columns that ask for the same images get the same ones, so that
-methods are compared on the same data.
+All randomness follows from the repetition's seed: columns that ask for the same images get the same ones.
 """
 
 from __future__ import annotations
@@ -55,8 +54,7 @@ def record_moving(
 ) -> dict[bool, NDArray[np.float32]]:
     """Record a board that moves evenly through its placement, and reconstruct its picture there.
 
-    ``section`` is ``simulation`` of a station, with the placement at the time of the picture. The pictures are (H, W)
-    float32: two-sided (True), and of the filter as published (False).
+    Pictures are (H, W) float32: two-sided (True), and of the filter as published (False).
     """
     motion = motion_of(column)
     rng = np.random.default_rng((seed, 31, number))
@@ -195,10 +193,7 @@ def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
 
 
 def star_poses(count: int) -> list[tuple[float, float]]:
-    """Return poses, pan and tilt in degrees, that fill the range evenly.
-
-    Three poses are those of the sequence ``three_pose``; others lie on the sunflower spiral of Vogel (1979).
-    """
+    """Return poses, pan and tilt, degrees: three of ``three_pose``, others on a sunflower spiral (Vogel, 1979)."""
     if count == len(_THREE):
         return list(_THREE)
     radii = [math.sqrt((i + 0.5) / count) for i in range(count)]

@@ -1,7 +1,6 @@
 """The specification of a comparison: which methods, on which bench, with how many images, how often.
 
-A strict YAML file, or a specification that is included: ``table1`` or ``sweep``. This module reads and checks; it runs
-nothing.
+A strict YAML file, or an included one, ``table1`` or ``sweep``. This module runs nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """A person's authorisation of a sealed folder: make and check ``SHA256SUMS.authorised.sig``.
 
-The file is the person's SSH signature of the bytes of ``SHA256SUMS.sig``, namespace ``starbench-authorisation@v1``. So
-it is bound to the seal, and by the seal to every file. It is made with the person's own key, which no bench has, at any
-time after sealing (ISO/IEC 17025:2017, 7.8.2.1 o). A certificate names the person; nobody else can authorise it.
+It is the person's SSH signature of ``SHA256SUMS.sig``, namespace ``starbench-authorisation@v1``: bound to the seal, and
+by it to every file. It is made with the person's own key, which no bench has (ISO/IEC 17025:2017, 7.8.2.1 o).
 """
 
 from __future__ import annotations
@@ -86,10 +85,7 @@ def _signing_key(private: object, path: Path, passphrase: bytes) -> SigningKey:
 
 
 def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
-    """Find a person's key by its file, by the file of its public key, or by its fingerprint.
-
-    The last two (``SHA256:...``) are of a key in ssh-agent. None stands for the only key there.
-    """
+    """Find a key by its file, its public key's, or its ``SHA256:...`` in ssh-agent; None is the only key there."""
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)
     path = Path(name)
@@ -317,11 +313,7 @@ def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
 
 
 def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: bytes | None = None) -> str:
-    """Authorise a sealed folder with a person's key, one of those that the bench trusts.
-
-    ``seal`` is the bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them
-    since.
-    """
+    """Authorise a sealed folder with a trusted person's key; ``seal`` is the bytes that were verified and shown."""
     person = require_authorisable(folder, key.public_key, trust, now)
     with storage_errors(folder):
         signed = (folder / SIGNATURE).read_bytes()

@@ -1,8 +1,8 @@
 """Whether a key could sign at the moment at which it signed: trusted for the purpose, valid then, not revoked.
 
-The moment comes from the best source there is. A trusted time stamp proves that a signature is not younger. Else the
-reader states the moment (``verify --at``). Else the bench's own clock states it: it is believed, but a remark says so
-if the key has expired since, because whoever has an expired key can write any date. A revoked key needs the proof.
+The moment is that of a trusted time stamp, else the reader's (``verify --at``), else that of the bench's clock:
+believed, with a remark if the key has expired since, because whoever has it can write any date. A revoked key needs the
+stamp.
 """
 
 from __future__ import annotations
@@ -33,11 +33,7 @@ def read_trust(
     revoked_keys: Path | None = None,
     tsa_certificates: Path | None = None,
 ) -> Trust:
-    """Read whom the reader trusts, from the configuration folder or from named files.
-
-    Beside another ``allowed_signers``, the ``revoked_keys`` there is used too, if there is one. A list that is not
-    understood, or that other users can change, raises `EvidenceError`.
-    """
+    """Read whom the reader trusts, from the configuration folder or named files, with ``revoked_keys`` beside them."""
     signers = allowed_signers or home / SIGNERS_FILE
     return Trust(
         read_signers(signers),

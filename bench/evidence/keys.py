@@ -1,9 +1,7 @@
-"""The bench's signing key: made at first use, loaded, and checked before it is needed.
+"""The bench's signing key: made at first use, loaded, checked before it is needed, and replaced.
 
-The key is an Ed25519 key (RFC 8032) in OpenSSH's private key format (PROTOCOL.key of OpenSSH). Its file lies in the
-user's configuration folder, readable by its owner alone; the private key is never copied into a run folder or a log.
-Beside it lies ``allowed_signers``, the list of trusted keys (`bench.evidence.signers`). Those who verify reports need
-that file or its line. `bench.evidence.keys` replaces the key.
+An Ed25519 key (RFC 8032) in OpenSSH's private key format (PROTOCOL.key of OpenSSH) in the user's configuration folder,
+never copied into a run or a log. Beside it lies ``allowed_signers``, which those who verify reports need.
 """
 
 from __future__ import annotations
@@ -77,10 +75,7 @@ def load_public_key(folder: Path) -> Signer:
 
 
 def public_of_private(text: bytes) -> bytes:
-    """Return the public key that the file of an OpenSSH Ed25519 key states (PROTOCOL.key of OpenSSH, section 1).
-
-    Any other key, or several, raise `ValueError`.
-    """
+    """Return the public key of an OpenSSH Ed25519 key file (PROTOCOL.key of OpenSSH, 1); `ValueError` for any other."""
     body, begins, _ = text.strip().removeprefix(_BEGIN).partition(_END)
     if not (text.strip().startswith(_BEGIN) and begins):
         raise ValueError("it is not in OpenSSH's format")
@@ -184,10 +179,7 @@ class BenchKey:
 def ensure_key(
     folder: Path, *, principal: str | None = None, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
-    """Load the bench's key, or make one at first use; ``principal`` as for `create_key`.
-
-    A key that other users can read, that is protected while nobody can be asked, or is no Ed25519 key is refused.
-    """
+    """Load the bench's key, or make one; others' reading it, or a passphrase that nobody can give, is refused."""
     make_folder(folder)
     with locked_folder(folder):  # two runs started at the same time must not make two keys
         if (folder / KEY_FILE).exists():
@@ -209,10 +201,9 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 
 def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes | None = None) -> BenchKey:
-    """Make the bench's key, and add it to ``allowed_signers``.
+    """Make the bench's key, and add it to ``allowed_signers``; without a passphrase it is not encrypted.
 
-    ``principal`` is the signer as ``name@place``; None for ``bench@`` and the name of the computer. Without a
-    passphrase the private key is not encrypted.
+    ``principal`` is the signer as ``name@place``; None for ``bench@`` and the name of the computer.
     """
     path = folder / KEY_FILE
     if path.exists():
@@ -245,11 +236,7 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 
 
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
-    """Refuse a key whose seals nobody would accept: before a run begins, not after it.
-
-    ``allowed_signers`` trusts it at another time only or for another purpose, it is revoked, or other users can change
-    these lists.
-    """
+    """Refuse, before a run, a key whose seals nobody would accept: not trusted now, revoked, or lists not safe."""
     public = key.public_key
     path = folder / SIGNERS_FILE
     known = [one for one in (read_signers(path) if path.exists() else []) if one.public_key == public]
@@ -280,10 +267,7 @@ def usable_key(
 def key_to_seal(
     folder: Path, key: BenchKey, when: datetime, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
-    """Return the key to seal with at the end of a run: another one if it was replaced during the run.
-
-    After an error (as `load_key` and `require_usable`) the run can be sealed later with ``starbench resume``.
-    """
+    """Return the key to seal a run with, another one if it was replaced; after an error ``resume`` can seal later."""
     _finish_locked(folder)
     public = folder / f"{KEY_FILE}.pub"
     with storage_errors(public):
@@ -371,10 +355,7 @@ class Rotation:
 
 
 def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
-    """Replace the bench's key by a new one with the same principal; ``keep_old`` keeps it in ``old_keys``.
-
-    Without a passphrase the new private key is not encrypted.
-    """
+    """Replace the key, with the same principal; ``keep_old`` keeps it in ``old_keys``; no passphrase: not encrypted."""
     if not (folder / KEY_FILE).exists():
         raise EvidenceError(
             "There is no key to replace.", where=str(folder), remedy="Make one with `starbench keys create`."

@@ -1,8 +1,6 @@
-"""Compare sealed run folders with the ledger of the bench that sealed them.
+"""Compare sealed run folders, by number and hash of their line, with the ledger of the bench that sealed them.
 
-A run names its number and the hash of its line in the ledger. `ledger_faults_of_run` compares one folder with the
-ledger; `sealed_strangers` finds the folders of this bench that the ledger does not have. A folder belongs to this bench
-if the bench's key, or an earlier key of the same name, has sealed it. Writes nothing.
+A folder is this bench's if the bench's key, or an earlier key of the same name, has sealed it. Writes nothing.
 """
 
 from __future__ import annotations
@@ -66,10 +64,7 @@ def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
 
 
 def sealed_strangers(home: Path) -> Strangers:
-    """Return a function that finds the sealed runs of this bench that its ledger does not have.
-
-    The index of runs says which runs there are, so the folders of the others are not touched.
-    """
+    """Return what finds this bench's sealed runs that its ledger lacks; the index spares the folders of the others."""
 
     def find(heads: Collection[str]) -> Sequence[KnownRun]:
         known = set(heads)
@@ -94,10 +89,7 @@ class _Said:
 
 
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
-    """Compare a run folder with the ledger of this bench: a sentence for each fault, which `verify` lists.
-
-    Empty for a run of another bench, and for a folder whose journal cannot be read, which `verify` says already.
-    """
+    """Return a sentence for each fault of a run folder by this bench's ledger; none for a run of another bench."""
     said = _said_by(folder)
     if said is None:
         return []

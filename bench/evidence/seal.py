@@ -1,11 +1,9 @@
 """The seal of a folder: the list of its files with their hashes, and the bench's signature of that list.
 
-``SHA256SUMS`` lists every file of the folder, sorted by name, in the format of ``sha256sum``. It does not list itself,
-``SHA256SUMS.sig`` and the three reserved files. ``SHA256SUMS.sig`` is the SSH signature of that list
-(`bench.evidence.sshsig`), namespace ``starbench-report@v1``. It is written last, so that a folder is sealed as a whole
-or not at all. ``VERIFY.txt`` explains how to check both without Starbench; the list includes it. After sealing, nothing
-in the folder is writable. The seal states which bench made these files; it does not state that a person has approved
-them. Reserved files, added later, do that (`bench.evidence.authorisation`) and state when (`bench.evidence.timestamp`).
+``SHA256SUMS`` lists every file but itself, ``SHA256SUMS.sig`` and the three reserved files, as ``sha256sum`` does. Its
+SSH signature, namespace ``starbench-report@v1``, is written last, so that a folder is sealed as a whole or not at all;
+then nothing is writable. ``VERIFY.txt`` explains how to check both without Starbench. Reserved files, added later,
+state who approved (`bench.evidence.authorisation`) and when (`bench.evidence.timestamp`).
 """
 
 from __future__ import annotations
@@ -198,11 +196,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 
 
 def seal(folder: RunFolder, key: BenchKey) -> str:
-    """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
-
-    The caller has locked it; its journal is closed and its report is written. Without a journal, or with something that
-    cannot be listed (see `make_manifest`), it is refused.
-    """
+    """Seal a run folder that the caller has locked, with journal and report complete; else it is refused."""
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
     folder.release_reserve()
@@ -210,11 +204,7 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
 
 
 def seal_folder(path: Path, key: BenchKey) -> str:
-    """Seal any folder: a run, a certificate, recalculated results, a passport.
-
-    All its files are written, and no other process writes to it. It is refused if it is sealed already, has a reserved
-    file before its seal, or something that cannot be listed (see `make_manifest`).
-    """
+    """Seal any folder that is complete; refused if sealed, with a reserved file, or with what cannot be listed."""
     _refuse_sealed(path)
     with storage_errors(path):
         for name in (INSTRUCTIONS, MANIFEST, SIGNATURE):  # of a process that died while it sealed
@@ -255,10 +245,7 @@ def _sync_files(path: Path) -> None:
 
 
 def make_manifest(path: Path) -> bytes:
-    """Hash every file of a folder, and list them in the format of ``sha256sum``, sorted by name.
-
-    A link, a device, or a name with control characters cannot be listed: `EvidenceError`.
-    """
+    """List every file's hash, sorted, as ``sha256sum``; a link, device or control character: `EvidenceError`."""
     lines = []
     with storage_errors(path):
         for name, kind in sorted(list_files(path).items()):
@@ -273,11 +260,7 @@ def make_manifest(path: Path) -> bytes:
 
 
 def read_manifest(manifest: bytes) -> dict[str, str]:
-    """Read the list of a seal: SHA-256 in hexadecimal by file name, in the order of the list.
-
-    Raises `EvidenceError` when a line is not ``hash, two spaces, name``, when names are not sorted or not unique, or
-    when a name leads out of the folder.
-    """
+    """Read a seal's list, SHA-256 by file name; `EvidenceError` if not sorted, unique and within the folder."""
     hashes: dict[str, str] = {}
     last = ""
     *lines, rest = manifest.decode(errors="replace").split("\n")
@@ -296,10 +279,7 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
 
 
 def list_files(path: Path) -> dict[str, str]:
-    """List everything in a folder and its subfolders, except the folders. Links are not followed.
-
-    The values are ``file``, ``link`` or ``special file``; names are relative to the folder, with ``/``.
-    """
+    """List a folder's content but folders, by name with ``/``: ``file``, ``link`` (not followed), ``special file``."""
     found = {}
     for folder_name, folders, files in os.walk(path, onerror=_refuse):
         folder = Path(folder_name)

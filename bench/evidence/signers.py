@@ -1,7 +1,7 @@
 """The list of trusted keys, ``allowed_signers``, in OpenSSH's format (ssh-keygen(1), ALLOWED SIGNERS).
 
-A line names a signer, the purposes (namespaces) and the period for which the key is trusted, and the key. A bench seals
-(``starbench-report@v1``); a person authorises (``starbench-authorisation@v1``). One key never has both purposes.
+A line names signer, purposes, period and key. One key never both seals (``starbench-report@v1``) and authorises
+(``starbench-authorisation@v1``).
 """
 
 from __future__ import annotations
@@ -208,10 +208,7 @@ def read_public_key(text: str) -> bytes:
 
 
 def trust(folder: Path, line: str) -> Signer:
-    """Add a line to ``allowed_signers``, unless the file contains it already.
-
-    A key that is trusted for the other purpose already is refused.
-    """
+    """Add a line to ``allowed_signers``, once; a key that is trusted for the other purpose already is refused."""
     signer = read_signer(line)
     path = folder / SIGNERS_FILE
     present = _read_list(path)
@@ -224,10 +221,7 @@ def trust(folder: Path, line: str) -> Signer:
 
 
 def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added: Sequence[str]) -> None:
-    """End the validity of a key in ``allowed_signers``, and add lines, in one step.
-
-    The lines of the key get ``valid-before``; one that ends earlier stays as it is.
-    """
+    """Put ``valid-before`` on the lines of a key, unless one ends earlier, and add lines, in one step."""
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
     lines = []

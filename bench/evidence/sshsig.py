@@ -1,8 +1,7 @@
-"""SSH signatures (SSHSIG): the bytes that ``ssh-keygen -Y sign`` writes and ``-Y verify`` reads.
+"""SSH signatures (SSHSIG, PROTOCOL.sshsig of OpenSSH): what ``ssh-keygen -Y sign`` writes and ``-Y verify`` reads.
 
-Source: PROTOCOL.sshsig of OpenSSH. The bench's keys are Ed25519: their signatures are made and checked here, so a
-computer without OpenSSH can seal, and check seals. All other types of keys are left to ``ssh-keygen``
-(`bench.evidence.sshsig`). This module reads no files and does not decide which keys are trusted.
+Ed25519 is signed and checked here, so that a bench needs no OpenSSH; other keys are left to ``ssh-keygen``. Which keys
+are trusted is decided elsewhere.
 """
 
 from __future__ import annotations
@@ -298,11 +297,7 @@ def read_signature(armoured: bytes) -> SshSignature:
 
 
 def is_valid(signature: SshSignature, message: bytes) -> bool:
-    """Return whether a signature is valid for a message, with the public key that the signature itself contains.
-
-    The caller decides whether the key is trusted. A security token's signature is valid only if a person touched the
-    token.
-    """
+    """Return whether a signature fits a message and its own key; a security token's only if a person touched it."""
     key_type = key_type_of(signature.public_key)
     if key_type.encode() != KEY_TYPE:
         if key_type.startswith("sk-") and not signature.signature[-_FLAGS_AND_COUNTER] & _TOUCHED:

@@ -1,7 +1,6 @@
 """The state of a folder as evidence: DRAFT, SEALED or AUTHORISED, and what its signatures and time stamps say.
 
-A state follows from signatures that hold. It does not follow from hashes of the files: `bench.evidence.verify` compares
-those. Nothing is written, and nothing is asked over a network.
+It follows from signatures, not from hashes (`bench.evidence.verify`). Nothing is written or asked over a network.
 """
 
 from __future__ import annotations
@@ -116,10 +115,10 @@ class Standing:
 
 
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
-    """Check the signatures and time stamps beside a folder; the listed files themselves are not hashed.
+    """Check signatures and time stamps beside a folder; the listed files themselves are not hashed.
 
-    ``at`` is the moment for which the reader asks whether the keys were valid (``verify --at``); None for the one of
-    the seal by the bench's own clock. A trusted time stamp goes before both.
+    ``at`` is the moment at which keys must be valid; None for the seal's by the bench's clock. A trusted stamp goes
+    before.
     """
     found = Standing()
     with storage_errors(folder):
@@ -264,10 +263,7 @@ def _text(standing: Standing) -> str:
 def check_ended_page(
     folder: Path, trust: Trust, now: datetime, stated: datetime
 ) -> tuple[list[SealFault], list[str]]:
-    """Check the page that stands in a folder without a seal: what does not hold, and what does.
-
-    Each is a sentence without a full stop; both are empty without a page.
-    """
+    """Return what does not hold on the page of a folder without a seal, and what does; both empty without a page."""
     try:
         armoured = read_beside(folder, PAGE_SIGNATURE)
         if armoured is None:

@@ -1,9 +1,8 @@
 """Time stamps (RFC 3161) of the signatures beside a seal: read and check them without a network.
 
-A time stamp proves that a signature existed at a time which an authority (TSA) states. Which authorities are trusted is
-decided by certificates of the reader's own (``tsa_certificates.pem``). Those of the laboratory's own authority are in
-``tsa_laboratory.pem``: its time stamps are called "laboratory's clock", because the laboratory could have set it.
-The files beside the seal hold complete replies, as ``openssl ts -verify`` reads them.
+The reader's ``tsa_certificates.pem`` decides which authorities (TSA) are trusted. Those in ``tsa_laboratory.pem`` are
+called "laboratory's clock", because the laboratory could have set it. The files hold replies as ``openssl ts -verify``
+reads them.
 """
 
 from __future__ import annotations
@@ -41,11 +40,7 @@ def sequence(content: bytes) -> bytes:
 
 
 def sets_in_order(reply: bytes) -> bytes:
-    """Return a reply of a time stamping authority whose sets are in the order of DER (X.690, section 11.6).
-
-    OpenSSL writes certificates in the order of their chain. No signature covers the order, so it may be changed. Bytes
-    of another form stay as they are.
-    """
+    """Return a reply with sets in the order of DER (X.690, 11.6): OpenSSL writes certificates by chain, unsigned."""
     try:
         return _sorted_at(reply, _OF_TOKEN)
     except (IndexError, ValueError):
@@ -205,10 +200,7 @@ class OtherFileError(EvidenceError):
 
 
 def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, name: str) -> Stamp:
-    """Check one time stamp (RFC 3161, section 2.4.2; the authority's certificate must be valid at its time).
-
-    Raises `UncheckedError` when the package for time stamps is missing, or no authority is trusted.
-    """
+    """Check one time stamp (RFC 3161, 2.4.2); `UncheckedError` without the package or a trusted authority."""
     client = stamp_library()
     response = read_reply(client, reply)
     with _reading():

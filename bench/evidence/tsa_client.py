@@ -1,7 +1,6 @@
 """Ask a time stamping authority for a time stamp over HTTP (RFC 3161, section 3.4).
 
-Only a hash of the signature leaves the bench. The address is checked first; a redirect is not followed, so that nobody
-but the named authority is asked.
+Only a hash leaves the bench. The address is checked first; a redirect is not followed.
 """
 
 from __future__ import annotations
@@ -33,11 +32,7 @@ class Request:
 
 
 def make_request(signed: bytes, *, nonce: bool) -> Request:
-    """Make a request for a time stamp (RFC 3161, section 2.4.1), with SHA-256 and for a reply with certificate.
-
-    Without a random number, ``nonce``, the same bytes give the same request, as ``openssl ts -query -no_nonce -sha256
-    -cert`` makes it.
-    """
+    """Make a request with SHA-256 and certificate (RFC 3161, 2.4.1); without ``nonce`` the same bytes each time."""
     library = stamp_library()
     builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.HashAlgorithm.SHA256)
     request = builder.cert_request(cert_request=True).nonce(nonce=nonce).build()
@@ -64,11 +59,7 @@ def check_url(url: str) -> None:
 
 
 def ask_authority(url: str, request: Request) -> bytes:
-    """Send a request to an authority; return its reply, which repeats the nonce and is not verified yet.
-
-    Raises `EvidenceError` when it does not answer in 20 s, answers with a redirect or an error, or not with a time
-    stamp.
-    """
+    """Send a request; return the reply, with its nonce, not verified yet; `EvidenceError` without one in 20 s."""
     check_url(url)
     try:
         reply = _post(url, request.data)

@@ -1,8 +1,7 @@
 """Verify a sealed folder: signature, files, authorisation, time stamps, journal.
 
-The verifier writes nothing, trusts nothing in the folder, and reports all faults, not only the first one. The trusted
-keys come from outside the folder. What needs the ledger, or the calibration engine for ``--again``, comes in as
-callables (`Derivations`); so this package imports no engine.
+It writes nothing, trusts nothing in the folder, and reports all faults. Trusted keys come from outside the folder;
+ledger and engine come in as callables (`Derivations`), so that this package imports no engine.
 """
 
 from __future__ import annotations
@@ -53,11 +52,7 @@ _CANONICAL = {RESULTS: True, PLAN: True, "sources.json": True, "certificate.json
 
 
 def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
-    """Check that a sealed folder is of one kind, and has exactly the files of its list, unchanged.
-
-    `standing_of` checks the signature of the list. Faults are added to ``found``; the result is SHA-256 by file name,
-    as the seal lists them, or None if no list can be read.
-    """
+    """Check that a sealed folder has exactly its listed files; return SHA-256 by name, None without a list."""
     path = folder / MANIFEST
     if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_SEAL_BYTES:
         return None  # a fault of the signature
@@ -138,17 +133,12 @@ def verify_folder(
     derivations: Derivations | None = None,
     again: bool = False,
 ) -> Verification:
-    """Check a sealed folder: a run, a certificate, recalculated results, or any other.
+    """Check a sealed folder: a run, a certificate, recalculated results, or any other (`bench.evidence.seal.kind_of`).
 
-    The content of the folder tells its kind (`bench.evidence.seal.kind_of`). ``derivations`` gives for each kind
-    further checks: ``{"run": [...], "certificate": [check_certificate], ...}``. Each is called with the folder alone,
-    and returns `Findings`; further arguments are bound beforehand, for example with `functools.partial`. They are
-    called in their order, and only while no check has found a fault, so they may rely on the list of files.
-    `bench.commands.verify` puts them together.
-
-    ``trust`` comes from `bench.evidence.key_trust.read_trust`, or is trusted keys alone. ``now`` has its time zone;
-    None for that of the system. ``at`` is as for `standing_of`. ``camera_serial`` reveals a report of another camera;
-    None for any. ``again``, that the results are made again from the recordings, is only stated.
+    ``derivations`` gives for each kind further checks, called in order with the folder alone, while no check has found
+    a fault; they return `Findings`. ``trust`` comes from `read_trust`, or is trusted keys alone. ``now`` has its time
+    zone, None for the system's; ``at`` is as for `standing_of`. ``camera_serial`` reveals a report of another camera.
+    ``again`` is only stated.
     """
     if not folder.is_dir() or not any((folder / name).exists() for name in (MANIFEST, *KINDS)):
         raise RunFolderError(

@@ -1,7 +1,4 @@
-"""Control charts and drift of every parameter of groups of runs, with a verdict in plain words. Pure.
-
-The result is one object as JSON holds it; `bench.report.control_chart` draws it.
-"""
+"""Control charts and drift of every parameter of groups of runs, with a verdict in plain words. Pure."""
 
 from __future__ import annotations
 
@@ -79,10 +76,7 @@ class Grouped:
 def group_runs(
     found: Iterable[tuple[IndexedRun, Mapping[str, Any], RunPlace]], by: Level | None = None
 ) -> Grouped:
-    """Put runs into groups that can be in one chart, by ``camera`` or ``type``; both where None.
-
-    Types have a group of their own if they have several cameras.
-    """
+    """Put runs into groups for one chart, by ``camera`` or ``type`` (of several cameras); both where None."""
     by_key: dict[ChartKey, ChartGroup] = {}
     without: dict[str, list[str]] = {}
     for run, details, place in found:
@@ -198,9 +192,9 @@ def parameter_verdict(chart: Finding, group: Finding) -> str:
 
 
 def excess_scatter(chart: Finding, runs: int) -> float | None:
-    """Return the Birge ratio of a chart if it exceeds 1 by 3.5 or more of its standard deviations; else None.
+    """Return a chart's Birge ratio if 3.5 of its standard deviations above 1; else None.
 
-    If the uncertainties are right, its standard deviation is about 1 / sqrt(2 n) (Birge, Phys. Rev. 40 (1932) 207).
+    That is about 1 / sqrt(2 n) if the uncertainties are right (Birge, Phys. Rev. 40 (1932) 207).
     """
     ratio = chart["drift"]["scatter"]
     least = 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * max(runs - 2, 1))
@@ -319,8 +313,7 @@ def find_charts(
 ) -> Json:
     """Compute all charts (None: of all parameters), and judge them together: ``schema level groups``.
 
-    Limits come from the first ``baseline`` runs of each group, all where None. Each group has its ``runs``, its
-    ``parameters``, its ``verdict`` and its ``state``.
+    Limits come from each group's first ``baseline`` runs, all where None.
     """
     found = [_group(group, parameter, baseline) for group in groups]
     charts = [chart for group in found for chart in group["parameters"]]
@@ -408,10 +401,7 @@ def _judge_drift(charts: Sequence[Json]) -> None:
 
 
 def _state(chart: Json, judged: int) -> str:
-    """Judge a chart: ``too few``, ``in control``, ``check``, or ``out of control``.
-
-    ``check`` means values beyond the limits, as many as chance explains on a page of so many charts and runs.
-    """
+    """Judge a chart: ``too few``, ``in control``, ``out of control``, or ``check``: no more beyond than by chance."""
     if chart["lower"] is None:
         return "too few"
     if not chart["beyond"] and not chart["ewma"]["beyond"]:
@@ -423,8 +413,8 @@ def _state(chart: Json, judged: int) -> str:
 def _chances(chart: Json) -> tuple[float, float, float]:
     """Return the chances of what lies beyond the limits, for a parameter in control.
 
-    They are: of so many values beyond the limits (Poisson), of the farthest average, and of the farthest value by its
-    own stated uncertainty (both normal, times the number of runs).
+    They are: of so many values (Poisson), of the farthest average, and of the farthest value by its own stated
+    uncertainty (both normal, times the number of runs).
     """
     runs, beyond = len(chart["values"]), chart["beyond"]
     farthest = max(

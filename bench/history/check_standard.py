@@ -19,11 +19,7 @@ from bench.stations.station import Station
 
 
 def standard_problem(station: Station, home: Path, now: datetime) -> str:
-    """Return why the check standard of a station says that its bench must be looked at; empty if it does not.
-
-    It is a problem if the newest run of this camera on this station is out of control, or if it is too old. ``home`` is
-    the configuration folder of the bench, with its index.
-    """
+    """Return why the bench must be looked at: the standard's newest run is out of control or too old; or empty."""
     standard = station.check_standard
     if standard is None:
         return ""

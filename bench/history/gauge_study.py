@@ -1,9 +1,8 @@
 """A gauge study: how much of the scatter of many runs is the bench's, by analysis of variance. Numbers in, numbers out.
 
-All factors are random. The sums of squares are taken in sequence, and the components follow from the expected mean
-squares (Henderson's method 3; Searle, Casella and McCulloch, Variance Components, 1992, 5.5). With equal numbers of
-repeats these are the tables of AIAG, Measurement Systems Analysis, 4th edition (2010), and of NIST/SEMATECH e-Handbook
-of Statistical Methods, 3.2.3.2; other numbers of repeats need no other formulas.
+All factors are random; components follow from the expected mean squares of sequential sums (Henderson's method 3;
+Searle, Casella and McCulloch, Variance Components, 1992, 5.5). For equal repeats see AIAG, Measurement Systems
+Analysis, 4th edition (2010), and NIST/SEMATECH e-Handbook, 3.2.3.2.
 """
 
 from __future__ import annotations
@@ -141,10 +140,7 @@ def _indicators(levels: Sequence[str]) -> Array:
 
 
 def _analysis(y: Array, columns: Mapping[str, Array]) -> tuple[tuple[Term, ...], dict[str, float]]:
-    """Return the table, and the standard deviation of each term from the expected mean squares.
-
-    A term whose space the terms before it hold has no row.
-    """
+    """Return the table, no row for what earlier terms hold, and each term's standard deviation by mean squares."""
     spaces = _spaces(columns, len(y))
     free = len(y) - 1 - sum(space.shape[1] for space in spaces.values())
     if free < 1:

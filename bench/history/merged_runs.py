@@ -1,7 +1,6 @@
 """The runs of several ledgers and folders as one list. What is missing, double or changed is named.
 
-A run is recognised by the hash of its line in the ledger, which its own journal states. So its folder may have been
-copied to another computer. Reads run folders and writes the index alone.
+A run is recognised by the hash of its line in the ledger, so its folder may be a copy. Writes the index alone.
 """
 
 from __future__ import annotations
@@ -155,11 +154,7 @@ class MergedRuns:
 def merge_runs(
     index: RunIndex, ledgers: MergedLedgers, folders: Sequence[Path], *, only_folders: bool = False
 ) -> MergedRuns:
-    """Find the runs of ledgers and folders.
-
-    Folders that were found elsewhere go before the paths that the ledgers state. ``only_folders`` leaves out runs that
-    are in ``ledgers`` alone.
-    """
+    """Find runs of ledgers and folders, whose places go first; ``only_folders`` leaves out those in ledgers alone."""
     merged = MergedRuns(faults=list(ledgers.faults), notes=list(ledgers.notes))
     stated = [] if only_folders else [Path(one.run.folder) for one in ledgers.entered.values()]
     present = [path for path in stated if (path / JOURNAL).is_file()]

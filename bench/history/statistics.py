@@ -1,7 +1,7 @@
 """Drift of a parameter with time and with temperature, and the test whether it is more than chance. Pure.
 
-The model of a run's value: a straight line in time and temperature, plus an effect of the run (standard deviation tau,
-the same for all runs), plus the error that the run states. This is a random-effects meta-regression.
+A random-effects meta-regression: a line in time and temperature, an effect of each run (standard deviation tau), and
+the error that the run states.
 """
 
 from __future__ import annotations
@@ -192,11 +192,7 @@ def find_drift(
     values: Sequence[float],
     sigmas: Sequence[float],
 ) -> Drift:
-    """Fit the drift of a parameter with time and with temperature; return the slopes with their tests.
-
-    Temperatures, degrees Celsius, are None where not known: those runs are left out of the test of the temperature.
-    Standard uncertainties are greater than 0.
-    """
+    """Fit a parameter's drift, degrees Celsius None where unknown; return slopes with their tests; sigmas above 0."""
     t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
     warm = np.array([math.nan if c is None else c for c in degrees_c], float)
     known = np.isfinite(warm)
@@ -220,10 +216,10 @@ def find_drift(
 def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float | None]:
     """Fit a line in some quantities by weighted least squares with an effect of each run.
 
-    The variance of the effect solves sum w r^2 = n - p (Paule and Mandel, J. Res. NBS 87 (1982) 377; with covariates:
-    DerSimonian and Kacker, Contemp. Clin. Trials 28 (2007) 105), w = 1 / (u^2 + tau^2). The covariance of the slopes is
-    multiplied by sum w r^2 / (n - p), and Student's t has n - p degrees of freedom (Knapp and Hartung, Statist. Med. 22
-    (2003) 2693). This factor is below 1 if runs scatter less than they state, as with an error common to all.
+    The effect's variance tau^2 solves sum w r^2 = n - p, w = 1 / (u^2 + tau^2) (Paule and Mandel, J. Res. NBS 87 (1982)
+    377; with covariates: DerSimonian and Kacker, Contemp. Clin. Trials 28 (2007) 105). The covariance is multiplied by
+    sum w r^2 / (n - p), with Student's t of n - p (Knapp and Hartung, Statist. Med. 22 (2003) 2693); below 1 if an
+    error is common to all.
     """
     n, p = len(y), x.shape[1] + 1
     if n < max(LEAST_RUNS, p + 1):

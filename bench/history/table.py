@@ -1,7 +1,4 @@
-"""Write the table of runs as Parquet or CSV, some hundred rows at a time, so that memory does not grow with the runs.
-
-Parquet needs pyarrow, from the extra ``table``. A file appears under its name when it is complete.
-"""
+"""Write the table of runs as Parquet (pyarrow, extra ``table``) or CSV, some hundred rows at a time to spare memory."""
 
 from __future__ import annotations
 
@@ -294,10 +291,7 @@ def require_writable_table(path: Path) -> None:
 
 
 def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> int:
-    """Write the table, in place of an older file of that name.
-
-    ``faults`` were noticed when the runs were merged; Parquet keeps them in the metadata of the file.
-    """
+    """Write the table in place of an older file; Parquet keeps ``faults`` of the merging in its metadata."""
     require_writable_table(path)
     part = path.with_name(f".{path.name}.part")
     write = _write_csv if path.suffix.lower() == ".csv" else _parquet_writer(faults)
@@ -332,10 +326,7 @@ def _arrow_type(pa: Any, column: Column) -> Any:
 
 
 def arrow_schema(faults: Sequence[str] = ()) -> Any:
-    """Return the schema of the Parquet file, with unit and meaning of each column.
-
-    Its metadata hold ``starbench_schema`` and ``starbench_faults``.
-    """
+    """Return the Parquet schema: each column's unit and meaning, ``starbench_schema`` and ``starbench_faults``."""
     pa = _pyarrow()
     fields = [
         pa.field(

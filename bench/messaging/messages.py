@@ -1,8 +1,8 @@
 """Sends messages about runs by mail, webhook or apprise.
 
-A message is put into the outbox first. Threads deliver it from there, one for each channel, so that neither a dead
-network nor a server that hangs delays a run or another channel. Mail carries the key of the message in ``Message-ID``
-(RFC 5322), a webhook in ``Idempotency-Key``, so that a receiver recognises a message that arrives twice.
+A message goes to the outbox first; a thread for each channel delivers it, so that no server delays a run or another
+channel. Mail carries the key in ``Message-ID`` (RFC 5322), a webhook in ``Idempotency-Key``: a receiver recognises a
+repeat.
 """
 
 from __future__ import annotations
@@ -130,10 +130,7 @@ def _secret(variable: str, environ: Mapping[str, str]) -> str:
 
 
 class Courier:
-    """Writes the messages about one run, and delivers them in a thread of its own.
-
-    ``say`` shows the operator a message that could not be kept; the run continues.
-    """
+    """Writes and delivers one run's messages, in a thread; ``say`` shows one that could not be kept."""
 
     def __init__(
         self, messages: MessagesConfig, outbox: Outbox, clock: BenchClock, say: Callable[[str], None]
@@ -160,10 +157,10 @@ class Courier:
         key: str,
         place: tuple[int, str] | None = None,
     ) -> None:
-        """Put a message into the outbox if the station file asks for one at a ``failure``, ``hold`` or ``end``.
+        """Put a message into the outbox, at once, if the station asks for one at a ``failure``, ``hold`` or ``end``.
 
-        It returns at once. ``key`` is the hash of the journal line that caused the message, and identifies it
-        permanently; ``place`` is the run's number in the bench's ledger and the hash of its line there, or None.
+        ``key`` is the hash of the journal line that caused it; ``place`` number and hash of the run's line in the
+        ledger, or None.
         """
         if not self.is_wanted(occasion):
             return

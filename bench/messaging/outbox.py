@@ -1,11 +1,8 @@
 """Messages that are to be delivered, kept so that none is lost and none is made twice. Does not use the network.
 
-They lie in one SQLite file beside the signing key, synced at every change. Every message has a key; putting a message
-in again changes nothing. A delivery is marked before and after it is tried. If the process dies in between, it is
-unknown whether the message arrived. It is then tried again with the same key, which lets the receiver recognise it, and
-is marked ``perhaps_twice``. A message that cannot be delivered is tried again without end, at growing intervals.
-
-Each channel is served by itself, and each delivery has a deadline, so that a server that hangs delays no other channel.
+One SQLite file beside the signing key, synced at every change. A delivery is marked before and after it is tried: one
+in between, when the process died, is tried again with the same key and marked ``perhaps_twice``; others without end, at
+growing intervals. Each channel is served by itself, each delivery within a deadline.
 """
 
 from __future__ import annotations
@@ -130,11 +127,7 @@ class Outbox:
         return self.waiting()
 
     def deliver_to(self, channel: str, send: Send, now: datetime, *, all_waiting: bool = False) -> None:
-        """Try the deliveries to one channel that are due, unless another process does so at this moment.
-
-        After a delivery that was not complete in time, the others of this channel wait for the next call. The arguments
-        are those of ``deliver``.
-        """
+        """Try a channel's due deliveries, unless another process does; after a late one the others wait."""
         if not self.path.exists():
             return
         with self._alone(channel) as alone:
@@ -259,10 +252,7 @@ def _side_by_side(work: Callable[[str], None], names: Iterable[str]) -> None:
 
 
 def _in_time(work: Callable[[], None], deadline_s: float) -> bool:
-    """Do work in a thread of its own; return whether it ended in time. An error of it is raised again.
-
-    A thread that did not end in time is left alone: it ends by itself or with the process.
-    """
+    """Do work in a thread, left alone if late; return whether it ended in time. Its error is raised again."""
     done = threading.Event()
     failed: list[BaseException] = []
 

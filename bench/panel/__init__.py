@@ -1,4 +1,1 @@
-"""Pages that show runs and batches in progress: `starbench panel`.
-
-This room reads journals and puts requests into inboxes. It never opens a device.
-"""
+"""Pages that show runs and batches: reads journals, puts requests into inboxes, never opens a device."""

@@ -54,10 +54,7 @@ class FolderList:
         self._lock = threading.Lock()
 
     def look(self) -> Json:
-        """Look at the folder: ``root``, ``runs``, ``batches`` (each newest first), and ``faults``.
-
-        A fault is a sentence for each folder that cannot be read.
-        """
+        """Look at the folder: ``root``, ``runs``, ``batches`` (newest first), and ``faults``, a sentence for each."""
         with self._lock:
             faults: list[str] = []
             runs, batches = [], []

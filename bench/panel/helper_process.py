@@ -1,8 +1,7 @@
 """The helper of the panel: makes pictures, coverage and forecasts from a run's files, at the lowest priority.
 
-It is a process of its own, so that neither a page nor a run waits for its calculations. It reads one request as a line
-of JSON from standard input and answers with a line of JSON on standard output, which ``bytes`` raw bytes follow. It
-ends when its standard input ends, also when the panel was killed. It writes no file of a run and uses no device.
+A process of its own, so that neither page nor run waits: a request is a line of JSON on standard input, the answer a
+line on standard output, which ``bytes`` raw bytes follow. It ends with its input, writes no file and uses no device.
 """
 
 from __future__ import annotations
@@ -53,11 +52,10 @@ def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> Json
 
 
 def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
-    """Return what a polynomial from the target to the image leaves of the stars' places, (N, 2) px.
+    """Return what a polynomial, of fifth order or third with few stars, leaves of the stars' places, (N, 2) px.
 
-    It is of fifth order, or of third order if there are few stars; None if there are too few. It follows perspective
-    and distortion closely enough to show single stars that are wrong; it is no calibration. ``nodes`` are column and
-    row on the target, ``points_px`` the stars found, both (N, 2).
+    It shows single stars that are wrong; it is no calibration. None with too few stars. ``nodes`` are (column, row),
+    (N, 2).
     """
     order = next((n for n in _ORDERS if len(nodes) >= _STARS_A_TERM * (n + 1) * (n + 2) // 2), None)
     if order is None:
@@ -73,10 +71,7 @@ def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
 def picture_answer(
     size: tuple[int, int], points_px: Array, residuals_px: Array | None = None, residuals_of: str = ""
 ) -> Json:
-    """Return stars and residuals, (N, 2) px or None, as JSON holds them.
-
-    These are ``size``, ``stars``, ``residuals``, ``residuals_of``, ``rms_px``, ``fault``.
-    """
+    """Return stars and residuals, (N, 2) px or None, as JSON: ``size stars residuals residuals_of rms_px fault``."""
     answer: Json = {
         "size": list(size),
         "stars": np.round(points_px, _DIGITS).tolist(),
@@ -98,13 +93,10 @@ _JOBS_KEPT = 4
 
 
 def make_picture(request: Mapping[str, Any]) -> Answer:
-    """Make the picture of a recording, with its stars and their residuals.
+    """Make the picture of a recording, with its stars and their residuals, as PNG; ``absent`` if there is none.
 
-    For a pose of a solved run they are those of its calibration. Otherwise the stars are found again in the recording,
-    and the residuals are those of a smooth fit of this pose alone. The request holds ``folder``, ``pose``,
-    ``pose_name``, ``attempt``, ``capture``, ``expected_grid``, ``accepted``; ``measure``: whether to find the stars
-    again if nothing else is there, which takes seconds of computing. The answer holds what `picture_answer` returns,
-    and a PNG; ``absent`` if there is no picture without measuring.
+    Residuals are those of the solved run, or else of a smooth fit of this pose; with ``measure`` the stars are found
+    again if needed, which takes seconds.
     """
     from bench.views.views_file import VIEWS
 
@@ -121,10 +113,8 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
 def make_coverage(request: Mapping[str, Any]) -> Answer:
     """Count the stars of accepted recordings in the cells of the image: ``counts``, row by row; no bytes.
 
-    The places come from each recording's grid, without the distortion of the lens. If fewer stars were found than the
-    image has room for, those next to the tag count, because the beam lights the middle of the target. The request holds
-    ``folder``, ``size`` (width and height, px), ``cells`` (columns and rows), ``grids`` (list of pose, grid and number
-    of stars).
+    Places come from each grid, without distortion. Of few stars those next to the tag count: the beam lights the
+    middle.
     """
     target = job_of_run(request["folder"]).target
     nodes = target.node_of(target.ids).astype(float)
@@ -148,11 +138,7 @@ def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int
 
 
 def make_forecast(request: Mapping[str, Any]) -> Answer:
-    """Forecast the uncertainty that the first ``poses`` of the plan of the run in ``folder`` give.
-
-    ``now`` holds expanded uncertainties, px, by name; it is empty if these poses determine no camera, or the station
-    states nothing to expect. No bytes.
-    """
+    """Forecast the uncertainty that the first ``poses`` of a run's plan give: ``now``, expanded px, may be empty."""
     from bench.base.errors import UsageError
     from bench.results.forecasts import forecast_bench
     from calib.errors import CalibrationError

@@ -29,10 +29,7 @@ _BROKEN = ("broken", "NOT MEASURED")
 
 
 class Line:
-    """The line of a panel: at most one run at a time.
-
-    Station or sequence must state limits, since otherwise no run could say PASS or FAIL.
-    """
+    """The line of a panel: at most one run at a time; station or sequence must state limits, for PASS or FAIL."""
 
     def __init__(self, root: Path, sequence: str, station: str, operator: str) -> None:
         self._root, self._sequence, self._station, self._operator = root, sequence, station, operator

@@ -1,7 +1,4 @@
-"""The panel's pages and what they ask for.
-
-Every route reads a folder or puts a command into an inbox; those of a line also begin a run, as a process of its own.
-"""
+"""The panel's pages: each route reads a folder or fills an inbox; those of a line also begin a run as a process."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """One run as its page shows it, kept up to date with each line of the journal: poses, log, last recording, course.
 
-What a page needs again and again is kept small: of each recording the model keeps its verdict and its place, not all
-numbers. It reads the run's folder and writes nothing.
+Of each recording the model keeps verdict and place only. It writes nothing.
 """
 
 from __future__ import annotations
@@ -160,10 +159,7 @@ def read_plan(folder: Path) -> RunPlan:
 
 
 def read_final(folder: Path) -> dict[str, float]:
-    """Read the uncertainties that a run has reached in the end; empty if there are no results.
-
-    These are ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as stated.
-    """
+    """Read the final uncertainties, px: ``coverage_factor``, ``expanded_fx_px``, ``worst_corner_px``, as stated."""
     try:
         results = read_json(folder / RESULTS)
         calibration = results["calibration"]

@@ -1,7 +1,6 @@
 """One reader for all pages: a thread that looks at the journals which pages show, and wakes the pages.
 
-A journal is looked at 50 times a second by one call of the file system, and read only where it has grown. A run that no
-page shows is not looked at. The same message goes to all pages that have the same lines.
+A journal that is shown is looked at 50 times a second by one system call, and read only where it has grown.
 """
 
 from __future__ import annotations
@@ -78,10 +77,7 @@ class RunWatch:
         return more
 
     def message(self, after: int, generation: int | None) -> tuple[str, int, int]:
-        """Return, as JSON, what is new after a number of lines that the page has.
-
-        ``generation`` is that of the journal that they are of; None if the page has another process's.
-        """
+        """Return, as JSON, what is new after some lines of a ``generation`` (None: another process's)."""
         with self.lock:
             model = self.model
             anew = after <= 0 or after > model.lines or generation not in {None, model.generation}

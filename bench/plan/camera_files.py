@@ -1,7 +1,6 @@
 """Reads one calibrated camera from a file: a run's, an export of ours, OpenCV's, Kalibr's, ROS's or Metavision's.
 
-The opposite of `exports`: conventions are undone, and nothing else is calculated. A file is recognised by its content,
-not by its name. What a file does not state, such as a covariance, stays unknown.
+A file is recognised by its content; what it does not state, such as a covariance, stays unknown.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The task of a run: a sequence on a station, expanded into steps, with what both files state about it.
-
-A job holds the content of both files. It holds neither the history of the run nor open devices.
-"""
+"""The task of a run: a sequence on a station, expanded into steps, and the content of both files; no open devices."""
 
 from __future__ import annotations
 
@@ -67,10 +64,7 @@ def calibration_options(
     gimbal: GimbalReadings | None = None,
     budget: tuple[TypeBTerm, ...] = (),
 ) -> CalibrationOptions:
-    """Return the engine's options for a solve step; one without a model is solved with ``auto``.
-
-    They hold model, distortion, loss, passport, readings, budget, guard band and drift.
-    """
+    """Return the engine's options for a solve step; one without a model is solved with ``auto``."""
     passport = passport if step.model != "planar" else None  # it has no collimator
     return CalibrationOptions(
         step.model or DEFAULT_MODEL,
@@ -227,11 +221,7 @@ class Job:
         return {step.number: index_of for index_of, step in enumerate(self.steps)}
 
     def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
-        """Return a step with the angles that the stage takes.
-
-        If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it does not name, because a
-        chosen pose may have turned them.
-        """
+        """Return a step with the stage's angles: 0 for axes not named, if a chosen pose may have turned them."""
         if step.pose.chosen_in_run:
             angles = chosen[step.pose.index]
         elif self._chooses_poses:
@@ -276,11 +266,7 @@ class Job:
 
 
 def documents_of(plan: Plan) -> dict[str, bytes]:
-    """Return the documents that a run folder keeps from its begin on, so that the run can be repeated from it.
-
-    Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport, the calibration
-    that is checked, and the descriptions of devices.
-    """
+    """Return what a run folder keeps from its begin on, bytes by name: all documents to repeat the run from."""
     documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
     if plan.passport.in_use is not None:
         documents[PASSPORT_COPY] = plan.passport.in_use.data

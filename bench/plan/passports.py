@@ -1,8 +1,7 @@
 """The collimator's passport of a run: which one the documents name, its file, and whether it suits the bench.
 
-The passport of a solve step is the file that the sequence names, else the station's passport or certificate. A run
-keeps the bytes of its passport in its folder. A resumed or repeated run reads that copy, not the file that the
-documents name.
+It is the sequence's, else the station's passport or certificate. A resumed or repeated run reads the copy in its
+folder.
 """
 
 from __future__ import annotations
@@ -84,9 +83,8 @@ def _numbers(found: Any) -> list[float]:
 def refuse_indefinite(passport: Passport) -> None:
     """Refuse a covariance that is not symmetric and positive definite, or states a certainty that nobody has.
 
-    Own limits: a standard uncertainty of the centre below 0.1 nm, or below 1e-8 of the focal length, is not a
-    measurement. The smallest eigenvalue is that of the correlation matrix, so that the units of the parameters do not
-    matter. `InputMismatch` names the parameter.
+    Own limits: below 0.1 nm of the centre, or 1e-8 of the focal length, nothing is measured. Eigenvalues are the
+    correlation matrix's: without units.
     """
     covariance = passport.covariance
     variances = covariance.diagonal()
@@ -124,8 +122,8 @@ _KEYS = frozenset(
 def determines_one_view(passport: Passport) -> bool:
     """Return whether one view is enough to calibrate a camera: the passport holds the collimator's whole centre.
 
-    Own count: the homography of a view has 8 degrees of freedom. With x, y and r known, the view has 7 unknowns: fx,
-    fy, cx, cy and a rotation. With r alone, as a certificate states it, it has 9.
+    Own count: a homography has 8 degrees of freedom. With x, y and r known, fx, fy, cx, cy and a rotation are 7
+    unknowns; with r alone 9.
     """
     return set(CENTRE) <= set(passport.names)
 
@@ -144,11 +142,7 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
 
 
 def parse_passport(data: bytes, where: str) -> Passport:
-    """Read the bytes of a passport.
-
-    `UsageError` says why it is none: it was changed after it was sealed, has a parameter that the engine does not know,
-    or numbers that no collimator has.
-    """
+    """Read the bytes of a passport; `UsageError` says why it is none: changed, an unknown parameter, absurd numbers."""
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
         shape: Any = parse_json(data)
@@ -242,11 +236,7 @@ class PassportInUse:
         return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what results.json states about the passport.
-
-        These are origin, identity and validity, its values and standard uncertainties by name, and the hash of its
-        file.
-        """
+        """Return what results.json states: origin, identity, validity, values, standard uncertainties, hash."""
         stated, passport = self.passport.conditions, self.passport
         sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}
         return {
@@ -271,10 +261,7 @@ class PassportInUse:
         return _text(stated.get("issued")) or (_text(stated.get("made_utc")) or "")[:10] or None
 
     def cautions(self, collimator: CollimatorConfig, on: date) -> list[str]:
-        """Return what speaks against using the passport on a bench, a sentence each.
-
-        It is unsealed, expired, of another temperature or another collimator, or names no collimator.
-        """
+        """Return a sentence for each doubt: unsealed, expired, other temperature or collimator, or none named."""
         found = []
         if self.is_unsealed:
             found.append(
@@ -353,10 +340,7 @@ def choose_passport(
     copy: Path | None,
     today: date,
 ) -> PassportChoice:
-    """Find, read and check the passport that the solve steps use.
-
-    ``copy`` in the folder of a run that has begun is read in place of the named file; None for a new run.
-    """
+    """Find, read and check the solve steps' passport; ``copy`` in the run folder goes first, None for a new run."""
     named = {step.number: _named(sequence, station, step) for step in steps if isinstance(step, SolveStep)}
     used = {number: one for number, one in named.items() if one is not None}
     if not used:

@@ -1,7 +1,6 @@
 """The plan of a run: its poses, moves, duration and disk space, and all faults of its files.
 
-A plan compares a sequence with a station. It uses no device and writes nothing. Durations and sizes come from
-`bench.plan.plan`; the journal of a run has the real ones.
+A plan compares a sequence with a station. It uses no device and writes nothing; the journal has the real durations.
 """
 
 from __future__ import annotations
@@ -91,10 +90,8 @@ def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float
 class Estimate:
     """Estimates duration and disk space step by step; keeps the position of the stage and the state of the light.
 
-    An ``until`` counts with all recordings that it allows, as far as they fit into its minutes. Its chosen poses are as
-    far apart as the stage's limits allow. Rounds for poses that may fail take no time and no expected disk space.
-
-    size_bytes, most_bytes: Disk space so far, as in a `Plan`.
+    An ``until`` counts with all recordings that fit into its minutes, as far apart as the limits allow; rounds for
+    failed poses with none.
     """
 
     def __init__(self, station: Station) -> None:
@@ -319,11 +316,7 @@ class Plan:
 def load_documents(
     sequence: str, station: str, settings: Mapping[str, str] | None = None
 ) -> tuple[Located[Sequence], Located[Station]]:
-    """Read a sequence file and a station file.
-
-    ``settings`` replace values of the files: YAML texts by path, such as ``sequence.defaults.record.window_ms`` or
-    ``station.camera.biases.bias_diff_on``.
-    """
+    """Read sequence and station; ``settings`` are YAML texts by path: ``sequence.defaults.record.window_ms``."""
     of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
     read_sequence = read_station = None
@@ -366,10 +359,9 @@ def make_plan(
     passport_copy: Path | None = None,
     today: date | None = None,
 ) -> Plan:
-    """Plan a run. Faults of the files do not raise an error; the plan lists them.
+    """Plan a run; faults of the files are listed, not raised. ``today`` None is the current day, UTC.
 
-    ``passport_copy`` is where the folder of a run that has begun keeps the passport; None for a new run. ``today`` is
-    for the validity of the passport; None for the current day, UTC.
+    ``passport_copy`` is where the folder of a run that has begun keeps the passport; None for a new run.
     """
     script, faults = unfold(sequence)
     if station.value.board is not None:

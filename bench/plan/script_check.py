@@ -1,6 +1,6 @@
 """Checks a sequence against a station: axes, limits, light, windows, order of steps. Finds all faults at once.
 
-A fault means that the run cannot succeed. A remark means that it can, but that the operator should know something.
+With a fault the run cannot succeed; a remark is something that the operator should know.
 """
 
 from __future__ import annotations
@@ -111,10 +111,7 @@ def check_script(
     station: Station,
     with_passport: frozenset[int] = frozenset(),
 ) -> Findings:
-    """Check the steps of a sequence against a station.
-
-    ``with_passport`` numbers the solve steps that one pose is enough for, because of the collimator's passport.
-    """
+    """Check a sequence's steps; for solve steps ``with_passport``, by number, one pose is enough."""
     faults = [
         *angle_faults(document.tree, station),
         *_light_faults(document, steps, station),
@@ -131,10 +128,9 @@ def check_script(
 
 
 def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
-    """Return angles in a sequence file outside the station's limits, and axes that the station does not have.
+    """Return angles outside the station's limits, and axes it does not have; the sequence may have other faults.
 
-    The angles of a grid lie between those in the file. An angle that is not in the file is 0, which every station
-    reaches. The sequence may have other faults.
+    A grid's angles lie between those in the file; one that is not there is 0, which every station reaches.
     """
     axes = station.axes
     faults = Tree(sequence.file)

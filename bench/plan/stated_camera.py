@@ -49,10 +49,9 @@ class StatedCameraChoice:
 def choose_stated_camera(
     sequence: Located[Sequence], steps: Iterable[Step], expected: ExpectedConfig | None, *, copy: Path | None
 ) -> StatedCameraChoice:
-    """Find and read the calibration that the steps ``check`` name.
+    """Find and read the calibration that the steps ``check`` name; ``copy`` in the run folder goes first.
 
-    ``expected`` is the station's; a new run with a sensor of another size is refused. ``copy`` in the folder of a run
-    that has begun is read in place of the named file; None for a new run.
+    ``expected`` is the station's; a new run with a sensor of another size is refused.
     """
     named = [
         (step, step.checked) for step in steps if isinstance(step, SolveStep) and step.checked is not None

@@ -1,7 +1,6 @@
 """Whether results keep limits, by guarded acceptance and rejection: of a run (PASS or FAIL), and of a certificate.
 
-The guard band is the expanded uncertainty, w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1): a limit counts as
-kept only if the value is inside by U or more, so that an uncertain result is never called good.
+A limit is kept only if the value is inside by U or more: w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1).
 """
 
 from __future__ import annotations
@@ -42,11 +41,7 @@ def conformity(
     *,
     checks: bool = False,
 ) -> ConformityData | None:
-    """Return PASS or FAIL of a run; None if neither its station nor its sequence states limits, and none `checks`.
-
-    ``failed_gates`` count, since values that must not be used do not pass; if the run ``checks`` a calibration, its
-    gate is among the gates.
-    """
+    """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
     statements = [_statement(calibration, stated_by, one) for stated_by, one in _each(limits)]
     if not statements and not checks:
         return None

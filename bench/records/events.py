@@ -1,7 +1,6 @@
-"""The events of a run's journal, and the type of what each carries.
+"""The events of a run's journal, and the type of what each carries: degrees, and seconds unless a name says otherwise.
 
 `RunLog.tell` takes exactly these payloads, and a replay gives them back; nothing else in a journal means anything.
-This module holds types only. Angles are in degrees, times in seconds unless a name says otherwise.
 """
 
 from __future__ import annotations
@@ -83,11 +82,7 @@ class Event(StrEnum):
 
 
 class LedgerPlace(TypedDict):
-    """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end.
-
-    ``faults`` states the breaks of the ledger that nobody had explained when the run began, ``warnings`` the second
-    places of the ledger that could not be used.
-    """
+    """Where a run stands in the ledger: number, head, its camera's runs by end; ``faults`` are unexplained breaks."""
 
     number: int
     head: str
@@ -97,10 +92,7 @@ class LedgerPlace(TypedDict):
 
 
 class RunStarted(TypedDict):
-    """Payload of ``run_started``: names, hashes of the files, seed, operator, versions.
-
-    ``plugins`` states, by package, the drivers of the station that it brought: ``stage turntable``.
-    """
+    """Payload of ``run_started``; ``plugins`` states, by package, the drivers that it brought: ``stage turntable``."""
 
     id: str
     sequence: str
@@ -287,9 +279,8 @@ class AttemptLost(TypedDict):
 class Solved(TypedDict):
     """Payload of ``solved``: model, convergence, rms, values and standard uncertainties by parameter.
 
-    ``coverage_factor`` is the common k of the expanded uncertainties, ``coverage_factors`` the k of each value that has
-    its own, and ``shared`` the part of each standard uncertainty that all runs on the bench share. An earlier version
-    did not write them.
+    ``coverage_factors`` are the k of values that have their own; ``shared`` is the part of a standard uncertainty that
+    all runs on the bench share. An earlier version wrote neither.
     """
 
     model: str
@@ -323,10 +314,7 @@ UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_p
 
 
 class ChosenPose(TypedDict):
-    """The pose that an ``until`` chose.
-
-    ``expected`` holds the uncertainties that the choice predicts with this pose added, px; ``why`` the reason in words.
-    """
+    """The pose that an ``until`` chose; ``expected`` px are the uncertainties with it, ``why`` the reason in words."""
 
     pose: int
     pose_name: str
@@ -448,9 +436,7 @@ class FailureData(TypedDict):
 class RunEnded(TypedDict):
     """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen.
 
-    ``devices`` states how each device was left: ``device``, ``state`` (confirmed safe, not confirmed, never opened) and
-    ``said``, what it answered. ``lateness`` states how late this process was woken, as in ``computer_busy``; a run on a
-    virtual clock has none.
+    ``devices`` states how each was left (``device state said``), ``lateness`` how late this process was woken.
     """
 
     how: Literal["finished", "aborted", "failed"]

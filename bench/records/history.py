@@ -1,7 +1,4 @@
-"""History of a run, replayed from its journal: the state of a run is its journal and nothing else.
-
-This module reads journal lines only; it uses no device and no other file.
-"""
+"""History of a run, replayed from its journal: the state of a run is its journal and nothing else."""
 
 from __future__ import annotations
 
@@ -389,11 +386,7 @@ class RunLog:
     @overload
     def write(self, event: Literal[Event.DEVICES_LEFT], **data: Unpack[DevicesLeft]) -> None: ...
     def write(self, event: Event, **data: Any) -> None:
-        """Write one line (payload: `bench.records.events`) and update the history.
-
-        The line survives a power cut when this returns, except a line that is repeated or found again after a restart
-        with the same result: such a line is synced together with the next one.
-        """
+        """Write one line and update the history; it survives a power cut unless a restart finds the same again."""
         self._write(event, data)
 
     def write_entering(self, data: Entering) -> None:
@@ -411,10 +404,7 @@ class RunLog:
 
 
 def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:
-    """Return whether a line may be lost with the power, because a restart does or finds the same again.
-
-    Before anything moves, is switched or is asked, a line that lasts is written, and these with it.
-    """
+    """Return whether a line may be lost with the power, because a restart does or finds the same again."""
     match event:
         case Event.LEFT_OFF:
             return "error" not in data
@@ -432,8 +422,7 @@ def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:
 def way_on(history: History, folder: Path) -> tuple[str, str]:
     """Return what there is to know, as a sentence, and the command that can work.
 
-    A resumed run uses the copies of its files in the run folder and the recordings that it has. It ends in the same
-    way if a file was wrong, or if the recordings do not determine the camera.
+    A resumed run uses its own copies of the files, so it ends in the same way if one of them was wrong.
     """
     kind = history.failures[-1]["kind"] if history.ended == "failed" and history.failures else ""
     if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):

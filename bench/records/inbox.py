@@ -1,9 +1,7 @@
-"""An inbox of a process: a folder in which other processes leave messages, one JSON file each.
+"""An inbox of a process: a folder in which other processes leave messages, one JSON file each, written as a whole.
 
-A sender writes a file as a whole (`Inbox.drop`). The process that owns the inbox looks there from time to time
-(`Poller`), answers each message and then removes its file (`Inbox.drain`). The owner answers in its journal, so that a
-file which was answered, but not removed because the process died, is known by its id and not obeyed twice. Commands to
-a run (`bench.run.control`) and requests to a batch (`bench.batch.batch_plan`) use this.
+The owner answers each in its journal, then removes the file: one that was answered by a process that died is known by
+its id.
 """
 
 from __future__ import annotations
@@ -39,20 +37,13 @@ class Inbox(Generic[Message]):
     ignored: frozenset[str] = frozenset()  # Names of files in the folder that are not for the owner
 
     def drop(self, message: Message, message_id: str) -> Path:
-        """Leave a message, as a file behind all earlier ones that appears as a whole; it exists until it is answered.
-
-        `StorageError`: it cannot be written, for example because the owner has removed the inbox.
-        """
+        """Leave a message behind all earlier ones, as a whole; `StorageError` if the owner has removed the inbox."""
         path = self.folder / f"{time.time_ns():020d}-{message_id}.json"
         write_atomic(path, message.model_dump_json().encode() + b"\n")
         return path
 
     def drain(self, answer: Callable[[Message | None, str], None]) -> None:
-        """Answer every message, oldest first, and remove its file. Without the folder there is no message.
-
-        ``answer`` gets the message and the name of its file; None for a file that is not a message. It must have stored
-        its answer when it returns.
-        """
+        """Answer every message, oldest first, and remove its file once ``answer`` has stored it; None is a bad file."""
         with storage_errors(self.folder):
             if not self.folder.is_dir():
                 return
@@ -74,10 +65,7 @@ class Inbox(Generic[Message]):
 
 
 class Poller:
-    """Calls a function at regular intervals, in a thread of its own.
-
-    ``failed`` is called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
-    """
+    """Calls a function at intervals, in a thread of its own, which ends with ``failed`` and the exception it raised."""
 
     def __init__(
         self, look: Callable[[], None], failed: Callable[[Exception], None], *, name: str, period_s: float

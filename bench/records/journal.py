@@ -1,8 +1,6 @@
 """The journal of a run: it is written line by line, and verified when it is read.
 
-`bench.records.journal` describes the form of a line, `bench.records.events` the meaning of the events. A line is
-written when what it states has happened and is on the disk. What is not in the journal has not happened. A line of
-lesser importance (`Journal.append_unsynced`) is synced together with the next line that counts.
+A line is written when what it states has happened and is on the disk: what is not in the journal has not happened.
 """
 
 from __future__ import annotations
@@ -53,10 +51,7 @@ class Entry:
 def encode_line(
     seq: int, now: datetime, mono_s: float, event: str, data: Mapping[str, Any], prev: str
 ) -> bytes:
-    """Write line number ``seq``, from 0, after a line with the hash ``prev``.
-
-    Data that use one of the journal's own keys, or cannot be written as JSON, raise `ValueError`.
-    """
+    """Write line ``seq``, from 0, after a line with the hash ``prev``; `ValueError` if data use an own key."""
     clash = sorted(set(data) & set(OWN_KEYS))
     if clash:
         raise ValueError(f"event {event!r} uses the journal's own keys {clash}")
@@ -115,10 +110,7 @@ _MOST_UNSYNCED_BYTES = 64 * 1024
 
 
 class Journal:
-    """A journal that is open for appending, from ``create`` or ``open``. Several threads may use it.
-
-    ``torn`` is the bytes of an incomplete last line that were removed.
-    """
+    """A journal that is open for appending, by several threads; ``torn`` is an incomplete last line, removed."""
 
     def __init__(
         self,
@@ -155,10 +147,7 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
-        """Open a journal to continue it: verify its chain and remove an incomplete last line (see ``torn``).
-
-        `JournalBroken` names a complete line that is not valid. The file is then not changed.
-        """
+        """Open a journal to continue: verify it, remove an incomplete last line; `JournalBroken` changes nothing."""
         entries, torn = read_journal(path)
         if torn:
             with storage_errors(path):
@@ -178,18 +167,14 @@ class Journal:
     def append(self, event: str, **data: Any) -> Entry:
         """Write one line and sync it. The line is on the disk when this returns.
 
-        If the system time has moved by more than ``CLOCK_JUMP_S`` against the monotonic clock since the last line, a
-        line ``clock_jumped`` with ``jump_s`` is written before it. Data are what JSON can represent, also NumPy scalars
-        and arrays, paths and dates; numbers must be finite. After a `StorageError` the line is not in the journal.
-        After a failed sync the journal accepts no more lines, because the contents of the disk are unknown.
+        A ``clock_jumped`` line comes first if system and monotonic clocks parted by ``CLOCK_JUMP_S``. After a
+        `StorageError` the line is not in the journal; after a failed sync no more are accepted, because the contents of
+        the disk are unknown.
         """
         return self.put(event, data, synced=True)
 
     def append_unsynced(self, event: str, **data: Any) -> Entry:
-        """Write one line as ``append`` without syncing it; the next ``append`` syncs both.
-
-        If the process dies, the line remains; a power cut may remove the last unsynced lines.
-        """
+        """Write one line that the next ``append`` syncs: it survives the process, but a power cut may remove it."""
         return self.put(event, data, synced=False)
 
     def close(self) -> None:
@@ -276,10 +261,7 @@ class Journal:
 
 
 def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Read the complete lines after a position in a journal, bytes, without verification.
-
-    The position is usually the size of the file at an earlier moment. If it lies within a line, that line is left out.
-    """
+    """Read the complete lines after a position in a journal, bytes, without verification, and without half a line."""
     with open_to_read(path) as stream:
         stream.seek(offset)
         while line := stream.readline(MOST_LINE_BYTES):
@@ -294,8 +276,7 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
 def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     """Read and verify a journal without changing it; return also what a power cut has left at the end.
 
-    That is a line without its line feed; or zeros in blocks that the file system had allocated and not written, with
-    everything behind the first of them. It never contains a synced line. Empty if there is nothing of that kind.
+    That is a line without its line feed, or zeros in blocks that were allocated and not written; never a synced line.
     """
     entries: list[Entry] = []
     begin = 0
@@ -332,10 +313,7 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
 
 
 def _was_cut_off(rest: bytes, begin: int) -> bool:
-    """Whether the end of a journal, from an invalid line on, has zeros in place of blocks that were never written.
-
-    Such zeros begin after the last synced line or with a block, and end with a block or with the file.
-    """
+    """Whether a journal ends, from an invalid line or a block on, with zeros of blocks that were never written."""
     first = rest.find(b"\0")
     if first < 0 or len(rest) >= _MOST_UNSYNCED_BYTES:
         return False

@@ -1,10 +1,8 @@
 """The laboratory's ledger: every run that was started on this bench, and how it ended. No run can be left out unseen.
 
-It is one file for all runs, ``ledger.jsonl`` beside the signing key, in the form of a journal: chained, and synced line
-by line. A run is entered before it does anything, and again whenever it ends; a run without an end remains open.
-Certificates take their numbers from it, too. A run and its report state the run's number and the hash of its line (the
-head). `bench.records.ledger_marks` keeps the newest head elsewhere, so that lines removed from the end are noticed;
-`bench.records.ledger_marks` decides what a break is.
+One file for all runs, ``ledger.jsonl`` beside the signing key, chained and synced like a journal. A run is entered
+before it does anything, and again whenever it ends. `bench.records.ledger_marks` keeps the newest head elsewhere, so
+that lines removed from the end are noticed. Certificates take their numbers from it, too.
 """
 
 from __future__ import annotations
@@ -59,7 +57,7 @@ LEDGER = "ledger.jsonl"
 
 
 class LedgerFile:
-    """The file of a ledger. Every method reads it anew, because other processes write to it too.
+    """The file of a ledger, read anew by every method: others write too.
 
     ``warnings`` are second places that could not be read or written by the last call; nothing was stopped by them.
     """
@@ -77,21 +75,16 @@ class LedgerFile:
         return read_journal(self.path)[0] if self.path.exists() else []
 
     def append(self, event: str, **facts: Any) -> Entry:
-        """Enter one line of any event in the past tense, such as ``certificate_issued``.
-
-        Use ``locked`` where the line depends on the lines before.
-        """
+        """Enter one line of any event in the past tense; use ``locked`` where it depends on the lines before."""
         with self.locked() as journal:
             return journal.append(event, **facts)
 
     @contextmanager
     def locked(self) -> Iterator[Journal]:
-        """Lock the ledger against other processes, verify it, and open it for writing.
+        """Lock the ledger against other processes, verify it, and open it for writing; a break raises `EvidenceError`.
 
-        In the block, ``journal.entries`` holds every line so far, and ``journal.append(event, **facts)`` enters a line.
-        So a number that follows from the lines before is given once only. The lock waits; keep the block short. The new
-        head goes to the second places afterwards (see ``warnings``). Lines that are missing or were replaced, or a file
-        that is gone, raise `EvidenceError`.
+        A number that follows from the lines before is so given once. The lock waits: keep the block short. The new head
+        goes to the second places afterwards.
         """
         self.warnings = []
         with self._held():
@@ -201,11 +194,8 @@ class Ledger(LedgerFile):
     ) -> LedgerPlace:
         """Enter a run before it does anything. A break of the ledger is recorded first; it does not stop the run.
 
-        With ``strict``, a break that nobody has explained raises `EvidenceError`; nothing was entered. ``strangers``
-        finds sealed runs of this bench that are not in the ledger. The result is for the journal and the report of the
-        run: its ``number`` in the ledger; the ``head``, which is the hash of the ledger's last line; ``of_camera``, the
-        number of runs of this camera by state, with this run; and ``faults``, sentences, if there is a break that
-        nobody has explained.
+        With ``strict``, a break that nobody explained raises `EvidenceError`. ``strangers`` finds sealed runs of this
+        bench that are not in the ledger.
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers, strict=strict) as journal:
@@ -270,11 +260,7 @@ class Ledger(LedgerFile):
     def breaks(
         self, anchor: str | None = None, strangers: Strangers = no_strangers
     ) -> tuple[list[str], list[Break]]:
-        """Compare the ledger with all places that know of it; return a sentence for each break without a reason.
-
-        Nothing is written. ``anchor`` is a further second place; those that were used before are asked anyway.
-        ``warnings`` has the places that cannot be read.
-        """
+        """Return a sentence for each unexplained break, by all second places, with ``anchor``; nothing is written."""
         own, witnesses = self._own_mark(), self._ask_anchors(anchor)
         try:
             entries = self.entries()

@@ -1,9 +1,7 @@
 """What other places know of the ledger: the bench's own mark, and the second places that stations name.
 
-A ledger is a chain, so its lines cannot be changed unseen. Lines cut off its end, or a deleted file, leave a valid
-chain. Two other places show them. ``ledger_high`` lies beside the ledger and holds its highest state. A second place
-(``ledger: {anchor: PATH}`` in a station file) is a file on another disk or share; a line is added to it with every
-change of the ledger. This module reads and writes both, and trusts neither.
+They show lines cut off the end, and a deleted file: such a chain is still valid. ``ledger_high`` lies beside the
+ledger; a second place (``ledger: {anchor: PATH}``) is a file on another disk or share. Neither is trusted.
 """
 
 from __future__ import annotations
@@ -250,10 +248,7 @@ class LedgerRun:
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
-    """Return the runs of a ledger in the order in which they began.
-
-    Numbers rise; after a break of the ledger some may be missing.
-    """
+    """Return the runs of a ledger as they began; after a break of the ledger some numbers may be missing."""
     runs: list[LedgerRun] = []
     place_of: dict[int, int] = {}
     for entry in entries:
@@ -393,11 +388,7 @@ def find_breaks(
     anchors: Iterable[Witness] = (),
     strangers: Strangers = no_strangers,
 ) -> BreakFindings:
-    """Compare a ledger with all places that know of it.
-
-    ``own`` is the bench's own mark; None if there is none; a text, the reason, if it cannot be read. ``strangers``
-    finds sealed runs of this bench that are not in the ledger.
-    """
+    """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
     found = _Findings()
     excused = {head for one in breaks_of(entries) for head in one.heads}
     _ask_own_mark(found, entries, own, excused)

@@ -1,9 +1,8 @@
 """What results.json holds: the types that its writer, the report, the certificate, the table and the panel share.
 
-This module holds types only; docs/results.md explains the values to users. Parts marked ``NotRequired`` are missing in
-results of earlier versions, or where they do not apply. U of a value is its ``coverage_factors``, or else the common
-``coverage_factor``, times its ``sigma``. Lengths of the print and of the collimator are in mm, of images in px, and
-readings in degrees, unless a name says otherwise.
+docs/results.md explains the values. ``NotRequired`` parts are missing in earlier versions, or where they do not apply.
+U of a value is its ``coverage_factors``, or else ``coverage_factor``, times its ``sigma``. Print and collimator are in
+mm, images in px, readings in degrees, unless a name says otherwise.
 """
 
 from __future__ import annotations

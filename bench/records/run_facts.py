@@ -1,7 +1,6 @@
 """What the index keeps of a run: the facts of its row, its parameters, and details for tables and charts.
 
-Everything comes from the journal. `results.json` adds what the journal does not have; it is read only if its hash is
-the one in the journal. Nothing is written.
+`results.json` is read only if its hash is the one in the journal. Nothing is written.
 """
 
 from __future__ import annotations
@@ -54,8 +53,7 @@ class Estimate(NamedTuple):
 def coverage_factor(stated: Mapping[str, Any], name: str = "") -> float:
     """Return k (2 if none is stated): U = k u has a coverage probability of about 95 % (JCGM 100, 6.2, annex G).
 
-    ``stated`` is ``calibration`` or ``planar`` of results.json, or the journal's line ``solved``; ``name`` a value that
-    may have a k of its own, empty for the common one.
+    ``name`` is a value that may have a k of its own, empty for the common one.
     """
     if own := (stated.get("coverage_factors") or {}).get(name):
         return float(own)

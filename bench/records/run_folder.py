@@ -1,9 +1,7 @@
 """The folder of one run: its lock, and how its files get their names.
 
-The folder is the complete record of the run. A recording or other file receives its name only when it is complete and
-synced (``write_atomic``, ``commit``). The journal names it after that, so that a name in the journal is a file on the
-disk. One process at a time works in the folder (`bench.records.storage`). A sealed folder is never opened for
-writing again.
+A file gets its name when it is complete and synced; the journal names it after that. One process at a time works in the
+folder; a sealed one is never opened for writing again.
 """
 
 from __future__ import annotations
@@ -104,20 +102,14 @@ class RunFolder:
         return self.path / JOURNAL
 
     def write_atomic(self, name: str, data: bytes) -> Path:
-        """Write a file as a whole, or leave its old contents. The file is synced when this returns.
-
-        The name is a path within the folder, with ``/``; subfolders are made.
-        """
+        """Write and sync a file whole, or leave its old contents; ``name`` is a path within the folder, with ``/``."""
         path = self._place(name)
         make_folder(path.parent)
         write_atomic(path, data)
         return path
 
     def part_path(self, name: str) -> Path:
-        """Return where other code (a camera, HDF5) writes a file, to which ``commit`` then gives its name.
-
-        A file of an earlier attempt is removed. The name is a path within the folder, with ``/``.
-        """
+        """Return where other code writes a file, to which ``commit`` then gives its name; one left there is removed."""
         part = self._place(name).with_name(PurePosixPath(name).name + PART)
         make_folder(part.parent)
         with storage_errors(part), suppress(FileNotFoundError):
@@ -125,10 +117,7 @@ class RunFolder:
         return part
 
     def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
-        """Sync the file at ``part_path(name)``, compute its hash and give it its name, which must be new.
-
-        ``goes_on`` is as for `sha256_of`: a recording may have many gigabytes.
-        """
+        """Sync the file at ``part_path(name)`` and give it its new name; ``goes_on`` is as for `sha256_of`."""
         path = self._place(name)
         part = path.with_name(path.name + PART)
         if path.exists():
@@ -285,8 +274,7 @@ class RecoveryNotes:
 def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
     """Put a run folder, locked by this process, in order after a crash.
 
-    No recording is deleted. Recordings that are incomplete, changed, or not named in the journal are moved to
-    ``quarantine/``. Temporary files of reports and similar files, which can be written again, are deleted.
+    Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
     """
     stored = stored_captures(journal.entries)
     found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}

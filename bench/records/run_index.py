@@ -1,8 +1,7 @@
 """An index of the runs of a bench, made from their journals, to list, filter and compare them.
 
-It is one SQLite file beside the signing key. It contains nothing that is not in the run folders. A row is
-made anew when its journal or its results.json has changed; the whole index is made anew when its schema has changed
-(``user_version``) or the file is damaged. `bench.records.run_facts` says what is kept of a run.
+One SQLite file beside the signing key, made anew when its schema (``user_version``) has changed or it is damaged; a row
+when journal or results.json have changed.
 """
 
 from __future__ import annotations
@@ -134,10 +133,9 @@ class RunIndex:
         sequence: str | None = None,
         how: str | None = None,
     ) -> tuple[list[IndexedRun], list[str]]:
-        """List runs, oldest first; and one sentence for each folder that cannot be read.
+        """List runs, oldest first, and a sentence for each folder that cannot be read; None stands for any.
 
-        Only runs of the camera with this serial number, started at or after ``since`` and before ``until``, with this
-        text in the name of the sequence, and with this state; None for any.
+        A run began at or after ``since`` and before ``until``; ``sequence`` is a part of the name.
         """
         found, faults = [], []
         with self._open() as index:

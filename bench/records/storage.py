@@ -1,8 +1,6 @@
 """Durable writing: files are written as a whole or not at all, and synced together with their folder.
 
-All files of Starbench are written here or by the journal. A file that other code writes (a camera, HDF5) receives its
-final name from `move_into_place`. The steps are: a temporary file, fsync(2), rename(2), and fsync of the folder, which
-makes the new name durable.
+The steps are a temporary file, fsync(2), rename(2), and fsync of the folder, which makes the new name durable.
 """
 
 from __future__ import annotations
@@ -141,10 +139,7 @@ def move_into_place(part: Path, path: Path) -> None:
 
 
 def sha256_of(path: Path, goes_on: Callable[[], object] = lambda: None) -> str:
-    """Return the SHA-256 of a file (FIPS 180-4). The file may be larger than the memory.
-
-    ``goes_on`` (`BenchClock.monotonic`) is called after each piece, so that a supervisor sees the work go on.
-    """
+    """Return a file's SHA-256 (FIPS 180-4) by pieces; ``goes_on`` is called after each, for a supervisor to see."""
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         while chunk := stream.read(HASH_CHUNK_BYTES):

@@ -1,7 +1,6 @@
 """Rehearse runs: the same steps, states and journal as a run, on a virtual clock and with virtual devices.
 
-A rehearsal leaves out what would make it evidence: recordings hold no events, nothing is written to the ledger,
-nothing is sealed, no message is sent. Its results hold only the calibration, and there is no report.
+It leaves out what would be evidence: events, ledger, seal, messages, report; its results are the calibration alone.
 """
 
 from __future__ import annotations
@@ -196,10 +195,7 @@ def rehearse_job(
     open_devices: OpenDevices,
     journal_type: type[Journal] = UnsyncedJournal,
 ) -> RunEnd:
-    """Rehearse a task on given devices; otherwise as `rehearse_run`.
-
-    With the kind ``Journal`` of journal the run is stored as durably as a real one.
-    """
+    """Rehearse a task on given devices as `rehearse_run`; the kind ``Journal`` stores it as durably as a real run."""
     clock = job.clock
     clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
     begun = (folder / JOURNAL).exists()

@@ -1,8 +1,7 @@
 """Virtual devices for rehearsals on a virtual clock; they follow the same protocols as real drivers.
 
-A move takes its distance divided by its speed, a recording takes its duration, all on the given clock. What the
-camera would see comes from a rehearsed world (`bench.simulated`) as star centres, not as events. A recording is a
-small text file whose first line states this. There is no process, no port and no thread.
+A move takes distance over speed, a recording its duration. A rehearsed world (`bench.simulated`) gives star centres,
+not events; a recording is a small text file that says so. No process, port or thread.
 """
 
 from __future__ import annotations
@@ -40,10 +39,7 @@ _FILTERS = ("afk", "stc", "trail", "erc")
 
 
 class VirtualDevices(Devices):
-    """A virtual stage, light and camera with the axes, limits and speeds of a station.
-
-    A station of real devices is rehearsed by its ``expected`` section.
-    """
+    """A station's virtual stage, light and camera; a station of real devices is rehearsed by ``expected``."""
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
         self._simulation = None

@@ -1,7 +1,6 @@
 """The summary of a batch as one HTML page: its runs, failures with their reasons, and each parameter over time.
 
-Reads ``summary.json`` alone. `bench.report.text` formats the numbers and `bench.report.trend_plots` draws the plots. No
-text of a summary can become markup: the template escapes all of it.
+It needs ``summary.json`` alone; the template escapes every text.
 """
 
 from __future__ import annotations
@@ -228,8 +227,7 @@ def _series(runs: Sequence[Json], trends: Sequence[Json], slope: str) -> list[Se
 def _scatters(trend: Json, runs: int) -> bool:
     """Whether the runs scatter significantly more than their uncertainties predict.
 
-    The Birge ratio is the square root of a reduced chi-square with n - 1 degrees of freedom. If the uncertainties are
-    right, its standard deviation is about 1 / sqrt(2 (n - 1)) (Birge, Phys. Rev. 40 (1932) 207).
+    A Birge ratio has a standard deviation of about 1 / sqrt(2 (n - 1)) (Birge, Phys. Rev. 40 (1932) 207).
     """
     return bool(trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1)))
 

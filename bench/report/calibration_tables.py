@@ -1,7 +1,6 @@
 """Rows of the report's tables about the calibration: values, fit, uncertainty budget, correlation, comparisons, checks.
 
-Each function takes a part of results.json and returns rows of printed text. The rows are empty if the part is missing;
-the page then omits the table.
+Rows of printed text from a part of results.json; none if it is missing: the page then omits the table.
 """
 
 from __future__ import annotations
@@ -75,10 +74,7 @@ def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> lis
 
 
 def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, str]] | None:
-    """Return the combined standard uncertainties and the expanded ones (JCGM 100, 5.1.2 and 6.2.1).
-
-    u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
-    """
+    """Return u and U = k u (JCGM 100, 5.1.2 and 6.2.1) of fx and of the worst corner, px; None without a budget."""
     rows = calibration.get("budget_rows") or []
     if not rows:
         return None
@@ -90,10 +86,7 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
 
 
 def overlap(calibration: CalibrationData) -> str:
-    """Return what to know if two rows of the budget (in results.json) can hold the same errors; else empty.
-
-    A stated wavefront and the residuals that all views share can come from the same glass.
-    """
+    """Return what to know if stated wavefront and common residuals can be of the same glass; else empty."""
     rows = calibration.get("budget_rows") or []
     stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
     if not stated or _SHARED not in {row["name"] for row in rows}:
@@ -255,10 +248,7 @@ class Cell:
 
 
 def values(calibration: CalibrationData) -> list[ValueRow]:
-    """Return each value that has a sigma with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
-
-    The relative uncertainty is printed if it is below 100 %.
-    """
+    """Return values with their U = k u (JCGM 100, 6.2.1), and the relative U if it is below 100 %."""
     found = {**calibration["camera"], **(calibration.get("collimator") or {})}
     rows = []
     for name, sigma in calibration["sigma"].items():
@@ -290,11 +280,7 @@ def fit_statistics(calibration: CalibrationData, words: TargetWords = STARS) -> 
 def budget(
     calibration: CalibrationData, words: TargetWords = STARS
 ) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
-    """Return the uncertainty budget: for each source, its share of the variance of each parameter.
-
-    Names of the parameters, and for each source its name and one cell for each parameter. The shares of a parameter add
-    up to 100 %, apart from rounding.
-    """
+    """Return parameters, and each source with its shares of their variances, which add up to 100 % but for rounding."""
     sources = calibration.get("budget") or {}
     names = [name for name in calibration["sigma"] if all(name in sigmas for sigmas in sources.values())]
     rows = []
@@ -327,10 +313,7 @@ def correlation(calibration: CalibrationData) -> tuple[list[str], list[list[Cell
 def planar_comparison(
     calibration: CalibrationData, planar: CalibrationData | None
 ) -> list[tuple[str, str, str, str, str]]:
-    """Compare the result with the planar calibration of the same stars.
-
-    Name, value, U, planar value, planar U of each common parameter; the last row has the RMS residuals.
-    """
+    """Return name, value, U, planar value, planar U of each common parameter; last the RMS residuals."""
     if planar is None:
         return []
     k_planar = coverage_factor(planar)
@@ -345,11 +328,7 @@ def planar_comparison(
 
 
 def candidates(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
-    """List the models that were compared.
-
-    Name, number of parameters, RMS residual (px), RMS residual of left-out views (px), Bayesian information criterion
-    (BIC; Schwarz, 1978).
-    """
+    """List models: name, parameters, RMS px, RMS of left-out views px, BIC (Schwarz, 1978)."""
     return [
         (
             str(model["model"]),
@@ -365,10 +344,7 @@ def candidates(calibration: CalibrationData) -> list[tuple[str, str, str, str, s
 def comparison(
     rows: Sequence[ComparisonRow], calibration: CalibrationData
 ) -> list[tuple[str, str, str, str, str, str]]:
-    """Compare the values with the simulated truth.
-
-    Name, value, U, truth, value minus truth, and this difference divided by the standard uncertainty.
-    """
+    """Return name, value, U, simulated truth, difference, and difference over standard uncertainty."""
     printed = []
     for row in rows:
         k = coverage_factor(calibration, row["name"])

@@ -1,6 +1,6 @@
 """The five pictures of one parameter: values, moving ranges, EWMA, drift with time, drift with temperature.
 
-Draws from the object of `bench.history.chart_findings` alone. Each run shows its stated expanded uncertainty.
+Each run shows its stated expanded uncertainty.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The course of an ``until``: the expanded uncertainty after each pose, as a table and a plot, and how the step ended.
-
-The data are the decisions of the journal, as results.json holds them under ``untils``. The plot is drawn by
-`bench.report.course`, so that text alone needs no arrays.
-"""
+"""The course of an ``until``: the expanded uncertainty after each pose, as table and plot, and how the step ended."""
 
 from __future__ import annotations
 

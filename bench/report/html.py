@@ -1,8 +1,4 @@
-"""The report as HTML: joins results, tables, plots and images in one page.
-
-`text` formats numbers; modules that end in `_tables` make the rows of the tables. No text from
-a results file can become markup: the template escapes all of it.
-"""
+"""The report as HTML: joins results, tables, plots and images in one page, whose template escapes every text."""
 
 from __future__ import annotations
 
@@ -40,10 +36,7 @@ class ReportData:
 
 
 def render_report(data: ReportData, *, draw: bool = True) -> str:
-    """Render the report as a complete HTML document that depends on ``data`` alone.
-
-    Without plots and images (``draw``) the report holds the same text (`printed_text`).
-    """
+    """Render the report as HTML from ``data`` alone; without plots and images (``draw``) the text is the same."""
     results, words = data.results, words_of(data.results)
     parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
     return (

@@ -47,10 +47,7 @@ class Outline:
     at_edge: NDArray[np.bool_]  # (N,) bool: whether the point lies at the edge of the known map
 
     def lines(self) -> list[Array]:
-        """Return the parts of the outline that are contours, (N, 2) each, without those along the edge of the map.
-
-        A closed line repeats its first point at its end.
-        """
+        """Return the contours, (N, 2) each, without the map's edge; a closed one repeats its first point."""
         if not self.at_edge.any():
             return [np.vstack([self.points, self.points[:1]])]
         first = int(np.argmax(self.at_edge))
@@ -61,10 +58,9 @@ class Outline:
 
 
 def outlines(x: Array, y: Array, values: Array, level: float) -> list[Outline]:
-    """Return the outlines of the part of a map that reaches a level; holes are outlines of their own.
+    """Return the outlines of where a map, (H, W), NaN if unknown, reaches a level; holes are outlines of their own.
 
-    W. E. Lorensen and H. E. Cline, Marching cubes, SIGGRAPH 1987, in two dimensions. The map is (H, W), NaN where it is
-    not known, at columns x, (W,), and rows y, (H,).
+    Lorensen and Cline, Marching cubes, SIGGRAPH 1987, in two dimensions; columns x are (W,), rows y (H,).
     """
     shown = np.pad(np.where(np.isfinite(values), values, _NOWHERE), 1, constant_values=_NOWHERE)
     begins, ends = _runs(shown, level)
@@ -134,10 +130,7 @@ def reach_px(image_size: Sequence[int]) -> float:
 
 
 def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float32]:
-    """Return the distance, (H, W) float32 px, of each pixel from the nearest of (N, 2) stars of all poses, N > 0.
-
-    Stars count at the nearest pixel.
-    """
+    """Return each pixel's distance, (H, W) float32 px, from the nearest of (N, 2) stars, N > 0, at whole pixels."""
     width, height = image_size
     free = np.full((height, width), 255, np.uint8)
     at = np.clip(np.rint(points).astype(int), 0, [width - 1, height - 1])
@@ -165,10 +158,7 @@ def sensor_axes(
     width: float = PANEL[0],
     keys: Sequence[Key] = (),
 ) -> Axes:
-    """Return the axes of a sensor in a picture of its own, whose height follows from the sensor's shape.
-
-    Axes are in px, rows downwards; pixel centres are at integers.
-    """
+    """Return the axes of a sensor, px, rows downwards, centres at integers, as high as the sensor's shape asks."""
     words = Words(title, "column, px", "row, px", keys)
     picture = Picture(width, height_for(image_size, width, words), identifier, label, about)
     across, down = Scale(-0.5, image_size[0] - 0.5), Scale(image_size[1] - 0.5, -0.5)
@@ -216,8 +206,8 @@ def sensor_map(
 ) -> str:
     """Draw a quantity over the sensor as contours at round numbers.
 
-    ``grid_px`` is (h, w, 2); ``values``, (h, w), not negative, NaN where not known; ``stars``, (N, 2) px of all poses,
-    to shade what they do not support; None to shade nothing.
+    ``grid_px`` is (h, w, 2), ``values`` (h, w), NaN where unknown; ``stars`` (N, 2) px, to shade what they leave out,
+    or None.
     """
     x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_digits(values, 6)
     size = (int(x.max()) + 1, int(y.max()) + 1)

@@ -1,7 +1,6 @@
 """Images of the poses: the event image, the detected stars and their positions projected by the calibration.
 
-Uses images and points alone, not the results. Pixel centres are at integers, so an image of width W spans -0.5 to
-W - 0.5.
+Pixel centres are at integers, so an image of width W spans -0.5 to W - 0.5.
 """
 
 from __future__ import annotations

@@ -47,10 +47,8 @@ def axes_in(
 ) -> Axes:
     """Draw the frame of a plot, and return its axes.
 
-    ``place`` is left, top, width and height of the plot with all its words; None for the whole picture. For the same
-    unit on both axes (``equal``), ``shrink`` makes the plot smaller, ``extend`` the scales longer. A ``whole`` frame
-    has four sides, as a sensor has; otherwise the left and the lower one. ``grid`` is ``x``, ``y`` or ``xy``: axes with
-    lines at their ticks.
+    ``place`` is left, top, width and height with all words; None for the whole picture. ``equal`` scales: ``shrink``
+    makes the plot smaller, ``extend`` the scales longer. ``grid`` is ``x``, ``y`` or ``xy``.
     """
     left, top, width, height = place or (0.0, 0.0, picture.width, picture.height)
     above = _heading(picture, words, left, top, width)

@@ -1,7 +1,6 @@
 """Plots of residuals, coverage and deviations, as SVG that is the same for the same data.
 
-If there are many stars, a part of them is drawn (`thinned`); every number and line in a plot is computed from all of
-them. Depends on arrays, on no results file.
+Only some of many stars are drawn (`thinned`); every number and line is computed from all of them.
 """
 
 from __future__ import annotations
@@ -245,10 +244,7 @@ _WIDE_ANGLE_DEG = 25.0
 
 
 def report_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]:
-    """Draw all plots of a report, SVG by name; a plot without data is empty.
-
-    ``views`` are the poses that entered the calibration; without them, only the comparison with the truth is drawn.
-    """
+    """Draw all plots of a report, SVG by name, empty without data; without ``views`` only that of the truth."""
     plots = dict.fromkeys(PLOTS, "")
     compared = results.get("comparison") or []
     if compared:
@@ -281,10 +277,7 @@ def star_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]
 def camera_plots(
     results: Results, stars: Sequence[Array], k: float, *, certificate: bool = False
 ) -> dict[str, str]:
-    """Draw what follows from the values of the camera and their covariance; nothing if there is no covariance.
-
-    For a certificate: directions in arcsec, and no labels for readers who do not see a plot, as its page has them.
-    """
+    """Draw for a certificate what camera and covariance give, in arcsec, without labels for those who do not see it."""
     calibration = results["calibration"]
     covariance = camera_covariance(calibration)
     if covariance is None:

@@ -35,10 +35,9 @@ def distortion_curve(
     outermost_deg: float | None,
     words: TargetWords = STARS,
 ) -> str:
-    """Draw the radial displacement by the lens against the field angle, with its expanded uncertainty.
+    """Draw the lens's radial displacement against the field angle, with its expanded uncertainty.
 
-    ``covariance`` is (K, K) in the order of `CameraModel.parameter_names`; ``outermost_deg`` is the field angle of the
-    outermost star, or None.
+    ``covariance`` is (K, K) in the order of `CameraModel.parameter_names`; ``outermost_deg`` that of a star, or None.
     """
     edges = field_angles_deg(camera)
     angles = np.linspace(0.0, max(edges.values()), _POINTS)
@@ -77,10 +76,10 @@ def distortion_curve(
 
 
 def displacement(camera: CameraModel, covariance: Array, angles_deg: Array) -> tuple[Array, Array]:
-    """Return the radial displacement by the lens away from the axis, (N,) px, and its standard uncertainty, (N,) px.
+    """Return the lens's radial displacement, (N,) px, and its standard uncertainty, without tangential terms.
 
-    The law of propagation is that of JCGM 100:2008, section 5.2, with numerical derivatives. ``covariance`` is (K, K)
-    in the order of `CameraModel.parameter_names`, ``angles_deg`` (N,). Tangential terms do not count.
+    JCGM 100:2008, 5.2, by numerical derivatives; ``covariance`` is (K, K) in the order of
+    `CameraModel.parameter_names`.
     """
     names = list(camera.parameter_names)
     values = camera.to_dict()
@@ -158,10 +157,7 @@ def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraM
 
 
 def camera_covariance(calibration: CameraData) -> Array | None:
-    """Return the covariance, (K, K) in the order of ``calibration.camera``, without the collimator's values.
-
-    None if it is not stated for all of them.
-    """
+    """Return the covariance, (K, K), of ``calibration.camera``; None if it is not stated for all values."""
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     values = list(calibration["camera"])
     if not set(values) <= set(covariance["names"]):
@@ -171,11 +167,9 @@ def camera_covariance(calibration: CameraData) -> Array | None:
 
 
 def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array] | None:
-    """Return how far two calibrations of a camera project a direction apart, and the expanded uncertainty of that.
+    """Return how far two calibrations project a direction apart, and its expanded uncertainty; their ratio is E_n.
 
-    The ratio of the two is the E_n number (ISO 13528): above 1, the change is larger than its expanded uncertainty. The
-    uncertainties are taken as independent. (h, w, 2) image points, (h, w) lengths and (h, w) uncertainties, px; None if
-    a covariance is missing.
+    E_n: ISO 13528, independent uncertainties. (h, w, 2) points, (h, w) lengths and U, px; None without a covariance.
     """
     found = []
     for one in (then, now):
@@ -210,10 +204,7 @@ class _Place:
 
 
 def pose_directions(results: Results) -> str:
-    """Draw the pan and tilt of each pose as a small frame that is turned by the roll of the camera.
-
-    The SVG is empty if no pose has angles, or if all have the same ones, as where a board was moved.
-    """
+    """Draw each pose's pan and tilt as a frame turned by the camera's roll; empty if no pose turns."""
     places = _places(results)
     if not places or len({(place.pan_deg, place.tilt_deg) for place in places}) < min(2, len(places)):
         return ""

@@ -1,8 +1,4 @@
-"""Rows of the report's tables about the poses: angles and stars, recordings, gates.
-
-Each function takes a part of results.json and returns rows of printed text. The rows are empty if the part is missing;
-the page then omits the table.
-"""
+"""Rows of the report's tables about the poses: angles and stars, recordings, gates; none for a missing part."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Rows of the report's tables about the run as a whole: item, inputs, software, alerts, deviations.
-
-Each function takes a part of results.json and returns rows of printed text. The rows are empty if the part is missing;
-the page then omits the table.
-"""
+"""Rows of the report's tables about the run as a whole: item, inputs, software, alerts, deviations."""
 
 from __future__ import annotations
 
@@ -92,10 +88,7 @@ def _seal_rows(passport: PassportData) -> Rows:
 
 
 def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
-    """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
-
-    ``estimate`` is ``calibration.gimbal`` of results.json; None if the readings took no part.
-    """
+    """List whether the gimbal's readings entered, with what statement, or why not; ``estimate`` None: no part."""
     if not readings:
         return []
     rows: Rows = []
@@ -368,11 +361,7 @@ def software(results: Results) -> list[tuple[str, str]]:
 
 
 def alerts(results: Results) -> list[str]:
-    """List what a reader must know before using the values: doubts of the calibration, gates, and every deviation.
-
-    A sentence for each note that doubts the values, each gate that did not pass, each ``until`` that did not meet its
-    goals, and each deviation.
-    """
+    """List what a reader must know before use: doubts, gates and goals that were not met, every deviation."""
     calibration = results["calibration"]
     remarks = calibration.get("remarks") or ()
     doubts = [note for note in calibration.get("notes") or () if note not in remarks]

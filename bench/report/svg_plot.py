@@ -1,8 +1,7 @@
 """Plots as SVG text: axes with ticks and labels, and what is drawn in them. Pure; no library draws.
 
-Text stays text: a reader can select and search it. It takes the typeface of the page, and the colours of its scheme
-where it stands on the page's ground (class ``ink``, ``muted`` or ``faint``; `report.css` sets them). The attributes
-alone suffice where there is no page, as in a certificate. The same data give the same bytes.
+Text stays text. It takes typeface and colours of the page (class ``ink``, ``muted`` or ``faint``; `report.css` sets
+them); attributes alone suffice where there is no page, as in a certificate.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Printed form of numbers, times and other values: rounded according to their uncertainty.
 
-An expanded uncertainty has two significant digits, and its value ends at the same digit (JCGM 100, 7.2.6;
-ILAC-P14). Independent of any report and any markup.
+U has two significant digits, and its value ends at the same digit (JCGM 100, 7.2.6; ILAC-P14). No markup.
 """
 
 from __future__ import annotations

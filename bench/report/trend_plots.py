@@ -1,7 +1,4 @@
-"""Plots of a batch: the time of each run, and each parameter over time and against temperature.
-
-Depends on plain numbers; reads no file.
-"""
+"""Plots of a batch: the time of each run, and each parameter over time and against temperature."""
 
 from __future__ import annotations
 
@@ -29,11 +26,7 @@ _FOOT = 22.0
 
 
 def study_plot(names: Sequence[str], z: Array, rms: Mapping[str, float]) -> str:
-    """Draw the errors of each parameter as a histogram beside the normal distribution, as SVG.
-
-    ``z``, (N, K), is the error of each calibration over its stated standard uncertainty; beyond four, errors count in
-    the outermost bins.
-    """
+    """Draw errors over stated standard uncertainty, (N, K), as histograms beside a normal one; outermost bins: > 4."""
     rows = -(-len(names) // _ACROSS)
     about = "; ".join(f"{name}: rms {rms[name]:.2f}" for name in names) + "."
     label = "Errors over their stated standard uncertainties, beside the normal distribution"

@@ -1,7 +1,4 @@
-"""The first lines of a report: the verdict, the main values, the worst corner, and what to read before use.
-
-Text from results.json alone.
-"""
+"""The first lines of a report: the verdict, the main values, the worst corner, and what to read before use."""
 
 from __future__ import annotations
 
@@ -162,11 +159,7 @@ class Verdict:
 
 
 def verdict(results: Results) -> Verdict:
-    """Return the verdict on a calibration.
-
-    ``fail`` if the optimisation did not converge, or a gate or a limit of a result failed; ``marginal`` if there are
-    other reasons to read before use.
-    """
+    """Return the verdict: ``fail`` if not converged, or a gate or limit failed; ``marginal`` with other reasons."""
     calibration = results["calibration"]
     reasons = tuple(run_tables.alerts(results))
     judged = [row.verdict for row in pose_tables.gates(results.get("gates") or [])]

@@ -41,11 +41,9 @@ class PictureSelection:
 
 
 def pictured_poses(results: Results) -> PictureSelection:
-    """Select the poses that a report shows as images: all if they are few, otherwise `MOST_PICTURES`.
+    """Select the poses to show: all if few, else `MOST_PICTURES`, evenly spread where a group does not fit.
 
-    The three poses with the largest RMS residual come first, then poses with a failed gate, then poses with a marginal
-    gate, then the others. If a group does not fit completely, poses evenly spread over the run are selected from it.
-    Poses without stars in the calibration have no image.
+    First the three of the largest RMS residual, then failed gates, marginal gates, others; none without stars.
     """
     poses = [pose for pose in results.get("poses") or [] if pose.get("rms_px") is not None]
     judged = _indices_by_verdict(results.get("gates") or [])
@@ -102,9 +100,8 @@ class ViewPicture:
 def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[ViewPicture]:
     """Reduce the stars to about ``most``, evenly over all views; fewer stars stay as they are.
 
-    Star number n is kept if the fractional part of n times the golden ratio is small. This additive recurrence has a
-    low discrepancy: the kept stars are evenly spread, they do not coincide with the rows of the target, and each view
-    keeps different stars.
+    By the fractional part of n times the golden ratio: of low discrepancy, unlike the target's rows, other stars each
+    view.
     """
     total = sum(len(view.ids) for view in views)
     if total <= most:

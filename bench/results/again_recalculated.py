@@ -1,7 +1,6 @@
 """Makes recalculated results again from their sources, and compares the trees: `verify --again` of such a folder.
 
-Reads the folder of the results and the sources that it names. Where a source has gone, or is another file now, it says
-that the numbers were not compared.
+Where a source has gone, or is another file now, it says that the numbers were not compared.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Makes the results of a sealed run again from its recordings, and compares the trees: `verify --again` of a run.
 
-The stars of every recording are found again, the camera is calibrated again, and the run's own writer makes results,
-views, exports, report and plan again. The journal is compared with what the recordings give. Nothing is written.
+The run's own writer makes results, views, exports, report and plan again; the journal is compared, too. Nothing is
+written.
 """
 
 from __future__ import annotations
@@ -68,11 +68,7 @@ _MOST_LOG_BYTES = 64 << 20
 
 
 def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Findings) -> None:
-    """Check that the wire log holds what the journal's moves must have left in it, and the stage's serial numbers.
-
-    Every stage is moved over a wire, so each move of the journal has bytes in the log at its time. The log keeps about
-    the last 32 MB; earlier moves are not checked. Faults are added to ``found``.
-    """
+    """Check that the wire log, about the last 32 MB, holds bytes at each journaled move, and the stage's serials."""
     moves = list(_moves(entries))
     try:
         times, replies, ports = _read_logs(folder)

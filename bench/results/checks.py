@@ -29,10 +29,9 @@ _NOT_INDEPENDENT = (
 
 
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
-    """Calibrate every other pose and the rest separately, and compare the projections of the two cameras at infinity.
+    """Calibrate every other pose and the rest separately; compare the projections of both cameras at infinity.
 
-    ``rms_px worst_px expected_px ratio``, and ``cameras`` with the values of both halves, from which the report draws
-    the difference. None with fewer than four views, or if a half does not determine the camera.
+    ``rms_px worst_px expected_px ratio cameras``; None with fewer than four views, or if a half determines no camera.
     """
     try:
         split = split_half(views, options)
@@ -50,11 +49,9 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict
 def gimbal_check(
     calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]
 ) -> dict[str, Any] | None:
-    """Compare the estimated rotations with the gimbal's readings.
+    """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
 
-    These are the angle of each axis (``pan``, ``tilt``, ``roll``), for each pose; that of an encoder (``pan_encoder``)
-    replaces its axis's. Returns ``rms_arcsec scale scale_sigma agrees excess_arcsec verdict says pairs slip faults``,
-    as docs/results.md describes them; None with too few poses, or if an axis did not move.
+    None with too few poses, or if an axis did not move.
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in readings_deg]
     try:
@@ -158,11 +155,7 @@ _CONTRADICTED = 2.5
 def parallax_check(
     calibration: Calibration, views: Sequence[View], station: Station, sequence: str
 ) -> dict[str, Any] | None:
-    """Measure how far the entrance pupil is off the pivot, and what parallax that causes (docs/results.md).
-
-    If the rims do not determine the place of the pupil: ``why_not`` alone for the parallax test, None for other
-    sequences.
-    """
+    """Measure how far the entrance pupil is off the pivot, and its parallax (docs/results.md); or ``why_not``."""
     if calibration.collimator is None:
         why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: auto."
         return {"why_not": why_not} if sequence == PARALLAX_TEST else None

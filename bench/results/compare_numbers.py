@@ -1,9 +1,7 @@
 """Compares the numbers of results that were made again with the stored ones: rounding, another program, or a fault.
 
-On the same computer with the same program all numbers are equal to the last bit. Another computer may round otherwise,
-so numbers count as equal within a small tolerance. A later program finds stars a little differently, and may state
-other uncertainties. Its results are then no proof against the stored ones, and no confirmation either: what differs
-within the limits below is told as not compared. What differs by more is a fault, whoever calculated it.
+Numbers count as equal within a small tolerance, because another computer may round otherwise. A later program finds
+stars a little differently: what differs within the limits below is told as not compared, by more as a fault.
 """
 
 from __future__ import annotations
@@ -153,10 +151,7 @@ _SMALL_PX = 0.01
 def check_numbers(
     stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings, other: str, source: str
 ) -> None:
-    """Compare all of results.json with what was calculated again from ``source``, such as ``recordings``.
-
-    ``other`` is how the program that made the results differs from this one; empty if it does not.
-    """
+    """Compare results.json with what follows from ``source``; ``other`` tells how the program differs, or is empty."""
     rounded = list(differences(stored, again))
     if not rounded:
         found.remarks.append(f"calculated again from the {source}: every number is equal to the last bit")

@@ -1,7 +1,6 @@
 """Compares a sealed folder with the same folder made again: results and views by value, all other files by bytes.
 
-Report and exports are made again from the stored results and views, after these were compared with what the recordings
-give. So a computer that rounds otherwise still compares every byte of them.
+Report and exports are made again from the stored results and views, so that rounding does not hide a changed byte.
 """
 
 from __future__ import annotations
@@ -129,11 +128,7 @@ def compare_views(
     source: str,
     found: Findings,
 ) -> HeldViews | None:
-    """Compare a views.h5 with the views that were found again; those of another program roughly.
-
-    ``residuals_px`` is (N, 2) for each view. Returns what the file holds; None if it cannot be read, or has other
-    poses.
-    """
+    """Compare a views.h5 with the views found again, roughly those of another program; None if poses differ."""
     try:
         held = HeldViews.read(path)
         rewritten = held.as_file()  # this reads every image
@@ -251,10 +246,7 @@ class MadeAgain:
 
 
 def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
-    """Compare results, views, exports and report of a folder with those that were made again, adding findings.
-
-    Report and exports follow from results and views; if these are wrong, only that is told.
-    """
+    """Compare results and views of a folder with those made again, then, if these agree, report and exports."""
     before = len(found.faults)
     try:
         stored = read_json(folder / RESULTS)
@@ -291,10 +283,7 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
 def compare_file(
     path: Path, name: str, due: bytes | None, kind: str, other: str, found: Findings, of: str = RESULTS
 ) -> None:
-    """Compare one file by its bytes with what is due; None if no such file follows from the results.
-
-    ``other`` is how the program that wrote it differs from this one; empty if it does not.
-    """
+    """Compare one file by bytes with what is due, None for no file; ``other`` tells how the program differs."""
     had = path.read_bytes() if path.is_file() else None
     if had == due:
         return

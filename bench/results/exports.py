@@ -81,10 +81,7 @@ def refuse_fisheye(camera: CameraModel, what: str) -> None:
 
 
 def opencv_coefficients(camera: CameraModel) -> np.ndarray:
-    """Return the coefficients of the lens in OpenCV's order.
-
-    (5,) k1 k2 p1 p2 k3, (8,) with k4 k5 k6 if the lens has them, or (4,) of a fisheye lens.
-    """
+    """Return OpenCV's coefficients: (5,) k1 k2 p1 p2 k3, (8,) with k4 k5 k6, or (4,) of a fisheye lens."""
     if camera.is_fisheye:
         return camera.fisheye_coefficients
     rational = set(camera.distortion) - set(PLUMB_BOB)
@@ -157,9 +154,8 @@ def exports(
 ) -> dict[str, bytes]:
     """Write a calibration in every format that can represent it, as content by file name.
 
-    Every character of the camera's name that is not a letter, digit or ``_`` becomes ``_``, as ROS requires. ``target``
-    is the print or the board, by default the standard one; None if the views show several. ``not-written.txt`` lists
-    the formats that cannot represent the lens model or the targets, with the reason; it is absent if there are none.
+    ``target`` None if the views show several. ``not-written.txt`` lists formats that cannot represent lens or targets,
+    with the reason.
     """
     files: dict[str, bytes] = {}
     refused: list[str] = []
@@ -180,11 +176,7 @@ def exports(
 
 
 def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
-    """Write OpenCV's FileStorage YAML, with the fields of its calibration sample and the covariance.
-
-    ``extrinsic_parameters`` has one row for each view: rotation vector and translation (mm), camera <- target.
-    ``fisheye_model`` is 1 if the coefficients are those of ``cv::fisheye``.
-    """
+    """Write OpenCV's FileStorage YAML, as its calibration sample does, with covariance, poses (mm) and fisheye flag."""
     return file_storage_bytes(
         ".yml",
         {
@@ -211,11 +203,7 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
 def camera_info(
     camera: CameraModel, camera_name: str, projection: np.ndarray, rectification: np.ndarray | None = None
 ) -> bytes:
-    """Write a ROS camera_info YAML.
-
-    ``projection`` is the (3, 3) camera matrix of the rectified image, or (3, 4) of one camera of a pair;
-    ``rectification``, (3, 3), None if the image is not turned.
-    """
+    """Write a ROS camera_info YAML; ``projection`` is (3, 3), of a pair (3, 4), ``rectification`` (3, 3) or None."""
     coefficients = opencv_coefficients(camera)
     whole = np.zeros((3, 4))
     whole[:, : projection.shape[1]] = projection
@@ -233,10 +221,7 @@ def camera_info(
 
 
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
-
-    `FormatCannotCarry`: no k1 k2 p1 p2 project as the lens does within `_MOST_CHANGE_PX`.
-    """
+    """Write a Kalibr camchain; `FormatCannotCarry` if no k1 k2 p1 p2 project alike within `_MOST_CHANGE_PX`."""
     told, content = kalibr_camera(calibration.camera, camera_name)
     return told + yaml_bytes({"cam0": content})
 
@@ -298,10 +283,9 @@ def metavision_json(
     camera_name: str,
     target: StarTarget | Board | None = StarTarget(),  # noqa: B008 - immutable
 ) -> bytes:
-    """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON), with lengths in metres.
+    """Write Metavision SDK 4's intrinsics.json, in m; a fisheye lens or several targets: `FormatCannotCarry`.
 
     ``pattern`` describes the squares of the star target, because the format has no stars, or the points of a board.
-    `FormatCannotCarry`: a fisheye lens, or views that show several targets (None).
     """
     refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
     if target is None:
@@ -340,10 +324,7 @@ def metavision_json(
 
 
 def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
-    """Write the camera-geometry.json of Metavision SDK 5: K of 9 numbers by rows, and D: k1 k2 p1 p2 k3.
-
-    `FormatCannotCarry`: a fisheye lens, whose form the maker does not publish, or more than these coefficients.
-    """
+    """Write Metavision SDK 5's camera-geometry.json, K by rows, D k1 k2 p1 p2 k3; or raise `FormatCannotCarry`."""
     del camera_name
     camera, what = calibration.camera, "Metavision's camera-geometry.json"
     refuse_fisheye(camera, what)
@@ -360,10 +341,7 @@ def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def boresight_yaml(boresight: Boresight, camera_name: str) -> bytes:
-    """Write the transform from the stage's flange to the camera, with the names of ROS's static_transform_publisher.
-
-    ``rotation`` is that of the camera's frame in the flange's, as ROS has it; the translation is not measured.
-    """
+    """Write flange to camera with the names of ROS's static_transform_publisher; the translation is not measured."""
     x, y, z, w = Rotation.from_matrix(boresight.rotation.T).as_quat().tolist()
     return yaml_bytes(
         {

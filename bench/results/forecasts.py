@@ -1,7 +1,6 @@
 """Forecasts before anything moves: the uncertainty that planned poses will reach, and poses that lower it most.
 
-The forecast is that of the last calibration of a sequence: its model, lens and passport, the gimbal's readings, and the
-station's budget. The errors of the collimator are those that the station expects.
+A forecast is that of a sequence's last calibration, with the collimator's errors that the station expects.
 """
 
 from __future__ import annotations
@@ -48,10 +47,7 @@ class PlanForecast:
 
 
 def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
-    """Return the bench that a station file expects, without errors: approximate values, sufficient for studies.
-
-    ``noise_px`` is the standard uncertainty of a star for each axis; None for the station's value.
-    """
+    """Return the bench that a station expects, without errors; ``noise_px`` of a star and axis, None for its value."""
     expected = station.value.expected
     if expected is None:
         raise UsageError(
@@ -104,11 +100,9 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
 
 
 def expected_uncertainty(planned: Plan) -> PlanForecast | None:
-    """Predict the uncertainties that the poses of a plan will give.
+    """Predict the uncertainties that a plan's poses give, also those of an ``until``, as many as it allows.
 
-    A sequence is not refused if the prediction fails, because the real bench may differ from the expected one. Poses
-    that an ``until`` chooses during the run are predicted too, as many as it allows. None if the station expects
-    nothing, the plan has no poses, or the poses show too few stars.
+    None if the station expects nothing, no poses are planned, they show too few stars, or the prediction fails.
     """
     if planned.station.value.expected is None or not planned.poses:
         return None
@@ -131,10 +125,7 @@ def suggest_poses(planned: Plan, count: int) -> list[WeighedPose]:
 
 
 def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Forecast | None]:
-    """Predict the uncertainties that the poses of a plan give with the first further pose, the first two, and so on.
-
-    A forecast is None if its poses show too few stars.
-    """
+    """Predict a plan's uncertainties with the first further pose, the first two ...; None where stars are too few."""
     bench, poses = forecast_bench(planned), _poses_deg(planned)
     found: list[Forecast | None] = []
     for pose in further:

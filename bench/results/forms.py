@@ -1,7 +1,6 @@
 """Hashes of the program's own files, by which a verification can tell another program from changed evidence.
 
-A version number does not identify a working copy of the sources. results.json and the journal therefore hold three
-hashes: of the whole program, of what decides the words and drawings of a report, and of the writers of the exports.
+A version number does not identify a working copy of the sources.
 """
 
 from __future__ import annotations
@@ -30,11 +29,7 @@ _SHOWN = 16
 
 @functools.cache
 def forms() -> dict[str, str]:
-    """Return the hashes of this copy of the program.
-
-    ``program``: all its sources. ``report_form``: what decides a report, besides the results. ``export_form``: the
-    writers of the exports. Each is the first 16 characters of a SHA-256 over names and contents of the files.
-    """
+    """Return ``program``, ``report_form``, ``export_form``: 16 digits of the SHA-256 of these files and their names."""
     import bench
 
     root = Path(bench.__file__).parent.parent

@@ -1,7 +1,6 @@
 """Decisions of an ``until``: the uncertainty after the poses so far, and the next pose, or why the step ends.
 
-A decision depends on the history of the run and on the calibration of its accepted recordings, on nothing else: no
-clock, no chance, no device. The journal keeps each decision, so a resumed run does not decide again.
+A decision depends on history and calibration alone: no clock, no chance. The journal keeps it for a resumed run.
 """
 
 from __future__ import annotations
@@ -180,8 +179,7 @@ def _choose(
 ) -> Choice | str:
     """Return the pose to record next, or why there is none.
 
-    A pose without the tag is chosen only if no pose with the tag is left, the gimbal's angles can identify the stars,
-    and no pose has failed: its stars are found less surely.
+    One without the tag comes last: the gimbal must then identify the stars, and none may have failed.
     """
     taken = [_pose(a.stored["measured_deg"]) for _, a in sorted(history.accepted().items())]
     chosen = history.chosen

@@ -1,7 +1,6 @@
 """The next pose of an ``until``: among the poses that the stage reaches, the one that lowers most what is too wide.
 
-The poses to choose from are a grid over the part of the stage's range in which the camera sees enough of the target,
-and a finer grid around its best pose. The choice uses no chance, so the same poses and numbers give the same choice.
+They are a grid where the camera sees enough of the target, and a finer one around its best pose. No chance is used.
 """
 
 from __future__ import annotations
@@ -93,9 +92,8 @@ def choose_pose(
 ) -> Choice | str:
     """Choose the next pose.
 
-    ``taken_deg`` and ``refused_deg`` are the angles of the poses recorded so far, in the order of the calibration's
-    views, and of those that failed. ``readings`` is what those of the gimbal are worth, without angles, if the
-    calibrations use them.
+    ``taken_deg`` are the poses of the calibration's views, ``refused_deg`` those that failed, ``readings`` the worth of
+    the gimbal's, without angles, or None.
     """
     if calibration is None and station.value.expected is None:
         return (
@@ -295,13 +293,11 @@ SMALLEST_COVERAGE_FACTOR = 2.0
 
 
 def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:
-    """Return the parts of the expanded uncertainties, px by goal and source, that further poses do not lower.
+    """Return the parts of the expanded uncertainties (k = 2), px by goal and source, that further poses do not lower.
 
-    They are expanded by k = 2; only sources that contribute are listed. What competes with the stars or the readings
-    for the focal length counts as far as it would remain after all poses: with q, the ratio of the variances of these
-    rows and of those that poses lower, the information of `more` times as many poses (at least 1) leaves (1 + q) /
-    (`more` + q) of it (own derivation for one parameter: a prior of information b contributes sqrt(b) / (a + b) if the
-    poses have the information a). A passport competes with readings only.
+    What competes with stars or readings for the focal length counts as it would remain after `more` times as many
+    poses: with q, the ratio of its variance to theirs, (1 + q) / (`more` + q) of it. Own derivation for one parameter:
+    a prior of information b contributes sqrt(b) / (a + b) if the poses have the information a.
     """
     found: dict[str, dict[str, float]] = {}
     for goal, quantity in _QUANTITIES.items():

@@ -1,7 +1,4 @@
-"""Calibration without devices: from run folders, RAW captures, photographs of the target and point files.
-
-`view_sources` recognises the files and makes the views; this module passes them to the engine. Writes no files.
-"""
+"""Calibration without devices: from run folders, RAW captures, photographs and point files. Writes no files."""
 
 from __future__ import annotations
 
@@ -107,8 +104,7 @@ def calibrate_paths(
 ) -> OfflineResult:
     """Make views from files and folders, and calibrate; a file without the target is left out, with the reason.
 
-    ``kept`` are views of earlier calculations; None to find the stars in every recording. Evidence is never checked
-    with them.
+    ``kept`` are views of earlier calculations, never used to check evidence; None finds the stars in every recording.
     """
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
@@ -184,8 +180,7 @@ def _engine_options(
 ) -> tuple[CalibrationOptions, PassportInUse | None, list[str]]:
     """Return the engine's options, the passport in use, and what a reader must know about the passport.
 
-    Views of one run are calibrated as the run was. Views of several runs share at most their passport: the camera may
-    have been mounted again between the runs, so the gimbal's readings do not belong together.
+    One run is calibrated as it was; several share a passport at most, since the camera may have been mounted anew.
     """
     jobs = {id(source.job): source.job for source in sources}
     job = next(iter(jobs.values())) if len(jobs) == 1 else None
@@ -210,11 +205,7 @@ def _engine_options(
 
 
 def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]:
-    """Compare a calibration with the published recipe and with OpenCV's planar method, on the same points.
-
-    The published recipe needs a target at infinity, so it is left out for a board. If a method has no result, its entry
-    says why.
-    """
+    """Compare with the published recipe, if at infinity, and OpenCV's planar method, on the same points."""
     lens = tuple(result.calibration.camera.distortion)
     options = replace(result.options, distortion=lens, gimbal=None)
     return [
@@ -249,11 +240,7 @@ def _first(skipped: Sequence[str]) -> str:
 
 
 def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
-    """Give all views one image size; if no view has a known size, the largest of the point files.
-
-    Sizes that differ, for example of portrait and landscape images, are refused: these are not the pixels of one
-    camera.
-    """
+    """Give all views one image size, or the largest of the point files; sizes that differ are refused."""
     known = {view.image_size: view.name for view, is_sized in zip(views, sized, strict=True) if is_sized}
     width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))
     if len(known) > 1 or (known and (width, height) not in known):

@@ -1,8 +1,7 @@
 """Writes an offline calibration to a folder: results, report, stars, exports, hashes of its inputs, seal.
 
-The results have the schema of a run's, as far as files without devices can give it. The run is marked ``offline``, and
-a sentence says that it is a recalculation. The seal covers the hashes of the input files and of the seals of the runs
-that they are from. Without a key the folder is a draft.
+The results have the schema of a run's, marked ``offline``. The seal covers the hashes of the inputs and of the seals of
+their runs; without a key the folder is a draft.
 """
 
 from __future__ import annotations
@@ -80,10 +79,7 @@ def require_new(folder: Path) -> None:
 
 
 def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | None = None) -> None:
-    """Write an offline calibration to a new folder, and seal it; without the bench's key it stays a draft.
-
-    ``results.json`` is written last, before the seal.
-    """
+    """Write an offline calibration to a new folder, ``results.json`` last, then seal it, or leave it a draft."""
     require_new(folder)
     write_files(folder, offline_files(result, folder.resolve().name, key))
     if key is not None:
@@ -107,9 +103,8 @@ def offline_files(
 ) -> dict[str, bytes]:
     """Return the files of an offline calibration by name, before its seal; ``results.json`` is the last one.
 
-    ``key`` will seal the folder, None if it stays a draft. ``sources`` is what `source_data` returns for each view;
-    None to read and hash the files now. ``read_from`` gives, for each folder that is a copy for this calculation only,
-    the place that it was copied from.
+    ``key`` None leaves a draft. ``sources`` is what `source_data` returns for each view; None reads and hashes the
+    files now. ``read_from`` gives the place that a folder was copied from.
     """
     if sources is None:
         pairs = zip(result.sources, result.views, strict=True)
@@ -150,10 +145,7 @@ def _read_from(value: Any, places: Mapping[str, str]) -> Any:
 def offline_results(
     result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: Sealer | None = None
 ) -> dict[str, Any]:
-    """Return the content of results.json of an offline calibration, in the schema of a run's results.
-
-    ``run.offline`` is true, and there are no devices, gates and states.
-    """
+    """Return results.json of an offline calibration: as a run's, but without devices, gates and states."""
     calibration = result.calibration
     return {
         "schema": "starbench/results/1",

@@ -50,12 +50,9 @@ _SPLIT = re.compile(r"[,;\s]+")
 
 
 def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: Origin = "corner") -> View:
-    """Read one view from a point file: image points in OpenCV's pixel convention, with unit covariances.
+    """Read one view, in OpenCV's pixel convention and with unit covariances, from a point file of five numbers a line.
 
-    A point file has no uncertainties. ``image_size`` is width and height, px; if None, the smallest size that contains
-    the points, only an initial value of the principal point. ``origin``: (0, 0) is the corner or the centre of the
-    first pixel. Refused are a line that is not five numbers (the message has file and line), two lines of one id, and
-    points outside the image.
+    ``image_size`` None is the smallest that holds the points; ``origin`` is the corner or centre of the first pixel.
     """
     rows = _rows(path)
     _refuse_outside(rows[:, :2], image_size, path)
@@ -208,21 +205,11 @@ class OfflineOptions:
         reconstruct_hz: float | None = None,
         pictures_at: str | None = None,
     ) -> Self:
-        """Parse the options of the command line.
+        """Parse the options as the command line writes them; None stands for those of the run, or the defaults.
 
-        model, distortion, loss: Options of the engine, see `CalibrationOptions`; None for those of the run,
-          or the defaults.
-        image_size: Width and height for point files, as ``1280x720``.
-        views: Numbers of the views to use, as ``1,5,9``.
-        origin: ``corner`` or ``centre``.
-        station: Path or name of the station whose target was recorded; None for the standard target.
-        passport: Passport file of the collimator; ``none`` for no passport, not even that of the run.
-        guard_band: Fraction of the visible disc's radius beyond which stars are left out, see
-          `CalibrationOptions`.
-        readings: ``auto`` or ``witness``: whether the readings of the run's gimbal may enter the adjustment.
-        board: Description of a board at finite distance, as `calib.boards.board.Board.parse` reads it.
-        reconstruct_hz: Cutoff frequency for pictures of a moving camera, Hz.
-        pictures_at: Times of these pictures, s, as ``0.5,1,1.5``.
+        ``image_size`` as ``1280x720``, ``views`` as ``1,5,9``, ``origin`` ``corner`` or ``centre``, ``passport`` a file
+        or ``none``, ``readings`` ``auto`` or ``witness``, ``board`` as `calib.boards.board.Board.parse` reads it,
+        ``reconstruct_hz`` in Hz, ``pictures_at`` in s as ``0.5,1,1.5``, ``guard_band`` as in `CalibrationOptions`.
         """
         if image not in get_args(ImageKind):
             raise UsageError(

@@ -1,7 +1,6 @@
 """Passport files: what is known of a collimator from one calibration or certificate, for use in later calibrations.
 
-A passport is one JSON object. It is written atomically and never overwrites a file. `calib.model.passport` defines its
-content; this module adds the conditions under which the passport was made. `bench.plan.passports` reads the file.
+A passport is one JSON object, `calib.model.passport` with its conditions, and never overwrites a file.
 """
 
 from __future__ import annotations
@@ -59,10 +58,7 @@ def passport_from_calibration(
     sources: list[str],
     seals: Mapping[str, str] | None = None,
 ) -> Passport:
-    """Make a passport from a calibration with a collimator, and the conditions under which it was made.
-
-    ``seals`` gives the SHA-256 of the list of files of each source that is a sealed run, by its name.
-    """
+    """Make a passport from a calibration and its conditions; ``seals`` are hashes of sealed sources, by name."""
     conditions = {
         "collimator": collimator,
         "temperature_c": temperature_c,
@@ -85,9 +81,8 @@ def passport_from_certificate(
     temperature_c: float | None,
     now: datetime,
 ) -> Passport:
-    """Make a passport from a certificate of the collimator's focal length, positive and finite.
+    """Make a passport from a collimator's certificate; ``sigma_mm`` is the expanded uncertainty over its k.
 
-    ``sigma_mm`` is its standard uncertainty: the expanded one of the certificate divided by its coverage factor.
     ``valid_until`` is the last day of its validity, year-month-day, if known.
     """
     if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):

@@ -1,7 +1,6 @@
 """Compares the recordings of a sealed run with its journal: heads, sizes, and what follows the last event.
 
-The journal states of each recording the camera, the number of bytes and the time. The head of a RAW file states camera
-and time too. Behind the last event a camera writes time words only. Nothing is decoded, so this is quick.
+Behind the last event a camera writes time words only. Nothing is decoded, so this is quick.
 """
 
 from __future__ import annotations

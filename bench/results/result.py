@@ -1,7 +1,6 @@
-"""From accepted recordings to results.json, images, exports and the report.
+"""From accepted recordings to results.json, images, exports and report: from the run folder alone, without a device.
 
-All of this can be done again from the run folder alone; no device is used. The truth of a simulated world is used
-only at the end, for a comparison, after all estimates are made.
+The truth of a simulated world is used only at the end, for a comparison, after all estimates are made.
 """
 
 from __future__ import annotations
@@ -133,10 +132,7 @@ def shown_files(
     pictures: Sequence[ViewPicture],
     head: str = "",
 ) -> dict[str, bytes]:
-    """Return what shows results to others, by name within the folder: the exports, and last the report.
-
-    ``head`` is the hash of the journal's line that the report prints; empty for results without a journal.
-    """
+    """Return exports and, last, the report by name; ``head`` is the journal line printed in it, empty without one."""
     written = exports(calibration, camera_name=camera_name, target=target)
     files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
@@ -183,11 +179,7 @@ FIRST = "This is the first calibration of this camera on this bench."
 def previous_calibration(
     ledger: Ledger, place: Mapping[str, object], results: Results
 ) -> PreviousData | None:
-    """Return the last calibration of the same camera before this run, and the change since then.
-
-    ``place`` is what the ledger returned when the run was entered. ``previous`` of results.json (docs/results.md); None
-    if this run is not in the ledger.
-    """
+    """Return the camera's last calibration before this run in the ledger, and the change since, for ``previous``."""
     if not place:
         return None
     try:
@@ -291,10 +283,7 @@ def _of_camera(calibration: CalibrationData) -> CovarianceData:
 
 
 def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
-    """Return the change of the projection over the sensor; None if this calibration states no covariance.
-
-    It is ``change`` of results.json (docs/results.md).
-    """
+    """Return ``change`` of results.json, the projection's over the sensor; None without a covariance."""
     maps = change_maps(then, now)
     if maps is None:
         return None

@@ -53,11 +53,10 @@ def point_factor(calibration: Calibration) -> float:
 def projection_facts(
     camera: CameraModel, covariance: Array, k: float, points: Sequence[Array]
 ) -> dict[str, Any] | None:
-    """Return the expanded uncertainty of a direction over the sensor, and the part that stars support.
+    """Return ``projection`` of results.json: the expanded uncertainty of a direction, and the part stars support.
 
-    ``projection`` of results.json (docs/results.md); None if no corner has an uncertainty. Propagation of the camera's
-    covariance, (K, K) in the order of `CameraModel.parameter_names` (`calib.uncertainty.projection_uncertainty`), along
-    the worse direction; U = k u (JCGM 100:2008, 6.2.1). ``points``: (N, 2) px for each view.
+    By the camera's covariance, (K, K), along the worse direction; U = k u (JCGM 100:2008, 6.2.1); ``points`` (N, 2) px
+    a view. None if no corner has an uncertainty.
     """
     found, size = projection_uncertainty(camera, covariance), camera.image_size
     corners = {name: float(found.sigma_px[at]) for name, at in _CORNERS.items()}
@@ -146,11 +145,7 @@ def _conformity(
 
 
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
-    """Return the part of results.json that follows from journal, sequence and station.
-
-    ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses, ``untils``,
-    ``deviations``, ``failures``, ``devices_left`` and ``states``.
-    """
+    """Return the part of results.json that follows from journal, sequence and station alone."""
     started, kind = history.started, job.camera_kind
     return {
         "run": {
@@ -329,10 +324,7 @@ def files_software(endings: Iterable[str]) -> dict[str, str]:
 
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
-    """Return the plug-ins that a station uses, as ``run_started`` states them: ``plugins``, or nothing.
-
-    For each package it has the kinds and names of its drivers in this station, ``["stage turntable"]``.
-    """
+    """Return ``plugins`` of a station as ``run_started`` states them, ``["stage turntable"]`` a package; or nothing."""
     found: dict[str, list[str]] = {}
     for plugin in used_plugins(station):
         found.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")

@@ -62,8 +62,8 @@ class RigFound:
 def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
     """Return the rig of two cameras. Every argument has one entry for each camera, or none.
 
-    ``paths`` are views behind a collimator; or of a board, if `choices` names one and `boards`, views of the board
-    beside those, is empty. ``cameras`` are files with the intrinsics from other views.
+    ``paths`` are views behind a collimator, or of a board that `choices` names; ``boards`` views of that board beside
+    them.
     """
     if choices.board is None:
         if boards:

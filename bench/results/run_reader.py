@@ -1,7 +1,7 @@
 """Reads a solved run into Python: camera, covariance, collimator, poses, views and results.
 
-`load` reads `results.json` and `views.h5`. If one of them is missing, it finds the stars in the captures again and
-calibrates with the options of the run. It never writes. The engine and HDF5 are imported when they are needed.
+Without `results.json` or `views.h5` the stars are found again and the camera calibrated again. Never writes; engine and
+HDF5 are imported late.
 """
 
 from __future__ import annotations
@@ -35,10 +35,7 @@ if TYPE_CHECKING:
 
 
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
-    """Return the calibration that results.json states, without residuals, weights and candidates.
-
-    A part that is missing or not of the expected form raises `KeyError`, `TypeError` or `ValueError`.
-    """
+    """Return the calibration of results.json, without residuals, weights and candidates."""
     names = tuple(stored["covariance"]["names"])
     values = {**stored["camera"], **(stored["collimator"] or {})}
     return Calibration(
@@ -86,10 +83,7 @@ def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
 
 
 def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:
-    """Return the collimator that results.json states, None for the planar model.
-
-    Its ``reference`` is None, because results.json does not contain it.
-    """
+    """Return the collimator of results.json, None if planar; ``reference`` is None, since it is not stored."""
     if values is None:
         return None
     aberrations = {name: value for name, value in values.items() if name not in CENTRE}

@@ -1,7 +1,6 @@
 """The solution of a run: the calibration from its accepted recordings, how it was judged, and the checks of it.
 
-All of it follows from the run folder alone: journal, recordings, sequence, station, passport. A run, and a verification
-that calculates it again, use the same function.
+It follows from the run folder alone; a run, and a verification that calculates it again, use the same function.
 """
 
 from __future__ import annotations
@@ -69,11 +68,10 @@ def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Ca
 
 
 def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Compare each value with the simulated truth, ``camera`` and ``collimator``.
+    """Compare each value with the simulated truth: ``name value sigma truth error error_sigmas``, in its own unit.
 
-    If the simulated collimator has errors that displace the apparent centre, x and y are not compared: they are those
-    of the apparent centre, and the truth holds those of the ideal one. Returns ``name value sigma truth error
-    error_sigmas``: the error in the value's own unit, and divided by its standard uncertainty.
+    A collimator with errors displaces the apparent centre: then x and y, which the truth holds of the ideal one, are
+    left out.
     """
     true = {**truth["camera"], **truth["collimator"]}
     if any(true.get(name) for name in _MOVE_THE_CENTRE):
@@ -133,10 +131,7 @@ def solve_run(
     measured: Mapping[int, Measurement],
     check: Callable[[], None] = lambda: None,
 ) -> Solution:
-    """Calibrate from the accepted recordings of a run.
-
-    ``check`` is called between pieces of work; it raises if the run is to stop.
-    """
+    """Calibrate from a run's accepted recordings; ``check``, called between pieces of work, raises to stop."""
     measurements = []
     accepted = sorted(history.accepted().items())
     for index, attempt in accepted:
@@ -209,11 +204,7 @@ def main_numbers(calibration: Calibration) -> Solved:
 
 
 def shared_parts(calibration: Calibration) -> dict[str, float]:
-    """Return the standard uncertainty of each parameter that all runs on this bench share, from the budget.
-
-    Only what was evaluated from the views of this run (type A) is its own. Certificate, glass, print and the
-    statements about the gimbal (type B) are the same in each run.
-    """
+    """Return each parameter's standard uncertainty that all runs on this bench share: all but type A of these views."""
     own = {row.name for row in calibration.budget_rows if row.type == "A"}
     parts = [part for source, part in calibration.budget.items() if source not in own]
     return {name: math.hypot(*(part.get(name, 0.0) for part in parts)) for name in calibration.sigma}

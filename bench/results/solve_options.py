@@ -1,8 +1,4 @@
-"""How a solve step of a run is calibrated: its options, its passport, and the readings of the gimbal.
-
-A run, its repetition and an offline calibration of its folder take their options from here, so that the same recordings
-give the same result.
-"""
+"""How a solve step is calibrated: its options, passport and gimbal readings, the same for a run and its repetitions."""
 
 from __future__ import annotations
 
@@ -39,11 +35,7 @@ ONE_VIEW = (
 def solve_options(
     job: Job, step: SolveStep, measured_deg: Sequence[Mapping[str, float]]
 ) -> CalibrationOptions:
-    """Return the engine's options for a solve step of a run.
-
-    They have the passport of the run, the readings of the gimbal (``pan``, ``pan_encoder`` ..., as the journal holds
-    them for each view), the station's budget, and the prior of the radial term that follows from it.
-    """
+    """Return the engine's options of a solve step: with passport, readings, the station's budget and radial prior."""
     from bench.plan.job import calibration_options
 
     station = job.station
@@ -54,10 +46,7 @@ def solve_options(
 
 
 def stated_radial_sigma(station: Station) -> float | None:
-    """Return the prior of the radial term of the target's map, from the bow and the distortion that a station states.
-
-    It is a dimensionless standard uncertainty; None if the station does not state both, or no focal length.
-    """
+    """Return the prior of the target's radial term, no unit, from bow and distortion; None if the station lacks one."""
     collimator, expected = station.collimator, station.expected
     certificate = collimator.certificate
     radii = (
@@ -70,10 +59,7 @@ def stated_radial_sigma(station: Station) -> float | None:
 
 
 def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, board: bool) -> None:
-    """Refuse one view without a passport that holds the collimator's centre; say what a passport would give.
-
-    For a ``board`` no passport exists.
-    """
+    """Refuse one view without a passport (there is none for a ``board``) that holds the collimator's centre."""
     if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
         remedy = (
             "Show the board at more angles." if board else f"Record the target from more angles. {ONE_VIEW}"
@@ -82,10 +68,7 @@ def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, 
 
 
 def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:
-    """Return the readings of the gimbal with their uncertainty; None if the station does not state it.
-
-    The reading of an encoder replaces that of its axis.
-    """
+    """Return the gimbal's readings, encoders first, with uncertainty; None if the station does not state it."""
     gimbal, defocus = station.gimbal, station.collimator.defocus
     if gimbal is None:
         return None
@@ -107,11 +90,9 @@ def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]
 
 
 def limited_numbers(calibration: Calibration) -> dict[str, float]:
-    """Return the numbers of a calibration that the limits of a solve step judge, by name without unit.
+    """Return the numbers that a solve step's limits judge: ``rms mean sigma_... expanded_fx ... worst_corner``.
 
-    ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``, ``expanded_fy``, ``worst_corner``. Expanded
-    uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
-    (`calib.uncertainty.projection_uncertainty`), along the worst direction.
+    U = k u (JCGM 100:2008, 6.2.1); corners by the camera's covariance, along the worst direction.
     """
     one, each, sigma = calibration.coverage_factor, calibration.coverage_factors, calibration.sigma
     found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
@@ -126,11 +107,7 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
 def readings_result(
     calibration: Calibration, options: CalibrationOptions, *, witness: bool = False, stated: bool = True
 ) -> dict[str, Any]:
-    """Return what results.json states about the gimbal's readings.
-
-    ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the source of these;
-    ``bound``: what bounds the parallax, and the parallax that follows, as a share of r; ``why_not``.
-    """
+    """Return what results.json states about the gimbal's readings: whether they entered, and what bounds them."""
     readings = options.gimbal
     entered = calibration.gimbal is not None and calibration.gimbal.entered
     return {

@@ -1,8 +1,7 @@
 """Trends of a parameter over the runs of a batch: its mean, its scatter, its change with time and with temperature.
 
-A slope is that of a weighted straight line. Its uncertainty increases if the points scatter around the line more than
-their own uncertainties predict. Uncertainties of different runs are treated as independent. Errors that all runs have
-in common (from the collimator, from the target's pitch) do not appear in their differences.
+A slope's uncertainty grows if the points scatter more than theirs predict. Runs are treated as independent: what they
+share (collimator, pitch of the target) does not appear in their differences.
 """
 
 from __future__ import annotations
@@ -63,11 +62,7 @@ class Agreement:
 
 
 def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
-    """Compare every parameter that all runs have estimated, in the order of the first run.
-
-    There are at least two runs with a calibration, of one camera and one model; all of them measured, simulated or
-    rehearsed; else `UsageError`.
-    """
+    """Compare every parameter that all of two or more alike runs of one camera estimated, as in the first one."""
     if len(runs) < 2:
         raise UsageError(
             f"Cannot compare {len(runs)} runs with a result: at least two are needed.",
@@ -139,8 +134,7 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
 def repeats(birge: float, runs: int) -> bool:
     """Return whether the runs agree far better than their uncertainties say: their errors are then the same in each.
 
-    The scatter of n runs with right and independent uncertainties is below this in 1 % of all cases. Quantile of chi^2
-    by Wilson and Hilferty, PNAS 17 (1931) 684.
+    1 % of independent runs do: chi^2 quantile by Wilson and Hilferty, PNAS 17 (1931) 684.
     """
     freedom = runs - 1
     step = 2.0 / (9.0 * freedom)

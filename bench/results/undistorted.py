@@ -1,7 +1,4 @@
-"""The files of `starbench undistort`: tables of rays and rectified pixels, the map of ``cv2.remap``, and a preview.
-
-Everything is calculated before the first file is written.
-"""
+"""The files of `starbench undistort`: rays, rectified pixels, ``cv2.remap``, preview; all calculated before writing."""
 
 from __future__ import annotations
 

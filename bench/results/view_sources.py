@@ -1,7 +1,4 @@
-"""Sources of views for an offline calibration: run folders, RAW captures, photographs of the target, point files.
-
-Recognises a path by its content or extension, and refuses incomplete files. Reads files only, writes none.
-"""
+"""Sources of views, known by content or extension: run folders, RAW, photographs, point files. Writes none."""
 
 from __future__ import annotations
 
@@ -71,11 +68,7 @@ class ViewSource:
 
 
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
-    """List the files of a path from which views can be made.
-
-    Of a run folder, its accepted recordings in order of the poses; of another folder, its known files in natural order
-    of their names.
-    """
+    """List a path's files for views: a run's accepted recordings by pose, another folder's known files by name."""
     if not path.exists():
         raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
     if path.is_dir() and (path / JOURNAL).is_file():

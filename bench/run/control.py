@@ -1,9 +1,7 @@
 """Commands from operators to a running run, from another terminal or a program: hold, release, abort, skip, answer.
 
-A command is one JSON file, written whole into ``control/`` of the run folder. A thread of the run reads the file,
-decides, writes the decision to the journal and removes the file. So the journal holds the answer, and no command is
-done twice. ``abort`` goes to the clock at once; the runner does the others at the next safe point. The operator who
-holds a run owns it until the release: commands of others are refused, except ``abort``. This module uses no device.
+A command is one JSON file, written whole into ``control/``; a thread journals the decision, then removes the file.
+``abort`` goes to the clock at once, the others wait for the next safe point. Who holds a run owns it until the release.
 """
 
 from __future__ import annotations
@@ -93,10 +91,7 @@ def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) 
 
 
 class CommandInbox:
-    """Commands to the run of this process, answered from ``open`` to ``close`` by a separate thread.
-
-    The clock is asked to stop by ``abort``, and to fail if a decision cannot be journaled.
-    """
+    """Answers commands in a thread from ``open`` to ``close``; a decision that cannot be journaled fails the run."""
 
     def __init__(
         self,
@@ -149,10 +144,7 @@ class CommandInbox:
         self._inbox.drain(lambda command, name: self.decide(command, name, why_not))
 
     def decide(self, command: Command | None, name: str, why_not: str = "") -> None:
-        """Decide on a command (None: a file that is none) and write the decision to the journal.
-
-        ``why_not`` is the reason to refuse any command; empty if the decision depends on the command.
-        """
+        """Decide on a command (None: a bad file) and journal it; ``why_not``, if not empty, refuses any."""
         if command is None:
             self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is not a command")
             return
@@ -184,10 +176,7 @@ def remove_inbox(folder: Path) -> None:
 
 
 def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
-    """Send a command to a running run, and wait for its answer in the journal: ``word by pose taken why``.
-
-    If no process works on the run, it ended, or it did not answer in time, the command is withdrawn.
-    """
+    """Send a command and return its answer in the journal, ``word by pose taken why``; withdraw it if none comes."""
     inbox = inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
         raise RunFolderError(

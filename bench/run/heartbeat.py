@@ -1,9 +1,7 @@
 """Heartbeat of the process that works on a run, for a supervisor that watches it from outside.
 
-The heartbeat is one small file in ``control/`` of the run folder: which process works there, and when its work last
-made progress. A thread writes it. If the work itself stalls (a driver that never returns), the thread writes no
-heartbeat, so that a live thread cannot hide stalled work. `BusyWatch` notes in the journal when the computer is too
-busy. This module uses no device and no command.
+A thread writes one small file in ``control/``, but not while the work stalls: a live thread cannot hide stalled work.
+`BusyWatch` notes in the journal when the computer is too busy.
 """
 
 from __future__ import annotations
@@ -45,10 +43,7 @@ _WAITS_FOR_DISK = "D"
 
 
 def start_ticks(pid: int, proc: Path = PROC) -> int:
-    """Return when a process started, which identifies it together with its number: numbers are used again.
-
-    Kernel clock ticks since the system booted, independent of the system time; 0 if there is no such process.
-    """
+    """Return when a process started, kernel clock ticks since boot; 0 if it is gone. Numbers are used again."""
     try:
         return int(_stat(proc / str(pid) / "stat")[_START_TIME])
     except (OSError, IndexError, ValueError):

@@ -1,7 +1,4 @@
-"""The kinds of interlocks: door, disk space, camera temperature, event rate, lost device.
-
-Each reads its sensor and returns why it holds a run. `bench.run.interlocks` decides when they are checked.
-"""
+"""The kinds of interlocks: door, disk space, camera temperature, event rate, lost device; each says why it holds."""
 
 from __future__ import annotations
 

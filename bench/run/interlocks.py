@@ -1,9 +1,7 @@
 """Interlocks: conditions that make a run hold, with light off and stage at rest, and let it continue once they clear.
 
-Each interlock returns why it holds, or an empty text. It has a second limit for continuing, so that it does not
-switch on and off. The thread that also accepts commands checks the door ten times a second; an open door interrupts a
-move or a recording. The other interlocks are checked between two pieces of work; a lost device is noticed when a
-driver fails. The total time that each may hold a run is limited. `bench.run.states` does the holding.
+A second, stricter limit to continue avoids switching on and off. The thread of the commands checks the door ten times a
+second, and an open door interrupts the work; the others are checked between two pieces of work.
 """
 
 from __future__ import annotations
@@ -47,10 +45,7 @@ class Interlock(Protocol):
         ...
 
     def why(self, *, held: bool) -> str:
-        """Return why the interlock holds; empty if it does not.
-
-        While held, the stricter limit for continuing applies.
-        """
+        """Return why the interlock holds, or an empty text; while held, the stricter limit for continuing applies."""
         ...
 
 

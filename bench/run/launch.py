@@ -1,7 +1,6 @@
 """Begin a run, or resume one: check files, create and lock the folder, begin the journal, run, seal the result.
 
-This module joins plan, run folder, journal, runner and seal. All faults of the files are found before the folder is
-created, and all faults of the folder before a device is opened.
+All faults of the files are found before the folder is created, all faults of the folder before a device is opened.
 """
 
 from __future__ import annotations
@@ -109,11 +108,7 @@ def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
 
 
 def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
-    """Enter a run in the ledger, or find it there.
-
-    ``known`` is the place of a run that began before; it is entered again if the ledger does not have it, because it
-    began on another bench, without a ledger, or in a ledger that was lost.
-    """
+    """Enter a run in the ledger, unless it is there at ``known``: it may have begun on another bench or without one."""
     station = job.station
     anchor, strict = station.ledger.anchor, station.ledger.strict
     strangers = sealed_strangers(ledger.home)
@@ -228,10 +223,8 @@ def start_run(
 ) -> RunEnd:
     """Run a sequence on a station, from the plan to the sealed report.
 
-    ``output`` None stands for a new folder in ``runs/``, named by time and sequence; the ``seed`` of a simulated bench
-    is drawn and recorded where None. ``settings`` replace those of the files (`load_documents`); the copies of both
-    files in the run folder hold them. ``expect_serial`` replaces the station's; any other camera is refused before
-    anything moves.
+    ``output`` None is a new folder in ``runs/``; ``seed`` None is drawn and recorded; ``settings`` replace those of the
+    files (`load_documents`), also in the copies; ``expect_serial`` replaces the station's.
     """
     if expect_serial is not None:
         settings = _expecting(expect_serial, settings or {})
@@ -280,8 +273,7 @@ def start_run(
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     """Continue a run that was aborted, failed, was killed or lost power; first print what will be done.
 
-    All stored recordings are kept. The step at which the run stopped is repeated, after the move that it depends on.
-    Refused are a sealed run, one that another process works on, a broken journal, and faulty files.
+    Stored recordings are kept; the step at which it stopped is repeated, after the move that it depends on.
     """
     with (
         RunFolder.open(folder_path) as folder,

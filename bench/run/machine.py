@@ -1,9 +1,8 @@
 """States of a run and the edges between them; the work of each state is in `bench.run.states`.
 
-One `transitions` machine without automatic transitions: only the edges in ``EDGES`` exist. The work of a state runs
-in ``on_enter``. If it raises, the machine stays in that state, so the state always names the work that failed; only
-``abort`` and ``fail`` leave it. Every change is journaled before it is made. Its outcome is journaled in
-``finalize_event``, which `transitions` calls also after an exception.
+Only the edges in ``EDGES`` exist; none is automatic. The work runs in ``on_enter``: if it raises, the machine stays in
+that state. A change is journaled before it is made, its outcome in ``finalize_event``, which comes also after an
+exception.
 """
 
 from __future__ import annotations
@@ -71,10 +70,7 @@ class TimeLeft:
         return fixed_s + max(0.0, until_s - self._begun_s - fixed_s) * self.pace
 
     def left_s(self, now: datetime, *, held: bool) -> float:
-        """Return the time left, s; it does not pass while the run is held.
-
-        From the third step on, the planned times are scaled by what the steps so far took.
-        """
+        """Return the time left, s, scaled by the steps so far; it does not pass while the run is held."""
         left_s = self._scaled_s(self._duration_s, self._fixed_s)
         if held or not self._mark_utc:
             return left_s

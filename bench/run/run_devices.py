@@ -1,7 +1,4 @@
-"""Devices of one run: opened when the first step needs them, opened again after a loss, made safe at the end.
-
-This module owns the open devices; states, holds and interlocks use them through it. It makes no decision about the run.
-"""
+"""Devices of one run: opened when the first step needs them, opened again after a loss, made safe at the end."""
 
 from __future__ import annotations
 
@@ -99,10 +96,7 @@ class RunDevices:
                 self._log.write(Event.DEVIATION, what=f"While the run held: {fault}")
 
     def make_safe(self) -> None:
-        """Stop the stage, switch the light off, stop the camera, each independently; never raises.
-
-        The second call does nothing. ``unsafe`` then names stage and light if they did not confirm.
-        """
+        """Make all devices safe once, each independently; never raises. ``unsafe`` names what did not confirm."""
         if not self.was_opened or self._made_safe:
             return
         self._made_safe = True
@@ -112,10 +106,7 @@ class RunDevices:
             self._say(f"CHECK THE BENCH: {fault}")
 
     def leave(self) -> None:
-        """Stop the stage, switch the light off, stop the camera, and journal what each confirmed.
-
-        The devices stay open. A resumed run that uses no device states what the run before it stated.
-        """
+        """Stop the stage, switch the light off, stop the camera, journal what each confirmed; all stay open."""
         history = self._log.history
         if self._devices is not None:
             ends = [end.to_dict() for end in all_ends(self._devices.make_each_safe())]

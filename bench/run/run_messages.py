@@ -1,7 +1,4 @@
-"""Messages about one run: when it fails, holds or ends, its status goes to the outbox as text.
-
-`bench.messaging` delivers the messages; `bench.run.status` makes the text.
-"""
+"""Messages about one run: when it fails, holds or ends, its status goes to the outbox as text."""
 
 from __future__ import annotations
 
@@ -28,10 +25,7 @@ class RunMessages:
         self._say = say
 
     def write(self, occasion: str, what: str, key: str) -> None:
-        """Write a message with the run's status, if the station file asks for it. Returns at once.
-
-        ``occasion`` is ``failure``, ``hold`` or ``end``; ``key`` the hash of the journal's line that caused it.
-        """
+        """Write a message on ``failure``, ``hold`` or ``end``, if wanted; ``key`` is the line's hash."""
         if not self._courier.is_wanted(occasion):
             return
         try:
@@ -53,10 +47,7 @@ class RunMessages:
 
 
 class HoldNotifier:
-    """Notifies absent people that a run holds; about the same interlock not too often.
-
-    ``notify`` gets the occasion (``hold``), a short text and the hash of the journal's line.
-    """
+    """Notifies absent people that a run holds, about the same interlock not too often."""
 
     def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
         self._clock = clock

@@ -1,7 +1,6 @@
 """Run a script: choose the next step, react to failures, and leave the bench safe at every end.
 
-The runner takes the remaining steps through the state machine and journals each of them. The work of each state is in
-`bench.run.states`. However a run ends, the stage is stopped, the light is off and the camera is stopped.
+However a run ends, the stage is stopped, the light is off and the camera is stopped.
 """
 
 from __future__ import annotations
@@ -72,9 +71,7 @@ class RunEnd:
 class Runner:
     """Work of one process on one run. A stop requested from the clock ends the run safely.
 
-    ``notify`` gets the occasion (``hold``, ``failure``), a short text and the hash of the journal's line, when absent
-    people should be notified before the run ends. Where None, ``results`` is a ``ResultWriter`` of the folder, and
-    ``decisions``, for the ``until`` steps, its ``Decisions``.
+    ``notify`` gets the occasion (``hold``, ``failure``), a short text and the hash of the journal line.
     """
 
     def __init__(
@@ -123,10 +120,7 @@ class Runner:
         return self._machine.state
 
     def run(self) -> RunEnd:
-        """Do every step that is not done yet; also if the run ends aborted or failed, the bench is safe.
-
-        Such a run can be resumed.
-        """
+        """Do every step that is not done yet; the bench is safe at every end, and the run can be resumed."""
         try:
             with self.inbox:
                 self._do_remaining_steps()

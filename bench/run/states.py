@@ -1,8 +1,6 @@
 """The work of each state of a run: the actions of the devices and their journal lines.
 
-Devices are used through their protocols only. The runner decides which state comes next and what follows a failure;
-`bench.views.measure` and `bench.results.result` do the calculations. While an operator or an interlock holds the run,
-the light is off and the stage does not move.
+Devices are used through their protocols only. While a run is held, the light is off and the stage does not move.
 """
 
 from __future__ import annotations
@@ -49,9 +47,8 @@ NOT_STATED: Final = "not stated by the device"
 def preflight(devices: Devices, job: Job) -> dict[str, Any]:
     """Identify the open devices, set the camera, and collect every reason against a run in `PreflightFailed`.
 
-    Nothing moves and the light stays off. Serial numbers were compared with the station file when the devices were
-    opened. Returns ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read
-    back; ``connections``, of an event camera: see `connections`.
+    Nothing moves and the light stays off. Returns identities by ``camera``, ``stage`` (a list), ``light``;
+    ``camera_settings`` as read back; ``connections`` of an event camera.
     """
     stage, light = devices.stage.identify(), devices.light.identify()
     camera = devices.camera.identify()
@@ -79,11 +76,7 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 
 
 def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
-    """Return what camera and light answer about the cables between them and to the computer.
-
-    In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``, ``sync_level``. What a device
-    does not state is said to be so; the wiring test (`bench.run.wiring`) measures it.
-    """
+    """Return in words what camera and light answer about their cables; the wiring test measures what they do not."""
     link = camera.link_mbit_s
     built = f", built {camera.firmware_built}" if camera.firmware_built else ""
     return {
@@ -247,10 +240,7 @@ class StateWork:
         self._run.clock.sleep(wait_s)
 
     def hold(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
-        """Hold for an operator, for an interlock, or for the answer to the step's question.
-
-        The step is the one that comes next, or the prompt step; None before the first step.
-        """
+        """Hold for an operator, an interlock or an answer, before this step (None: before the first)."""
         question = step if isinstance(step, PromptStep) else None
         if question is not None and self._run.job.board is not None:
             question = with_advice(question, self._run.log.history, self._run.job.board)

@@ -1,7 +1,4 @@
-"""Status of a run, read from its folder by another process; the folder is not changed.
-
-The journal and ``plan.json`` give the content; the lock of the folder shows whether a process works on the run.
-"""
+"""Status of a run, read by another process from journal, ``plan.json`` and lock; the folder is not changed."""
 
 from __future__ import annotations
 
@@ -215,10 +212,7 @@ def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime
 
 
 def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Entry]]:
-    """Read the status of a run, at a time in UTC, and its journal.
-
-    The lock is read first: a run that ends meanwhile does not appear as killed.
-    """
+    """Read status, at a time in UTC, and journal; the lock first, lest a run that ends meanwhile appears killed."""
     if not (folder / JOURNAL).is_file():
         raise RunFolderError(
             f"This is not a run folder: it has no {JOURNAL}.",

@@ -1,8 +1,6 @@
 """Take the steps of a script through the state machine: single steps, attempts at a recording, safe points.
 
-The runner decides which step comes next; the work of each state is in `bench.run.states`. At a safe point a run stops,
-holds or skips poses, as the operator asked (`bench.run.control` receives the commands). Every attempt at a recording is
-kept as evidence; the sequence step decides what follows the last one.
+At a safe point a run stops, holds or skips poses, as the operator asked. Every attempt at a recording is kept.
 """
 
 from __future__ import annotations
@@ -69,10 +67,7 @@ def pose_names(job: Job, history: History) -> dict[int, str]:
 
 
 def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
-    """Return the steps before ``step`` that the next recording depends on: move and settling.
-
-    It is empty if a move comes before the next recording, or no recording follows.
-    """
+    """Return move and settling before ``step``, if the next recording depends on them and no move comes before it."""
     here = next(i for i, candidate in enumerate(steps) if candidate.number == step.number)
     coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
     if not isinstance(next(coming, None), RecordStep):
@@ -82,10 +77,7 @@ def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[Scrip
 
 
 def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptStep]:
-    """Return the steps to leave out if a pose, from 1, is skipped: its recording, its move, and its choice.
-
-    The move only if no other recording depends on it.
-    """
+    """Return the steps of a pose, from 1, to leave out: recording, choice, and the move if no other depends on it."""
     here = next(i for i, s in enumerate(steps) if isinstance(s, RecordStep) and s.pose.index == pose_index)
     moves = [i for i, s in enumerate(steps) if isinstance(s, MoveStep)]
     begin = max((i for i in moves if i < here), default=here)
@@ -281,11 +273,7 @@ class Steps:
     # ------------------------------------------------------------------ attempts at a recording
 
     def record(self, step: RecordStep) -> None:
-        """Record until a recording is accepted; after the last allowed attempt, do what the sequence specifies.
-
-        Raises `PoseFailed` if the step says ``fail``, `Aborted` if an operator, or the default answer, decides not to
-        try again.
-        """
+        """Record until accepted; after the last attempt do as the step says: go on, `PoseFailed`, `Aborted`, or ask."""
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
             what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {_joined(reasons)}."
@@ -320,10 +308,7 @@ class Steps:
         )
 
     def _try_attempts(self, step: RecordStep) -> list[str] | None:
-        """Make up to the allowed number of attempts; return why the last one was rejected.
-
-        None means that a recording was accepted, or that the pose is skipped.
-        """
+        """Make up to the allowed attempts; return why the last was rejected, None if accepted or skipped."""
         history, pose = self._run.log.history, step.pose
         reasons: list[str] = []
         if pose.index in history.accepted():  # the process died between accepting it and journaling that

@@ -63,10 +63,7 @@ class WiringReport:
 
 
 def check_wiring(devices: Devices, station: Station, clock: BenchClock) -> WiringReport:
-    """Switch the light on, record, switch it off, and compare edges with events.
-
-    If a device fails, the light is off, or the error of switching it off is raised.
-    """
+    """Switch the light on, record, switch it off, and compare edges with events; the light is off at every end."""
     kind = camera_kind(station)
     if kind.name != "event":
         raise UsageError(

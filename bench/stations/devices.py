@@ -1,7 +1,6 @@
 """Opens the devices that a station file names, makes them safe together, and closes them.
 
-The sections of stage and light open their own drivers. A port such as ``sim:gimbal`` belongs to the simulated bench,
-which is then started first. Apart from that, simulated and real devices are treated in the same way.
+A port such as ``sim:gimbal`` starts the simulated bench first; apart from that all devices are treated alike.
 """
 
 from __future__ import annotations
@@ -40,10 +39,7 @@ from drivers.wire_log import WireLog
 
 
 def serial_devices(station: Station) -> tuple[str, ...]:
-    """Name, such as ``Zaber 100101``, stage and light whose serial numbers are in the station file, not simulated.
-
-    A strobe controller has no serial number, and that of a generator or a board is optional in the file.
-    """
+    """Name, as ``Zaber 100101``, stage and light whose serial numbers the station file has, not simulated ones."""
     return tuple(dict.fromkeys((*station.stage.device_names, *station.light.device_names)))
 
 
@@ -56,10 +52,7 @@ def hold_serial_devices(station: Station) -> Iterator[None]:
 
 @contextmanager
 def hold_devices(devices: Iterable[str]) -> Iterator[None]:
-    """Lock devices from `serial_devices` against other processes of this computer during the block.
-
-    `PortBusy`: another process uses one of them, through any port.
-    """
+    """Lock devices from `serial_devices` on this computer during the block; `PortBusy` if one is in use."""
     with ExitStack() as holds:
         for device in devices:
             holds.callback(DeviceHold(device).release)
@@ -73,11 +66,7 @@ LEFT_DEVICES = "left_devices"
 
 
 class Devices:
-    """A stage, a light and a camera, open. Opening moves nothing and switches nothing on.
-
-    If one cannot be opened, or is not the one that the station file names, the others are closed. ``seed`` is for the
-    simulated bench.
-    """
+    """A stage, a light and a camera, open; if one cannot be opened, all are closed. Opening moves nothing."""
 
     # Devices that may still be opening, by name; empty here (see `bench.stations.devices`).
     late: Mapping[str, Any] = MappingProxyType({})
@@ -230,11 +219,7 @@ def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera: 
 
 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
-    """Stop the stage and switch the light off after the process that used them has died; return what they answered.
-
-    Each device is opened anew, even if the other one fails. The camera is not asked. Simulated devices are left out:
-    none is there to ask.
-    """
+    """Stop stage and light whose process died, each opened anew; return what they answered. Not simulated ones."""
     ends = []
     asked: tuple[tuple[DeviceName, list[str], Callable[[Station, BenchClock], str]], ...] = (
         ("stage", list(station.stage.ports), _stop_stage),

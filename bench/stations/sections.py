@@ -1,7 +1,6 @@
-"""Bases of the sections of stages, lights and cameras in a station file. A plug-in's section derives from one of them.
+"""Bases of the sections of stages, lights and cameras in a station file; a plug-in's section derives from one.
 
-A section holds the keys of a driver, with ranges and defaults, and opens the driver; `devices` opens the built-in
-cameras. This module loads no plug-in, so a plug-in may import it. docs/plugins.md is for its authors.
+A section holds a driver's keys and opens it; this module loads no plug-in. docs/plugins.md is for their authors.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """The stage and light sections of a station file: keys, ranges and defaults, one model for each driver.
 
-The keys of an axis are the parameter names of the driver's axis, so that the values are passed on unchanged. A driver
-is imported when its section is opened: to read a station file needs none.
+Keys of an axis are the driver's parameters. A driver is imported when its section is opened.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
-The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
-of the gimbal's readings in `station_collimator`, the printed target in `station_target`; a board in its place, the
-ledger and the expected values are here; `devices` opens the devices. docs/stations.md describes
-every key. A simulated bench and a real one differ in the station file only; the same sequences run on both.
+The sections of devices are in `stages_and_lights` and `station_cameras`, others beside them. docs/stations.md describes
+every key.
 """
 
 from __future__ import annotations
@@ -290,10 +288,7 @@ class Station(StrictModel):
 
 
 def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:
-    """Read a station file by its path, or a shipped station by its name, such as ``simulated``.
-
-    ``settings`` replace values of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
-    """
+    """Read a station by its path, or a shipped one's name; ``settings`` replace values, YAML by path."""
     station = read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
     use_descriptions(station)
     return station

@@ -293,13 +293,7 @@ class BudgetConfig(StrictModel):
     wavefront: WavefrontConfig | None = None
 
     def terms(self, collimator: CollimatorConfig) -> tuple[TypeBTerm, ...]:
-        """Return the terms for the calibration.
-
-        The temperature on the bench is that of the collimator, unless the section states another one. Without any, the
-        target and the collimator are taken to be at their reference temperatures.
-
-        collimator: Section `collimator` of the station: its temperature, and that of its certificate.
-        """
+        """Return the terms; the temperature is the section's, else the ``collimator``'s, else that of reference."""
         certificate = collimator.certificate
         certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
         temperature_c = collimator.temperature_c
@@ -320,15 +314,11 @@ class BudgetConfig(StrictModel):
         return tuple(term for term in parts if term is not None)
 
     def radial_sigma(self, r_mm: float) -> float | None:
-        """Return what the section says about the radial term of the target's map.
+        """Return the prior of the radial term k of the target's map, k |h|^2 h at the tangents h, in radii.
 
-        The term is k in the displacement k |h|^2 h of a point at the tangents h, in units of the radius. A bow of
-        height z at the distance R gives k = z r / R^2. A relative displacement d at the angle a gives k = d / tan(a)^2.
-        Own derivation, to first order.
-
-        r_mm: Focal length of the collimator, mm.
-        Returns: Standard uncertainty of the term; None if bow and distortion are not both stated with a value
-          above zero, because the term stands for both.
+        A bow of height z at the distance R gives k = z r / R^2, a relative displacement d at the angle a k = d /
+        tan(a)^2 (own derivation, first order). None unless bow and distortion are both stated above zero: the term
+        stands for both.
         """
         bow, distortion = self.print_bow, self.collimator_distortion
         if bow is None or distortion is None:
@@ -404,10 +394,7 @@ def _thermal(
     temperature_c: float | None,
     reference_c: float | None,
 ) -> TypeBTerm | None:
-    """Return the term of an expansion; None if it is not stated.
-
-    The section's own temperatures count before those of the collimator and of its certificate.
-    """
+    """Return the term of an expansion, by the section's own temperatures first; None if it is not stated."""
     if stated is None:
         return None
     references = (stated.reference_c, reference_c, _REFERENCE_C)

@@ -1,8 +1,7 @@
 """Drafts a new station file for the chosen drivers, with the ports and cameras that are connected.
 
-A value that the computer cannot find out (scales, limits, unknown serial numbers) is an example or a placeholder, with
-a comment. A draft is a valid file, but no run starts until all placeholders are replaced (`placeholders`). The draft
-has every section of a station file; those that a bench may do without are comments.
+What the computer cannot find out is an example or a placeholder, with a comment; the draft is valid, but no run starts
+until `placeholders` are replaced.
 """
 
 from __future__ import annotations
@@ -252,7 +251,7 @@ disk: {min_free_gb: 5}
 def draft_station(
     name: str, found: Discovery, *, stage: str, light: str = "scpi", camera: str | None = None
 ) -> str:
-    """Write a new station file; the first adapter found is used for the stage, the second for the light.
+    """Write a new station file; the first adapter is the stage's, the second the light's.
 
     ``camera`` is a key of ``CAMERA_SECTIONS``; None for the first connected camera, event cameras first.
     """

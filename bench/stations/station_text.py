@@ -1,7 +1,6 @@
 """The sections of a stage and of a light with driver ``text``: a description of their protocol, ports, scales.
 
-A description is a shipped one, by its name, or a file. A run folder keeps a copy of each description beside the copy of
-the station file, and a run that is resumed or derived again reads that copy.
+A run folder keeps a copy of each description, which a run that is resumed or derived again reads.
 """
 
 from __future__ import annotations
@@ -51,10 +50,7 @@ def read_light_protocol(path: Path) -> Located[LightProtocol]:
 
 
 def find_description(name_or_path: str, folder: Path | None) -> Path:
-    """Find the file of a shipped description by its name, or one by a path from ``folder`` (None: the cwd).
-
-    For a bare name that is neither a file nor shipped, the message lists the shipped names.
-    """
+    """Find a description by its shipped name or a path from ``folder`` (None: the cwd); the error lists the names."""
     path = Path(name_or_path)
     if folder is not None and (path.name != name_or_path or path.suffix):
         return folder / path

@@ -1,8 +1,7 @@
 """Compiles the loops that no earlier process has compiled, before a command calculates with them.
 
-Each part is compiled in a process of its own. The process that calculates reads all of them from
-the disk: a process that compiles a loop itself has more copies of it than one that reads it, and may call another copy.
-A sum in another order then moves stars by some 1e-6 px, and `verify --again` would find that.
+In a process of its own for each part: one that compiles a loop may call another copy of it than one that reads it, and
+a sum in another order then moves stars by some 1e-6 px, which `verify --again` would find.
 """
 
 from __future__ import annotations
@@ -22,10 +21,7 @@ _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 
 def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
-    """Compile the parts that no earlier process has compiled, each in a process of its own, and tell about it.
-
-    A part that cannot be compiled there is compiled when it is used, as numba does.
-    """
+    """Compile the missing parts in processes of their own, and tell; what fails is compiled when it is used."""
     missing = missing_parts(parts, os.environ)
     if not missing:
         return

@@ -32,8 +32,7 @@ _SMALLEST_WIDTH, _SMALLEST_HEIGHT = 20, 4
 class Block:
     """Draws a block of text again and again in the same place of a terminal, by default standard output.
 
-    If the size of the terminal has changed, the visible part of the terminal is cleared first: terminals differ in how
-    they wrap the lines that are already there.
+    At another size the visible part is cleared first: terminals differ in how they wrap lines that are there.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -49,8 +48,8 @@ class Block:
     def draw(self, head: Sequence[str], log: Sequence[str], tail: Sequence[str]) -> None:
         """Draw the block in place of the one before; the second line of the head is bold.
 
-        Long lines of head and tail are wrapped, those of the log, the newest last, are cut off. If the terminal is too
-        low, the oldest lines of the log are left out, then the last lines of the head.
+        Head and tail are wrapped, lines of the log cut off; where the terminal is too low, the oldest of the log go
+        first.
         """
         size = self._console.size
         changed, self._size = size != self._size, size
@@ -104,10 +103,7 @@ _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 
 
 class Progress:
-    """Shows the progress of a run: one live line on a terminal; elsewhere a new line for each change of state.
-
-    ``total_s`` is the expected duration of the whole run; ``stream`` None is standard error.
-    """
+    """Shows a run's progress, ``total_s`` expected: a live line on a terminal; elsewhere a line for each state."""
 
     def __init__(
         self, monotonic: Callable[[], float], total_s: float, poses: int, stream: TextIO | None = None
@@ -216,9 +212,7 @@ def ask(
 ) -> Reply:
     """Ask the operator, and wait for an answer, or for the default, ``continue`` or ``abort``, at the deadline.
 
-    ``terminal`` is where answers are typed, None for standard input; an empty line is the default. If it is not a
-    terminal, or is closed, only ``elsewhere`` gives an answer: that from another terminal (`starbench tell`), None
-    while there is none.
+    ``terminal`` None is standard input; where it is none, or closed, only ``elsewhere`` answers (`starbench tell`).
     """
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input

@@ -1,7 +1,7 @@
 """Signals that end a run safely, and other work at once.
 
-During a run, the first SIGINT, SIGTERM or SIGHUP asks the run to stop at its next wait. Further signals do not stop the
-bench while it makes its devices safe. The third signal, if it is a SIGINT (Ctrl-C), ends the process at once.
+The first SIGINT, SIGTERM or SIGHUP asks a run to stop at its next wait; further ones do not disturb making safe; the
+third, if SIGINT (Ctrl-C), ends the process at once.
 """
 
 from __future__ import annotations
@@ -44,9 +44,7 @@ def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
 def reliable_interrupts() -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, with all clean-up, and let no interrupt be lost. Main thread only.
 
-    Python ignores an exception raised in a finalizer (documentation of ``sys.unraisablehook``). In work that writes
-    files piece by piece this happens to KeyboardInterrupt often; it is then sent again. Earlier handlers are restored
-    after the block.
+    Python ignores an exception raised in a finalizer (``sys.unraisablehook``); a lost KeyboardInterrupt is sent again.
     """
     hook = sys.unraisablehook
     # A shell starts background jobs with SIGINT ignored; SIGTERM is handled below in any case.

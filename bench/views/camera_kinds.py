@@ -1,7 +1,6 @@
 """The two kinds of cameras that a bench may have, and what a run does differently for each.
 
-An event camera records the light's flicker; a frame camera takes images in steady light. Everything else of a run is
-the same for both: poses, journal, evidence, calibration, report.
+An event camera records the light's flicker; a frame camera takes images in steady light. All else is the same.
 """
 
 from __future__ import annotations
@@ -86,11 +85,7 @@ class CameraKind(Protocol):
         *,
         motion: bool = True,
     ) -> Measurement:
-        """Find the stars in a recording.
-
-        ``expected_grid`` is used only if the tag does not label the stars. ``motion``: how far they moved is measured
-        too, which takes twice as long as finding them.
-        """
+        """Find a recording's stars, by the grid if the tag does not label them; ``motion`` takes twice as long."""
         ...
 
     def judge(

@@ -1,8 +1,4 @@
-"""From one recording of events to the event image of whole flicker periods: RAW file, flicker, images.
-
-This module joins the drivers' reader and the engine's event images. It knows no target: `bench.views.measure` finds
-stars in the image, `bench.views.measure_board` a board.
-"""
+"""From one recording of events to the event image of whole flicker periods. It knows no target."""
 
 from __future__ import annotations
 
@@ -60,11 +56,10 @@ def whole_image(
     one_phase: bool = True,
     compare_flicker: bool = True,
 ) -> WholeImage:
-    """Make the event image of whole flicker periods, of all that the recording holds where None.
+    """Make the event image of whole flicker periods, of all that the recording holds where None; add to ``facts``.
 
-    ``expected_hz`` is the nominal frequency of the flicker, None if unknown. Numbers about flicker and image are added
-    to ``facts``. ``one_phase``: the light of all pixels changes at the same moment, as that of a lamp does.
-    ``compare_flicker`` adds what the events alone tell about the flicker.
+    ``expected_hz`` None if unknown. ``one_phase``: all pixels' light changes at once, as a lamp's. ``compare_flicker``
+    adds what events alone tell.
     """
     events, triggers, size, origin_us = data
     flicker = _flicker(triggers, (events.t, events.p), expected_hz)
@@ -138,11 +133,7 @@ def _flicker(
 
 
 def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
-    """Subtract the time of the first event or edge from all times, in place; return it.
-
-    The sensor's clock continues from recording to recording. Without this, the last digits of a recording's
-    numbers would depend on how many recordings were made before.
-    """
+    """Subtract the first time from all, in place: the sensor's clock goes on, and must not change the last digits."""
     origin_us = int(_span_us(t, triggers)[0])
     t -= origin_us
     triggers.t[:] -= origin_us

@@ -1,7 +1,6 @@
 """Where the stars of a pose are expected, from the gimbal and the earlier poses of the run that showed the tag.
 
-This module reads only the run's history. The journal stores the expected grid with the result, so that measuring a
-recording again gives the same stars.
+The journal stores the expected grid, so that measuring a recording again gives the same stars.
 """
 
 from __future__ import annotations
@@ -21,11 +20,7 @@ if TYPE_CHECKING:
 
 
 def grid_from_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> ExpectedGrid:
-    """Predict the grid of a recording from the accepted poses whose stars the tag labelled.
-
-    The prediction is that of `calib.stars.pointing.predict_grid`, for an image size, px; `DegenerateViews` if none is
-    possible. ``stored`` is the journal line of the recording; it holds the gimbal's angles.
-    """
+    """Predict a recording's grid, as `calib.stars.pointing`, from accepted poses with the tag, or `DegenerateViews`."""
     # Loaded here, because it needs OpenCV and numba, which a plan that reads angles does not.
     from calib.stars.pointing import LabelledView, predict_grid
 

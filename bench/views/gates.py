@@ -1,7 +1,4 @@
-"""Gates of a recording: limits that it must meet to be accepted, judged from numbers alone.
-
-This module uses no device and no file. Each reason for a rejection states what was found and what is needed.
-"""
+"""Gates of a recording: limits to be accepted, judged from numbers alone; a reason has what was found and needed."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Views kept from earlier calculations, so that the stars of a recording are found once only.
 
-An entry belongs to the bytes of a recording, the options, and the version of the detector: a hash of its source files
-and of the libraries below it. Entries are no evidence. `starbench verify` never reads them, and the folder may be
-deleted at any time. Each entry carries its own hash; one that does not match is found again, and that is told.
+An entry belongs to a recording's bytes, options and detector: its sources and libraries, by hash. It is no evidence:
+`starbench verify` never reads it. One that does not match its own hash is found again, and that is told.
 """
 
 from __future__ import annotations
@@ -112,10 +111,7 @@ class KeptEntries:
         return self.folder / key[:2] / f"{key}{self.ending}"
 
     def _make_room(self, bucket: Path, size: int) -> None:
-        """Delete the entries of a bucket that were used least recently, and parts that dead processes left.
-
-        Keys are hashes, so entries are spread evenly over the buckets, and each has the same share of the size.
-        """
+        """Delete a bucket's entries used least recently, each an equal share of the size, and dead processes' parts."""
         entries = []
         for entry in os.scandir(bucket):
             with suppress(FileNotFoundError):

@@ -1,7 +1,6 @@
 """From one recording to one view: RAW file, whole flicker periods, event image, stars.
 
-This module joins the drivers' readers and the calibration engine. Every number that a gate or the report shows about
-a recording is calculated here, from the file alone, so that it can be calculated again from the evidence.
+Every number that a gate or the report shows is calculated here, from the file alone, so that it can be done again.
 """
 
 from __future__ import annotations
@@ -138,10 +137,9 @@ def measure(
 ) -> Measurement:
     """Read a recording and find the stars in it; a file that cannot be read or shows no stars gives its fault.
 
-    ``periods`` None stands for all whole flicker periods. ``expected_grid`` is used only if the tag does not label the
-    stars. ``motion``: how far the stars moved from the first half of the recording to the second is measured, which
-    takes twice as long as finding them. Without it, what else only gates and report need is left out too: the image for
-    people, the flicker by the events, and the width of the stars' edges. The view depends on none of these.
+    ``periods`` None stands for all whole ones. ``expected_grid`` is for where the tag does not label the stars. Without
+    ``motion``, the shift between the halves, what else only gates and report need is left out, and half the time; the
+    view stays the same.
     """
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
@@ -171,10 +169,9 @@ def find_stars(
 ) -> View:
     """Detect and label the stars of an image, (H, W) of any numeric type, and find the rim of the beam in it.
 
-    The expected grid, if any, is used if the tag does not label the stars; if it does not either, `StarsUnnamed` is
-    raised. Four facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``, the
-    homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists, ``expected_grid``, the one that
-    was expected, and, with ``edge_width``, ``edge_width_px``, the blur of the stars' edges.
+    If neither tag nor expected grid labels the stars, `StarsUnnamed` is raised. ``facts`` gets ``named_by``, ``grid``,
+    (3, 3) from [column row 1] to [u v 1] px, ``expected_grid``, and, with ``edge_width``, ``edge_width_px``, the blur
+    of the stars' edges.
     """
     try:
         detection = detect_stars(image, target, name=name)
@@ -198,8 +195,7 @@ def find_stars(
 def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
     """Count the recordings, by facts of `measure`, whose star edges run along pixels that are fired or silent.
 
-    Such an edge crosses all pixels of a row at the same place, so the errors of neighbouring stars are correlated. The
-    covariance of a single star cannot express this (docs/stars.md).
+    Errors of neighbouring stars are then correlated, which no star's covariance can express (docs/stars.md).
     """
     return sum(
         edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
@@ -224,10 +220,7 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
 
 
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
-    """Return the length of the stars' shift between the halves of a recording, two (H, W) images; None if not shown.
-
-    The ``grid`` in the facts of the whole recording labels the stars if the tag cannot.
-    """
+    """Return the stars' shift between a recording's halves, (H, W), labelled by tag or ``grid``; None if not shown."""
     grid = np.array(facts["grid"])
     try:
         first, second = (detect_view(half, target, name="half", expected=grid) for half in halves)
@@ -249,10 +242,9 @@ MOST_SATURATED: Final = 0.001
 def measure_frames(
     path: Path, *, name: str, target: StarTarget, expected_grid: ExpectedGrid | None = None
 ) -> Measurement:
-    """Read the frames of a pose and find the stars in them; a bad file, or one without stars, gives its fault.
+    """Read a pose's frames and find the stars; a fault instead if they are bad.
 
-    ``expected_grid`` is used only if the tag does not label the stars. The facts are ``image`` (``kind``, ``reason``,
-    ``pictures``), ``motion_px``, and those of `find_stars`.
+    Facts are ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
     """
     facts: MeasuredFacts = {}
     image: StoredImage | None = None

@@ -1,7 +1,4 @@
-"""From one recording of a board at finite distance to one view: the counterpart of `bench.views.measure`.
-
-Every number is calculated from the file alone, so that it can be calculated again from the evidence.
-"""
+"""From one recording of a board at finite distance to one view: the counterpart of `bench.views.measure`."""
 
 from __future__ import annotations
 
@@ -49,10 +46,7 @@ _LEAST_APART_S = 0.1
 
 
 class MovingRecording:
-    """Pictures of one recording, by a filter with a cutoff frequency, at ascending times after the first event.
-
-    ``at_s`` None stands for at most 40 times, spread evenly.
-    """
+    """Pictures of a recording by a filter's cutoff, at times after the first event (None: 40 at most, evenly)."""
 
     def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
         self._path, self._cutoff_hz = path, cutoff_hz
@@ -172,10 +166,9 @@ def measure_board(
     periods: int | None,
     expected_hz: float | None,
 ) -> Measurement:
-    """Read a recording of events and find a board in it; a bad file, or one without a board, gives its fault.
+    """Read a recording of events and find a board in it; a fault instead if it is bad.
 
-    ``image`` is a kind of event image, or ``auto``; blinking dots have their own. ``periods`` None stands for all whole
-    flicker periods.
+    ``image`` is a kind, or ``auto``; blinking dots have their own. ``periods`` None stands for all whole ones.
     """
     facts: MeasuredFacts = {}
     stored: list[StoredImage] = []

@@ -1,7 +1,4 @@
-"""`views.h5`: the stars, residuals and image of each calibrated pose; its writer and its reader.
-
-The file can be made again from the captures. docs/run-folder.md describes its layout.
-"""
+"""`views.h5`: stars, residuals and image of each calibrated pose (layout: docs/run-folder.md); written and read."""
 
 from __future__ import annotations
 
@@ -63,11 +60,7 @@ def views_file(
     measurements: Sequence[Measured],
     residuals_px: Sequence[NDArray[np.float64]],
 ) -> bytes:
-    """Return views, residuals and images as an HDF5 file.
-
-    ``measurements`` has one for each pose, with a view; without an image if there is none, as for recalculated results.
-    ``residuals_px`` has (N, 2) for each view, star found minus star projected.
-    """
+    """Return views, residuals ((N, 2), found minus projected) and images, where there are any, as an HDF5 file."""
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
         file.attrs["format"] = FORMAT

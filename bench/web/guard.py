@@ -62,11 +62,7 @@ class PageToken:
 def page_token(
     token_file: Path | None, *, none: bool = False, environ: Mapping[str, str] = os.environ
 ) -> PageToken | None:
-    """Return the token of the pages, made now if nobody gives one; None if the pages need none.
-
-    Refused: a file that cannot be read or that others may read, a token that is too short, and a file where no token is
-    wanted.
-    """
+    """Return the pages' token, made now if nobody gives one, None if none is needed; a bad file is refused."""
     if none:
         if token_file is not None:
             raise UsageError(
@@ -115,11 +111,7 @@ def is_loopback(host: str) -> bool:
 
 
 def session_of(token: str) -> str:
-    """Return what the browser keeps after a sign-in: it proves the token, and does not contain it.
-
-    It is HMAC-SHA256 (RFC 2104), 64 hexadecimal digits. It depends on the token alone, so that a browser stays signed
-    in when the server is started again.
-    """
+    """Return what a browser keeps after a sign-in: HMAC-SHA256 (RFC 2104), 64 hex digits, of the token alone."""
     return hmac.new(token.encode(), b"starbench page session", hashlib.sha256).hexdigest()
 
 
@@ -148,10 +140,7 @@ def client_name(host: str, port: int, own_port: int) -> str:
 
 
 def _local_user(port: int, own_port: int) -> str:
-    """Return the number of the user whose process has a connection to the server; empty if it is not known.
-
-    The tables have a line a socket: number, own address, other address, state, queues, timer, retries, user (proc(5)).
-    """
+    """Return the number of the user whose process has a connection to the server, or empty (columns: proc(5))."""
     ends = f":{port:04X}", f":{own_port:04X}"
     for table in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
         with suppress(OSError):

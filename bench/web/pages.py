@@ -75,9 +75,8 @@ def last_id(request: Request) -> str:
 class EventStream:
     """Response that sends messages until they end, the reader leaves, or the server closes.
 
-    If the reader is slow, the source is asked for the next message only when the last one has gone; so a source that
-    tells the latest state leaves out what lies between. The source is closed at the end, so that its ``finally`` blocks
-    run. After ``heartbeat_s`` without a message, an event ``beat`` is sent, which shows the page that the link works.
+    The source is asked when the last message has gone, so a slow reader gets the latest state; it is closed at the end.
+    After ``heartbeat_s`` without a message an event ``beat`` shows that the link works.
     """
 
     def __init__(self, messages: AsyncIterator[Message], *, heartbeat_s: float = HEARTBEAT_S) -> None:
@@ -182,10 +181,7 @@ Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 def page_app(
     routes: Sequence[BaseRoute], *, assets: Path | None = None, lifespan: Lifespan | None = None
 ) -> Starlette:
-    """Make the application of a set of pages, with the shared assets below ``/assets/``.
-
-    Every foreseen error becomes an answer with ``{"error": {"kind", "what", "where", "remedy"}}``.
-    """
+    """Make the application of a set of pages; every foreseen error becomes JSON with kind, what, where, remedy."""
     mounts: list[BaseRoute] = []
     if assets is not None:
         mounts.append(Mount("/assets/own", _Assets(directory=assets)))

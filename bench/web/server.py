@@ -1,7 +1,6 @@
 """Serve a set of pages until Ctrl-C: bind, print the URL as the first line, open a browser, end quietly.
 
-There is no log of requests, so no URL is ever written down. A token that was made for this start stands behind the
-``#`` of the printed address: browsers keep that part to themselves, and the page removes it after the sign-in.
+No URL is ever logged. A token made for this start stands behind the ``#`` of the address, which browsers keep.
 """
 
 from __future__ import annotations
@@ -51,12 +50,10 @@ def serve_pages(
     open_browser: bool = True,
     announce: Callable[[str], None] = announce_url,
 ) -> None:
-    """Serve pages until SIGINT, SIGTERM or SIGHUP. Only for the main thread.
+    """Serve pages until SIGINT, SIGTERM or SIGHUP, then raise `KeyboardInterrupt`. Only for the main thread.
 
-    When everything is closed, `KeyboardInterrupt` is raised; the command line then prints ``Stopped.``. Port 0 is any
-    free one; ``token`` None: none is needed. ``announce`` is called with the URL when the server accepts connections;
-    by default it prints the URL. `UsageError`: the port is in use, the address is not of this computer, or other
-    computers could use the pages without a token.
+    Port 0 is any free one; ``token`` None: none is needed. ``announce`` gets the URL when the server accepts
+    connections. `UsageError`: port in use, strange address, or others could use the pages without a token.
     """
     server = PageServer(app, host=host, port=port, token=token)
 
@@ -116,10 +113,7 @@ class PageServer:
                 self._browser_folder.cleanup()
 
     def open_browser(self) -> None:
-        """Open the pages in a browser of this computer, without waiting for it.
-
-        The browser gets a file that leads on: all users can read the arguments of a process, but not this file.
-        """
+        """Open the pages by a file that leads on: unlike a process's arguments, other users cannot read it."""
         opened = self.url
         if self.address != self.url:
             self._browser_folder = tempfile.TemporaryDirectory(prefix="starbench-page-")

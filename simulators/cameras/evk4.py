@@ -84,10 +84,7 @@ class _HostGone(Exception):
 
 
 class SimulatedEvk4:
-    """The simulated camera; it accepts one host at a time.
-
-    A paced stream arrives at the sensor's own rate; otherwise as fast as it is computed.
-    """
+    """The simulated camera, for one host at a time; a paced stream arrives at the sensor's own rate."""
 
     def __init__(
         self,
@@ -128,10 +125,7 @@ class SimulatedEvk4:
         self._listener.close()
 
     def unplug(self) -> None:
-        """Break the connection and reset the sensor's clock, as pulling the USB cable does: it also powers the camera.
-
-        A host may connect again at once.
-        """
+        """Break the connection and reset the sensor's clock, as pulling the cable, which also powers it, does."""
         connection = self._connection
         if connection is not None:
             connection.hang_up()

@@ -39,11 +39,7 @@ POLL_S: Final = 0.1
 
 
 class PictureMaker:
-    """Exposes pictures of a world.
-
-    The noise model is the linear camera model of the EMVA Standard 1288: shot noise of photons and dark current,
-    and read noise. Shot noise is drawn as Gaussian. Each pixel has its own sensitivity.
-    """
+    """Exposes pictures of a world: shot noise (as Gaussian), dark current and read noise by EMVA Standard 1288."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -56,11 +52,7 @@ class PictureMaker:
         self._scene_cache: tuple[object, NDArray[np.float32]] | None = None
 
     def connection_seed(self) -> np.random.SeedSequence:
-        """Return the seed for a connection that begins now.
-
-        It is a function of the bench's seed, the resting pose, the light, and the number of earlier connections with
-        the same pose and light.
-        """
+        """Return a connection's seed: of bench, resting pose, light, and the number of earlier ones with the same."""
         now_s = self._world.now_s()
         key = json.dumps(
             {

@@ -45,11 +45,7 @@ class CameraHands:
         return act
 
     def seen(self) -> dict[str, Any]:
-        """Return what can be read from lens and mount now.
-
-        These are ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and
-        ``shift_mm``; with a board also ``placement``, its number.
-        """
+        """Return what can be read from lens and mount now; with a board also its ``placement``."""
         setup = self._world.camera_setup(self._world.now_s())
         truth = with_setup(self._world.truth, setup)
         distance_m = focus_of(truth).distance_m

@@ -255,20 +255,13 @@ def print_answer(content: Mapping[str, Any]) -> None:
 
 
 def allow_background() -> None:
-    """Let a background process of a terminal run on without orders.
-
-    Otherwise the terminal would stop it when it reads its standard input. Call this function from the main thread,
-    before orders are read.
-    """
+    """Let a background process run on without orders, which a terminal stops when it reads; call it before that."""
     if hasattr(signal, "SIGTTIN"):
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
 
 
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
-    """Read orders until standard input ends; ``carry_out`` does them and returns what was done.
-
-    If it raises SimulatorError or ValueError, the answer is the error's text.
-    """
+    """Read orders until input ends; ``carry_out`` returns what was done, or raises what becomes the answer."""
     waiting = b""
     while heard := _read():
         *lines, waiting = (waiting + heard).split(b"\n")

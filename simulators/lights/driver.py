@@ -95,11 +95,7 @@ class Lamp:
         )
 
     def inject_fault(self, kind: str, factor: float = 0.5) -> None:
-        """Inject one of `LAMP_FAULTS` that lasts until `clear_faults`.
-
-        The factor is one of brightness, frequency or duty cycle, a number of periods, or a share of a period; some
-        ignore it.
-        """
+        """Inject one of `LAMP_FAULTS` that lasts until `clear_faults`; some ignore the factor."""
         if kind not in LAMP_FAULTS:
             raise SimulatorError(
                 f"Unknown lamp fault {kind!r}.", remedy=f"Use one of: {', '.join(LAMP_FAULTS)}."
@@ -118,10 +114,9 @@ class Lamp:
 
 
 class LightDriver(ABC):
-    """A driver of the bench's light, as a dialect of a serial line.
+    """A driver of the bench's light, as a dialect of a serial line; ``drive`` is called with each new state.
 
-    ``drive`` is called with the new state of the light whenever it changes. ``ends`` are the bytes that end a message,
-    ``ignored`` those that are dropped; ``longest`` is the length of the input buffer, bytes.
+    ``ends`` end a message, ``ignored`` are dropped; ``longest`` is the length of the input buffer, bytes.
     """
 
     def __init__(
@@ -147,10 +142,7 @@ class LightDriver(ABC):
 
     @abstractmethod
     def clip(self, most_v: float | None) -> None:
-        """Limit levels that are set from now on, V; None restores the normal limit.
-
-        For a light without volts, `FULL_DRIVE_V` is 100 %.
-        """
+        """Limit levels from now on, V; None: the normal limit. For a light without volts `FULL_DRIVE_V` is 100 %."""
 
     @abstractmethod
     def trip(self) -> None:

@@ -44,10 +44,7 @@ class ScpiError(Exception):
 
 
 class ErrorQueue:
-    """Error queue of limited length, first in, first out.
-
-    When the queue is full, its last entry becomes "Queue overflow" (SCPI-99, volume 2, chapter 21).
-    """
+    """Error queue, first in, first out; full, it ends in "Queue overflow" (SCPI-99, volume 2, chapter 21)."""
 
     def __init__(self, length: int = 20) -> None:
         self._length = length
@@ -133,10 +130,7 @@ class CommandTree:
         self._entries.append(_Entry(header_pattern(specification), setter, getter))
 
     def answer(self, message: str) -> str | None:
-        """Execute a message; return the answers of all queries, separated by semicolons, or None.
-
-        Errors go to the queue. A command error (-1xx) ends the message; an execution error (-2xx) does not.
-        """
+        """Execute a message; return the queries' answers, or None. An error -1xx ends the message, -2xx not."""
         answers: list[str] = []
         for unit in units(message):
             try:

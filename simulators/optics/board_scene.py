@@ -175,10 +175,7 @@ def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Placed
 
 
 def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
-    """Return the true image points of the board, px, in the order of `points_mm`; nan behind the camera.
-
-    Projection: Hartley and Zisserman (2004), section 6.1.
-    """
+    """Return the board's true image points, px, nan behind the camera (Hartley and Zisserman, 2004, section 6.1)."""
     placed = placed_boards(truth, angles_deg)[0]
     on_board = points_mm(truth.board, truth.target)
     return np.asarray(image_points(np.ascontiguousarray(on_board), placed.projection(truth)))
@@ -191,10 +188,7 @@ def moved_px(before: Truth, after: Truth, angles_deg: Mapping[Any, float]) -> fl
 
 
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Return the share of the full light that reaches each pixel, without the brightness of the lens's aperture.
-
-    Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
-    """
+    """Return each pixel's share of the full light, without the aperture's brightness (areas: Levien, 2016)."""
     board, camera = truth.board, truth.camera
     image = np.zeros((camera.height, camera.width), np.float32)
     for placed in placed_boards(truth, angles_deg):

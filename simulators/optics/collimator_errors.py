@@ -86,10 +86,7 @@ def random_functions(axis: tuple[float, float], count: int, seed: int) -> FloatA
 
 @lru_cache(maxsize=16)
 def _waves(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Return wave vectors (count, WAVES, 2), and phases (count, WAVES).
-
-    Wave vectors of random direction, with lengths spread about 2 pi / `WAVELENGTH`: this project's own choice.
-    """
+    """Return wave vectors (count, WAVES, 2), of lengths about 2 pi / `WAVELENGTH` (own choice), and phases."""
     rng = np.random.default_rng((seed, count))
     lengths = 2.0 * math.pi / WAVELENGTH * rng.uniform(0.6, 1.4, (count, WAVES))
     directions = rng.uniform(0.0, 2.0 * math.pi, (count, WAVES))
@@ -99,10 +96,7 @@ def _waves(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
 
 @lru_cache(maxsize=1)
 def _zernike() -> tuple[FloatArray, FloatArray]:
-    """Return Zernike polynomials of mean square 1 over the disc, (N, MONOMIALS), and the rms of their coefficients.
-
-    Normalisation: Noll (1976). The order is by degree n and then by m, not Noll's.
-    """
+    """Return Zernike polynomials (Noll 1976; by degree n, then m) over the disc, (N, MONOMIALS), and their rms."""
     place = {pq: k for k, pq in enumerate((p, q) for p in range(DEGREE + 1) for q in range(DEGREE + 1 - p))}
     rows, sigmas = [], []
     for n in range(1, DEGREE + 1):
@@ -126,10 +120,7 @@ def _radial(n: int, m: int) -> dict[int, float]:
 
 
 def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
-    """Return rho^power cos(m phi), or sin(|m| phi) if m < 0, as monomials (p, q, weight) of u^p v^q.
-
-    Own derivation: binomial series of (u + iv)^|m| and of (u^2 + v^2)^((power - |m|) / 2).
-    """
+    """Return rho^power cos(m phi), sin(|m| phi) if m < 0, as (p, q, weight) of u^p v^q, by binomial series."""
     angular, rest = abs(m), (power - abs(m)) // 2
     terms = []
     for k in range(angular + 1):  # (u + iv)^|m|
@@ -172,10 +163,7 @@ def displacement_field(u: FloatArray, v: FloatArray, coefficients: FloatArray) -
 
 
 def _rim_field(cosine: FloatArray, sine: FloatArray, coefficients: FloatArray) -> tuple[Any, Any]:
-    """Return the rim's field at the disc's edge, in the directions of those cosines and sines.
-
-    Own model: the Fourier series c_0 + sum over m of c_m cos(m phi) + s_m sin(m phi).
-    """
+    """Return the rim's field in those directions: the Fourier series of the angle, c_0, c_1, s_1, ..."""
     x, y = coefficients[0]
     c, s = np.ones_like(cosine), np.zeros_like(sine)
     for m in range(1, RIM_HARMONICS + 1):
@@ -309,10 +297,7 @@ def _axis(rotation: FloatArray) -> tuple[float, float]:
 def aberrations_of(
     collimator: CollimatorTruth, rotation: FloatArray, reticle: ReticleTruth = PERFECT_PRINT
 ) -> Aberrations:
-    """Return the errors of the collimator and its reticle in a pose.
-
-    Own definition: b = (disc centre - (x, y)) / r, as in the head of the module.
-    """
+    """Return a pose's errors of collimator and reticle, with b = (disc centre - (x, y)) / r, as in the head."""
     disc = disc_of(collimator, rotation)
     return Aberrations(
         collimator.x,
@@ -345,10 +330,7 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
 
 
 def displacement(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[FloatArray, FloatArray]:
-    """Return the apparent displacements of reticle points, given by two arrays (...,), mm; equation in the head.
-
-    Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
-    """
+    """Return displacements of reticle points, (...,) mm; third order, equation in the head (Born and Wolf, 5.3)."""
     larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
     x_mm, y_mm = x_mm + larger_x, y_mm + larger_y
     h_x, h_y = (x_mm - e.x) / e.r, (y_mm - e.y) / e.r
@@ -366,10 +348,7 @@ def displacement(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[Fl
 
 
 def reticle_point(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[FloatArray, FloatArray]:
-    """Return the reticle points that appear at (x, y): the inverse of P + `displacement`, to about 1e-6 mm.
-
-    Own derivation: the fixed point of P <- (x, y) - displacement(P).
-    """
+    """Return the reticle points that appear at (x, y), to about 1e-6 mm, by the inverse of `displacement`."""
     p_x, p_y = x_mm, y_mm
     for _ in range(6):
         dx, dy = displacement(p_x, p_y, e)

@@ -145,10 +145,7 @@ def _lit_row(
     shades: tuple[float, float],
     row: NDArray[np.float32],
 ) -> None:
-    """Compute the brightness of the cells of a row at fraction v between two rows of pixel corners.
-
-    ``row`` is (cells of a pixel, pixels): the sums over the kernel then run along neighbouring numbers.
-    """
+    """Compute the brightness of a row's cells, (cells of a pixel, pixels), at fraction v between rows of corners."""
     cells, pixels = row.shape
     covered = 0.0
     right = (1.0 - v) * above[0] + v * below[0]
@@ -206,10 +203,7 @@ def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
 
 
 def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
-    """Return the points of the plane that rays meet, (rows, columns, 2) undistorted normalised coordinates.
-
-    Own derivation: a ray d = [x y 1] meets the plane at c + s R^T d, with s such that Z = 0.
-    """
+    """Return the plane's points on rays d = [x y 1], (rows, columns, 2): c + s R^T d, with s such that Z = 0."""
     r, c = projection.rotation, projection.centre
     xn, yn = rays[..., 0], rays[..., 1]
     dz = r[0, 2] * xn + r[1, 2] * yn + r[2, 2]
@@ -251,10 +245,7 @@ def _within(points_mm: FloatArray, projection: Projection, reach: float) -> NDAr
 def _chords(
     a: FloatArray, b: FloatArray, projection: Projection, cells: Cells
 ) -> tuple[FloatArray, FloatArray]:
-    """Return begin and end, (M, 2) cells, of the chords that replace edges from a to b, (N, 2) mm, in the image.
-
-    Own rule: n chords of a curve lie about 1 / n^2 of the distance of a single chord from it.
-    """
+    """Return begin and end, (M, 2) cells, of the chords that replace edges from a to b, (N, 2) mm."""
     first, last, middle = (image_points(points, projection) for points in (a, b, 0.5 * (a + b)))
     off = np.hypot(*(middle - 0.5 * (first + last)).T)
     count = np.where(np.isfinite(off), 1 + np.sqrt(off / CHORD_PX), 0).astype(np.int64)

@@ -103,10 +103,7 @@ def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, Flo
 
 
 def image_point(x: FloatArray, y: FloatArray, z: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return image points u and v, px, of points in the camera's frame, three arrays (...,); NaN behind it.
-
-    Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: as in `distort`.
-    """
+    """Return image points u and v, px, of points in the camera's frame, (...,); NaN behind it (as `distort`)."""
     z = np.where(z > 0.0, z, np.nan)
     xd, yd = distort(x / z, y / z, lens)
     return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy
@@ -222,10 +219,7 @@ def pattern_vergence_per_m(truth: Truth) -> float:
 
 
 def camera_of(truth: Truth) -> CameraTruth:
-    """Return the camera with the focal lengths of the present focus: the lens breathes.
-
-    It is the same object if the lens is focused as delivered. Source: Hecht, Optics, section 5.2; equation in the head.
-    """
+    """Return the camera with the present focal lengths (Hecht, Optics, section 5.2): the lens breathes."""
     stretch = focus_of(truth).stretch
     if stretch == 1.0:
         return truth.camera
@@ -240,8 +234,7 @@ def blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
 def signed_blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
     """Return the diameter of the disc of light, px; positive if the lens is focused nearer than the point.
 
-    It is linear in the vergence, the reciprocal of the point's distance (None: that of the pattern behind the
-    collimator). Source: circle of confusion, Potmesil and Chakravarty (1981).
+    Circle of confusion (Potmesil and Chakravarty, 1981), linear in the vergence; None is the pattern's.
     """
     if truth.lens.focus_distance_m is None:
         return 0.0
@@ -253,10 +246,7 @@ def signed_blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
 
 
 def brightness(truth: Truth) -> float:
-    """Return the light on the sensor, relative to that of the bench as delivered.
-
-    Source: the light grows with the square of aperture over image distance (Hecht, Optics, section 5.3).
-    """
+    """Return the relative light on the sensor: squared aperture over image distance (Hecht, Optics, section 5.3)."""
     return (DELIVERED_F_NUMBER / truth.lens.f_number / focus_of(truth).stretch) ** 2
 
 
@@ -300,10 +290,7 @@ class Spectrum(NamedTuple):
 
 
 def blurred_spectrum(spectrum: Spectrum, diameter_px: float, margin_px: int) -> NDArray[np.float32]:
-    """Return the image of a spectrum, spread as by `spread_over_disc`, without a margin; at least 0.
-
-    ``margin_px`` pixels are removed on each side; at least half a diameter.
-    """
+    """Return a spectrum's image, spread as by `spread_over_disc`, without a margin of half a diameter or more."""
     (rows, columns), (height, width) = spectrum.size, spectrum.image_size
     transfer = _disc_transfer(rows, columns, round(diameter_px, 6))
     image = fft.irfft2(spectrum.values * transfer, s=spectrum.size)
@@ -324,11 +311,7 @@ def _disc_transfer(rows: int, columns: int, diameter_px: float) -> NDArray[np.fl
 
 
 def ring_deg(truth: Truth) -> float:
-    """Return where the focus ring stands, in degrees from infinity: `RING_SPAN_DEG` at the near stop.
-
-    It is negative beyond infinity. Own model: a thread that moves the lens evenly with the turn, so the angle is
-    proportional to v - f.
-    """
+    """Return the focus ring's place, degrees from infinity, negative beyond; own model: proportional to v - f."""
     focus = focus_of(truth)
     return _ring_deg(focus.focal_mm, focus.distance_m)
 

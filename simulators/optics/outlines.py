@@ -24,20 +24,14 @@ CORNERS = 4
 
 
 def black_polygons(target: StarTarget) -> FloatArray:
-    """Return the outlines of everything that is printed black, mm: convex polygons that do not overlap.
-
-    Each is clockwise as seen (from +X to +Y). The first corner of a star's segment is the star's centre.
-    """
+    """Return the outlines of what is printed black, mm: convex, clockwise as seen; a star's centre comes first."""
     nodes = target.positions_mm(target.ids)
     stars = nodes[:, None, None, :] + target.pitch_mm * _black_segments(target.segments)[None]
     return np.concatenate([stars.reshape(-1, CORNERS, 2), _black_modules(target)])
 
 
 def _black_segments(segments: int) -> FloatArray:
-    """Return the black segments of a star, (segments / 2, 4, 2), in squares from its centre, cut to a cell of side 1.
-
-    The star's first segment, counted from +Y towards -X, is white.
-    """
+    """Return a star's black segments, (segments / 2, 4, 2), in squares; the first, from +Y towards -X, is white."""
     polygons = []
     for number in range(1, segments, 2):
         start, end = (2.0 * math.pi * (n / segments + 0.25) for n in (number, number + 1))
@@ -91,10 +85,7 @@ def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
 
 
 def bright_areas(board: BoardTruth, target: StarTarget, *, pixels: bool) -> tuple[FloatArray, ...]:
-    """Return the rings, mm, from which the board's light comes; kept, so do not change them.
-
-    ``pixels``: the pixels of a screen are drawn one by one.
-    """
+    """Return the rings, mm, from which the board's light comes, kept: do not change them; ``pixels`` one by one."""
     key = (board.kind, board.columns, board.rows, board.pitch_mm, board.surface, board.dot_mm)
     return _areas(*key, board.margin_mm, board.pixel_mm if pixels else 0.0, board.fill, target)
 

@@ -83,10 +83,7 @@ def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
 
 
 def beam_of(truth: Truth) -> CollimatorTruth:
-    """Return the collimator as the shifted camera sees it; the same object if the camera is not shifted.
-
-    Own definition: the entrance pupil moves by ``mount.shift_mm``, and the disc of light by the opposite amount.
-    """
+    """Return the collimator as the camera, shifted by ``mount.shift_mm``, sees it: the disc moves the opposite way."""
     x, y = truth.mount.shift_mm
     if x == y == 0.0:
         return truth.collimator
@@ -106,10 +103,7 @@ def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
 
 
 def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatArray:
-    """Return the image points of target points, (N, 2) mm.
-
-    Spherical motion: arXiv:2512.16092, eq. 2. Projection: Hartley and Zisserman (2004), section 6.1.
-    """
+    """Return the image points of target points, (N, 2) mm: spherical motion, arXiv:2512.16092, eq. 2."""
     return np.asarray(
         image_points(np.ascontiguousarray(points_mm, np.float64), projection_of(truth, rotation))
     )
@@ -216,10 +210,7 @@ def _light(
 def _disc_light(
     x_mm: FloatArray, y_mm: FloatArray, light: Light, even: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the brightness of the disc at target points, and their distances from its centre; see `_light`.
-
-    A linear gradient, times cos^2 of an angle that grows from 0 to pi / 2 over the rim: own model.
-    """
+    """Return the disc's brightness at target points, and distances; own model: a gradient times cos^2 at the rim."""
     disc, rim = light.disc, light.rim
     x, y = x_mm - disc.x, y_mm - disc.y
     outer = ~(x * x + y * y < even * even)

@@ -28,10 +28,7 @@ FloatArray = NDArray[np.float64]
 
 
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Return the share of the full light that reaches each pixel, about 0 to 1 at the lens's brightness as delivered.
-
-    A screen that is not wholly in front of the camera raises `SimulationMisuse`.
-    """
+    """Return each pixel's share of the light; a screen not wholly in front raises `SimulationMisuse`."""
     if truth.board.present:
         image = board_scene.picture(truth, angles_deg, subsamples=subsamples)
     elif truth.screen.columns:

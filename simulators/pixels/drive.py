@@ -266,10 +266,7 @@ def fill_when(
 
 @njit(**INNER)
 def crossing_bin(curve: NDArray[np.float64], first: int, last: int, target: float, off: bool) -> float:
-    """Return where a curve, (bins + 1,) float64, crosses a target, by bisection on the branch between two bins.
-
-    Between them the curve is monotone; the last may exceed one period.
-    """
+    """Return where a curve, (bins + 1,), crosses a target, by bisection between two bins, where it is monotone."""
     bins = curve.size - 1
     low, high = first, last
     while high - low > 1:

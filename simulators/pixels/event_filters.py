@@ -62,10 +62,7 @@ class EventFilters:
         self._erc = np.array([_LONG_AGO, 0], np.int64)  # window, events in it
 
     def apply(self, events: Events) -> tuple[Events, NDArray[np.int64]]:
-        """Pass a slice of events, in order of time, through the filters, after the previous slice.
-
-        Also returns the times, us, of the events that entered the rate controller, which counts them even if it is off.
-        """
+        """Pass the next slice, in order of time; also return the times, us, that entered the rate controller."""
         for name in self._enabled:
             if name == "erc":
                 continue

@@ -74,10 +74,7 @@ def exp32(x: Any) -> Any:
 
 @njit(forceinline=True, **INNER)
 def log32(x: Any) -> Any:
-    """Return the natural logarithm of a positive, finite, normal float32.
-
-    x = 2^n m with m in (sqrt(1/2), sqrt(2)]; ln m = 2 artanh(s), s = (m - 1) / (m + 1), by its series.
-    """
+    """Return the logarithm of a positive normal float32: x = 2^n m, ln m = 2 artanh((m - 1) / (m + 1)) by series."""
     bits = np.int32(np.float32(x).view(np.int32) - _SQRT_HALF_BITS)
     n = np.float32(bits >> np.int32(23))
     m = np.int32((bits & _MANTISSA) + _SQRT_HALF_BITS).view(np.float32) - np.float32(1.0)

@@ -63,10 +63,7 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 
 @njit(**INNER)
 def stored_light(drive: Drive, light: float) -> float:
-    """Return the number by which a pixel's light is stored.
-
-    It is the share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
-    """
+    """Return how a pixel's light is stored: its share if square, else its level on the atlas, -1 if too dark."""
     if drive.kind == SQUARE:
         return light
     if light < drive.lowest:

@@ -131,10 +131,7 @@ def reset_pixel(
 def reset_at_once(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
-    """Reset the listed pixels of a row that are read at the moment t of their request, under a square light: in double.
-
-    They are one pixel, unless several are alike; t is in us after the epoch.
-    """
+    """Reset a row's listed pixels, read at their request t, us after the epoch, under a square light: in double."""
     for k in range(n):
         c = np.int64(px.column[k])
         light, u_ref = px.cell[r, c, STORED_LIGHT], tail.join_digits(px.cell[r, c, U_REF], px.is_on[r, c])
@@ -153,10 +150,7 @@ def reset_at_once(
 def reset_row(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
-    """Set the listed pixels' new references at the end of the dead time after the read at t, and their next crossings.
-
-    t is in us after the epoch.
-    """
+    """Set the listed pixels' references after the dead time of a read at t, us after the epoch, and next crossings."""
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
     phase = t_live - start
@@ -214,10 +208,7 @@ def apply_change(
     state: NDArray[np.float64],
     random: NDArray[np.uint64],
 ) -> None:
-    """Apply a new light or picture at t, us after the epoch: references stay, crossings are computed again.
-
-    A pixel that the change itself carries beyond its threshold requests at a random time within the step.
-    """
+    """Apply a new light or picture at t, us after the epoch: references stay, crossings are computed again."""
     batch = px.batch
     start = period_start(drive, state[EPOCH], t)
     for r in range(px.t_next.shape[0]):

@@ -104,10 +104,7 @@ def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
 
 @njit(forceinline=True, **INNER)
 def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16]) -> Any:
-    """List the waiting pixels of a row in ``px.column``; return their number, how many are ON, and their words.
-
-    The columns of ON events are written to ``xs``, those of OFF events to ``px.off_column``.
-    """
+    """List a row's waiting pixels in ``px.column``, ON columns in ``xs``; return their number, how many ON, words."""
     n, n_on, words = np.int64(0), np.int64(0), np.int64(2)
     t_next, is_on = px.t_next[r], px.is_on[r]
     for k in range(blocks):
@@ -230,10 +227,7 @@ def read_rows(
     width: int,
     out: EventArrays,
 ) -> int:
-    """Run the sensor's loop to before ``until``, us after the epoch, or until the output is nearly full.
-
-    ``out`` is filled from the start: t (int64, sensor time), x, y (uint16), p (uint8), arrays of equal length.
-    """
+    """Run the loop to before ``until``, us after the epoch, or full output: ``out`` is t (int64), x, y, p."""
     room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])
     n = int(np.int64(0))

@@ -320,10 +320,7 @@ def simulate(
     seed: int = 0,
     link: Link | None = None,
 ) -> Events:
-    """Return the events of a still picture under a flickering light, from 0 to before ``duration_us``.
-
-    ``phase`` is that of the light at time 0, in periods; the other arguments are as ``Sensor`` takes them.
-    """
+    """Return a still picture's events from 0 to before ``duration_us``; ``phase`` at 0 is in periods."""
     height, width = picture.shape
     sensor = Sensor(
         width, height, noise=noise, settings=settings, camera_seed=camera_seed, seed=seed, link=link

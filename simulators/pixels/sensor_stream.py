@@ -97,10 +97,7 @@ class ManyLightsSensor:
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
     ) -> None:
-        """Start under a picture and a light; see `Sensor.begin`.
-
-        The light of the board as a whole drives the lines of a screen. Dots have lights of their own.
-        """
+        """Start as `Sensor.begin`; the whole board's light drives a screen's lines, dots have lights of their own."""
         self._now_us = at_us
         self._whole.begin(np.zeros_like(picture), _STEADY, 0.0, at_us=at_us)
         self._find_lights()
@@ -262,10 +259,7 @@ class SensorStream:
         self._sensor.begin(self._picture(moving=False), self._light, phase)
 
     def go_on(self, camera: CameraState, clock_us: int) -> bool:
-        """Begin the next preview with the sensor as it stands, at a state of its clock that is not wrapped.
-
-        False if light, settings or clock are others than at the end of this stream: a new one is needed.
-        """
+        """Begin the next preview with the sensor at its clock, unwrapped; False if light, settings or clock changed."""
         asked_s = self._world.now_s()
         if camera != self._camera or self._world.light(asked_s) != self._light or clock_us > self.clock_us:
             return False

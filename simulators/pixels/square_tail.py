@@ -32,10 +32,7 @@ TIME_STEP_US: Final = 4.0 / 1024.0
 
 @njit(forceinline=True, **INNER)
 def tail_width(d: Drive) -> float:
-    """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``.
-
-    It is 0 if the light is not square.
-    """
+    """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``."""
     return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
 
 

@@ -133,10 +133,7 @@ class SerialDevice:
         self.close()
 
     def between_exchanges(self, act: Callable[[], None]) -> None:
-        """Run a function in the serving thread, between two exchanges, and wait until it has returned.
-
-        If the serving thread itself calls this method, the function runs at once.
-        """
+        """Run a function in the serving thread, between two exchanges, and wait for it; there itself at once."""
         if threading.current_thread() is self._thread:
             act()
             return

@@ -177,10 +177,7 @@ class Axis:
     def home(
         self, t_s: float, speed: float, slow: float, acceleration: float, *, set_counter: bool = True
     ) -> None:
-        """Find the reference sensor: run past it at full speed, then return to it slowly from below (both counts/s).
-
-        ``set_counter``: homing sets counter and encoder to 0 at the sensor.
-        """
+        """Run past the reference sensor, then return slowly from below, counts/s; ``set_counter`` zeroes there."""
         self._finish_homing(t_s)
         self._referenced = False
         self._homing = True

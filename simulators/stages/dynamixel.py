@@ -197,10 +197,7 @@ class DynamixelServo(Unit):
 
     # ------------------------------------------------------------------ writing
     def write(self, first: int, data: bytes, t_s: float) -> None:
-        """Write whole fields from an address on; all of them are checked before one is changed.
-
-        An address that is read-only, or cannot be written while the torque is on, raises `AccessError`.
-        """
+        """Write whole fields from an address on, all checked before; `AccessError` if one cannot be written."""
         values: list[tuple[int, int]] = []
         at = first
         while at < first + len(data):
@@ -274,10 +271,7 @@ class DynamixelServo(Unit):
             self._turns = -(self._position(t_s) // _TURN)
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the servo by one of another model, fresh from power-up: servos have no serial number.
-
-        ``serial`` is a model number; if it is not that of a servo, an XM430-W350 comes.
-        """
+        """Replace the servo by another model, fresh from power-up; ``serial`` is its number, else XM430-W350."""
         known = serial.isdigit() and 1000 <= int(serial) < 2000
         self._model_number = int(serial) if known else 1020
         self.restart(t_s)

@@ -178,11 +178,7 @@ class _Pause(NamedTuple):
 
 
 class GrblController(SystemCommands, Unit):
-    """The controller of axes by letter: X, Y and Z in this order.
-
-    Homing ends ``pull_off_deg`` from the switch; ``name`` is what a user has given by ``$I=``; ``settings`` are the
-    values of the ``$`` settings, by number.
-    """
+    """The controller of the axes X, Y and Z; homing ends ``pull_off_deg`` from the switch."""
 
     baud = 115_200
 

@@ -153,10 +153,7 @@ class GrblAxisModel:
 
 
 def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
-    """Return the factory settings by number, in rising order, of a board with the axes X, Y and Z in this order.
-
-    Homing ends ``pull_off_deg`` from the switch.
-    """
+    """Return factory settings by number, rising, for X, Y and Z; homing ends ``pull_off_deg`` from the switch."""
     settings = {
         0: 10.0,
         1: 255.0,
@@ -214,10 +211,7 @@ class Motion(NamedTuple):
 
 
 class Planner:
-    """The axes of a controller, by letter X, Y and Z in this order, and their queue of motions.
-
-    ``settings``, by number, may change while all axes rest. ``held``: a feed hold is in force.
-    """
+    """The axes X, Y and Z and their motions; ``settings`` may change while all rest; ``held``: a feed hold."""
 
     def __init__(
         self,

@@ -151,10 +151,7 @@ class ZaberController(Unit):
 
     # ------------------------------------------------------------------ commands
     def execute(self, axis: int, words: list[str], t_s: float) -> str:
-        """Execute a command of an axis, 0 for the controller and all its axes; without words, read the status only.
-
-        `CommandRejected` stands for a reply that is a rejection.
-        """
+        """Execute an axis's command (0: all); without words read the status. `CommandRejected` is a rejection."""
         if axis > 1:
             raise CommandRejected("BADAXIS")
         if not words:

@@ -331,10 +331,7 @@ def placement_record(board: BoardTruth, view: View) -> dict[str, Any]:
 
 
 class HandShake:
-    """The shaking of a hand during one recording: six independent motions of the same spectrum.
-
-    Sum of waves of random frequency and phase: the spectral representation of Shinozuka and Deodatis (1991).
-    """
+    """The shaking of a hand in a recording: six motions by spectral representation (Shinozuka and Deodatis, 1991)."""
 
     def __init__(self, hand: HandTruth, rng: np.random.Generator) -> None:
         self._rms = np.repeat([hand.shake_mm, hand.shake_deg], 3)

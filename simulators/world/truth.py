@@ -140,10 +140,7 @@ class OpticsTruth(Section):
 
 @dataclass(frozen=True)
 class NoiseTruth(Section):
-    """Fixed pattern and temporal noise of the sensor's pixels.
-
-    Hu, Liu and Delbruck (2021), v2e, describe the origin of mismatch and background events in real sensors.
-    """
+    """Fixed pattern and temporal noise of pixels; origins: Hu, Liu and Delbruck (2021), v2e."""
 
     mismatch: NotNegative = (
         0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
@@ -379,10 +376,7 @@ class Truth:
         return self.screen.columns > 0 or self.board.present
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all parameters as plain numbers, by section: the content of ``truth.json``.
-
-        The coefficients of a fisheye are named kb1 to kb4 there, as estimators name them.
-        """
+        """Return ``truth.json``'s content, by section, a fisheye's coefficients as kb1 to kb4."""
         values = dataclasses.asdict(self)
         values["thermal"]["law"] = dict(LAW)
         values["gimbal"] = self.gimbal.to_dict()

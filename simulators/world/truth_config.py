@@ -179,10 +179,7 @@ def _target(given: object) -> StarTarget:
 
 
 def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
-    """Read the section of the collimator: a profile, and keys that differ from it.
-
-    Unless it says where, the axis meets the target as far from the tag's centre as on the standard target.
-    """
+    """Read the collimator's profile and differing keys; its axis is as far from the tag as on the standard target."""
     if isinstance(given, str):
         given = {"profile": given}
     name, rest = "ideal", given

@@ -232,10 +232,7 @@ class History(Generic[_State]):
 
 
 class World:
-    """Physical state of the simulated bench; ``clock`` is its time, s, by default the machine's monotonic clock.
-
-    A camera keeps the fixed pattern of ``camera_seed`` over runs with different seeds.
-    """
+    """The bench's physical state; ``clock`` s, the machine's by default; ``camera_seed`` fixes the pixel pattern."""
 
     HISTORY_S = 120.0
     """How long past states are kept, s."""
@@ -265,10 +262,7 @@ class World:
     # ------------------------------------------------------------- written by stages and lights
 
     def set_axis(self, name: AxisName, motion: AxisMotion, *, since_s: float | None = None) -> None:
-        """Set the motion of an axis from a world time (None: now) on, not before the previous motion's.
-
-        An axis that was never set stands at zero. An earlier time is refused with `SimulationMisuse`.
-        """
+        """Set an axis's motion from a world time (None: now) on; `SimulationMisuse` before the last one's."""
         with self._lock:
             since = self.now_s() if since_s is None else since_s
             if name not in self._axes:
@@ -325,10 +319,7 @@ class World:
             return {name: h.at(t_s).microsteps for name, h in sorted(self._axes.items())}
 
     def light(self, t_s: float) -> LightState:
-        """Return the light at a time, its voltages scaled to the lamp's light at the temperature of that time.
-
-        Of a board, it is the light as seen.
-        """
+        """Return the light at a time, a board's as seen, its voltages scaled to the lamp's light at its temperature."""
         with self._lock:
             state, setup = self._light.at(t_s), self._setup.at(t_s)
         share = drift.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
@@ -349,9 +340,6 @@ class World:
         return drift.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
-        """Return the truth at a time, with its temperature's focal lengths and the camera as set up then.
-
-        Focus is in section ``lens``.
-        """
+        """Return the truth at a time, with its temperature's focal lengths, and focus in section ``lens``."""
         truth = drift.truth_at_temperature(self.truth, self.temperature_c(t_s))
         return with_setup(truth, self.camera_setup(t_s))

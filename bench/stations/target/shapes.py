@@ -1,10 +1,8 @@
 """The opaque areas of a reticle as polygons: stars, tag and margin, exact to the last digit.
 
-One rule holds for every drawing: **what is filled is opaque**. On a positive reticle the black parts of the pattern are
-filled; on a negative one the white parts are, and the whole margin but for its marks. Polygons are convex or
-rectangles, have no holes, and do not overlap. The module describes areas; it writes no files.
-
-Frame of the drawing: millimetres, origin in the middle of the glass, X right and Y down as the camera sees it.
+One rule holds for every drawing: **what is filled is opaque**: the black parts of a positive reticle; the white ones of
+a negative, and its margin but for the marks. Polygons are convex or rectangles, without holes or overlap. The frame: mm
+from the middle of the glass, X right and Y down as the camera sees it.
 """
 
 from __future__ import annotations
@@ -96,10 +94,7 @@ def text_width(text: str, height: float) -> float:
 
 
 def text_rectangles(text: str, height: float) -> NDArray[np.float64]:
-    """Return the rectangles of a text, with the upper left corner of its first letter at the origin, Y down.
-
-    (N, 4), in the unit of the height: left, top, right, bottom of each rectangle; they do not overlap.
-    """
+    """Return a text's rectangles, (N, 4) left, top, right, bottom, in its height, Y down from its upper left corner."""
     cells = [
         (left + place * (COLUMNS + 1), row, right + place * (COLUMNS + 1), row + 1)
         for place, letter in enumerate(text)
@@ -157,11 +152,7 @@ class Drawing:
 
 
 def draw_target(target: TargetConfig) -> Drawing:
-    """Draw the reticle that a station describes.
-
-    Letters of the serial number that cannot be drawn, marks that do not fit into the margin, and too many parts for a
-    file are refused.
-    """
+    """Draw a station's reticle; letters, marks or numbers of parts that cannot be drawn are refused."""
     pattern, negative = target.pattern(), target.polarity == "negative"
     if len(pattern.ids) * pattern.segments > 2 * _MOST_POLYGONS:
         raise UsageError(
@@ -204,10 +195,9 @@ def _stars(pattern: StarTarget, offset: tuple[float, ...], *, negative: bool) ->
 
 
 def _segment(segments: int, number: int) -> list[tuple[float, float]]:
-    """Return a segment of a star, cut to a cell of side 1: its centre and the corners on the cell's edge.
+    """Return a star's segment, counted from +Y towards -X, in a cell of side 1: its centre and corners on the edge.
 
-    Segments are counted from +Y towards -X. A place on the edge is counted in eighths of a turn, so that corners of
-    the cell and ends of segments are compared as whole numbers.
+    A place on the edge is counted in eighths of a turn: corners and ends are then compared as whole numbers.
     """
     start, end = 8 * number + 2 * segments, 8 * (number + 1) + 2 * segments
     corners = [eighth * segments for eighth in range(1, 24, 2) if start < eighth * segments < end]

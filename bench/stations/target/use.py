@@ -1,8 +1,7 @@
 """What a target is good for with a lens and a collimator: stars in view, their size in px, and warnings.
 
-The camera looks along the axis of an ideal collimator at the middle of the tag, without roll. The numbers are for the
-choice of a target and a lens; no result depends on them. The limits of the warnings were measured with the star finder
-on simulated images (docs/target.md).
+The camera looks along an ideal collimator's axis at the middle of the tag, without roll. No result depends on these
+numbers; limits of warnings were measured on simulated images (docs/target.md).
 """
 
 from __future__ import annotations
@@ -66,10 +65,7 @@ class TargetUse:
 def optics_of(
     station: Station, *, focal_length_mm: float | None, r_mm: float | None, pixel_um: float | None
 ) -> Optics:
-    """Return lens, sensor and beam: as given, or else from ``expected`` and ``collimator`` of a station.
-
-    ``pixel_um`` is the side of a pixel, None that of the IMX636. `UsageError`: a value is stated nowhere.
-    """
+    """Return optics as given, or else of ``expected`` and ``collimator``; `UsageError` if a value is stated nowhere."""
     expected, collimator = station.expected, station.collimator
     certificate = collimator.certificate
     stated = certificate.r_mm if certificate is not None and not isinstance(certificate, str) else None
@@ -96,8 +92,7 @@ def optics_of(
 def use_of(target: TargetConfig, optics: Optics) -> TargetUse:
     """Return what a target, a section of a station, is good for with a lens and a collimator.
 
-    A place X mm off the axis of the collimator is seen in the direction X / r, and lies f X / r px off the middle of
-    the image (Hartley and Zisserman, 2004, section 6.1).
+    X mm off the axis are seen in the direction X / r, f X / r px off the middle (Hartley and Zisserman, 2004, 6.1).
     """
     pattern = target.pattern()
     px_per_mm = optics.focal_px / optics.r_mm
