@@ -35,7 +35,7 @@ _RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
 _LONGEST = 10.0
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
 _LIMIT_SIGMAS = 3.5
-#: Smallest scale of the weights, sigmas: points without any noise all count.
+#: Smallest median length of the residuals, sigmas: points without any noise all count.
 _LEAST_LENGTH = 1e-9
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
@@ -395,13 +395,12 @@ class _ViewEquations:
 
 def robust_weights(lengths: Array, limit: float) -> Array:
     """Return the weights of stars: 1 for small residuals, falling smoothly beyond 3.5 sigma."""
-    scale = max(_LIMIT_SIGMAS * limit, _LEAST_LENGTH)
-    return np.asarray(1.0 / (1.0 + (lengths / scale) ** 6))
+    return np.asarray(1.0 / (1.0 + (lengths / (_LIMIT_SIGMAS * limit)) ** 6))
 
 
 def robust_sigma(lengths: Sequence[Array]) -> float:
     """Return the sigma of the stars over the stated one, from the median length of their residuals."""
-    return float(np.median(np.concatenate(list(lengths)))) / _RAYLEIGH_MEDIAN
+    return max(float(np.median(np.concatenate(list(lengths)))), _LEAST_LENGTH) / _RAYLEIGH_MEDIAN
 
 
 def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:
