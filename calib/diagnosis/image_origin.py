@@ -7,30 +7,29 @@ shift to first order, so only good views decide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.gross_stars import typical_noise_px
-from calib.diagnosis.linearised import ShiftEquations, image_shifts, plain_bundle
-from calib.model.median import RAYLEIGH_MEDIAN, median
+from calib.diagnosis.linearised import (
+    ShiftEquations,
+    image_shifts,
+    independent_components,
+    plain_bundle,
+    rms_px,
+)
+from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.view import View
 
+Array = NDArray[np.float64]
+
 HALF_PX = 0.5
-#: The offset of the views that have another origin must be known to this 1-sigma, px. Agreement and contradiction are
-#: judged in sigmas.
-_MAX_SIGMA_PX = 0.25
-_AGREES = 3.0
-_CONTRADICTS = 5.0
-#: A view joins those with another origin if that lowers the weighted squares by this much.
-_JOINS = 6.0
-#: Residuals above this multiple of the noise of neighbouring stars are mostly systematic. They vary slowly over a view,
-#: so a view counts as this number of independent stars.
-_SYSTEMATIC = 1.3
-_INDEPENDENT = 10
 _STARS = 400
 
 
@@ -59,70 +58,47 @@ def find_other_origins(
 ) -> OtherOrigin | None:
     """Look for views whose points lie half a pixel away from those of the other views, along both axes.
 
-    Views join the shifted ones, one by one, as long as each lowers the squares of the linearised adjustment. The result
-    counts if the common offset of the joined views is half a pixel within 3 sigma along both axes, and zero is 5 sigma
-    away. One view alone is seldom enough, because its own rotation imitates a shift. Own procedure. It takes three or
-    more views without gross errors, and a model with one centre. None if all agree, or if the views cannot decide.
+    Views join the shifted ones, one by one, and the likelihood ratio decides how many of them lie half a pixel off, at
+    most half of them. An offset of another size must not be decisively more likely. One view alone is seldom enough,
+    because its own rotation imitates a shift. Own procedure. It takes three or more views without gross errors, and a
+    model with one centre. None if all agree, or if the views cannot decide.
     """
-    if len(views) < 3 or not np.isfinite(typical_noise_px(views)):
+    noise = typical_noise_px(views)
+    if len(views) < 3 or not np.isfinite(noise):
         return None
     plain = plain_bundle(bundle, _STARS)
     equations = image_shifts(plain, parameters)
-    factor = _variance_factor(views, plain, parameters)
-    found = max((_joined(equations, sign, factor) for sign in (1, -1)), key=lambda one: one[0])
-    gain, members, sign = found
-    if not gain > _CONTRADICTS**2:
+    count = independent_components(plain, rms_px(plain, parameters), noise)
+    ratio, shift = max((_joined(equations, by, count) for by in (HALF_PX, -HALF_PX)), key=lambda one: one[0])
+    if not ratio > 0.0:
         return None
     # Offsets of the joined views along each axis, from the equations restricted to these views.
-    pattern = np.zeros((2, len(views), 2))
-    pattern[0, members, 0] = pattern[1, members, 1] = 1.0
+    pattern = np.stack([shift * axis for axis in np.eye(2)]) / HALF_PX
     normal = np.einsum("anx,nxmy,bmy->ab", pattern, equations.information, pattern)
-    offset = np.linalg.solve(normal, np.einsum("anx,nx->a", pattern, equations.gradient))
-    sigmas = np.sqrt(np.diag(np.linalg.inv(normal)) * factor)
-    if not (np.abs(offset - sign * HALF_PX) <= _AGREES * sigmas).all() or sigmas.max() > _MAX_SIGMA_PX:
+    right = np.einsum("anx,nx->a", pattern, equations.gradient)
+    variance = float(equations.squares_after(shift[None])[0]) / count
+    offset = np.linalg.solve(normal, right)
+    away = offset - HALF_PX
+    if away @ normal @ away > DECISIVE * variance:
         return None
-    names = tuple(views[i].name for i in members)
-    return OtherOrigin(names, (float(offset[0]), float(offset[1])), float(sigmas.max()))
+    members, sigmas = np.flatnonzero(shift[:, 0]).tolist(), np.sqrt(np.diag(np.linalg.inv(normal)) * variance)
+    x, y = offset * np.sign(shift[members[0], 0])
+    return OtherOrigin(tuple(views[i].name for i in members), (float(x), float(y)), float(sigmas.max()))
 
 
-def _joined(equations: ShiftEquations, sign: int, factor: float) -> tuple[float, list[int], int]:
-    """Return the gain of a half-pixel offset of the best group of views, the group, and the sign of the offset.
-
-    The gain is the fall of the weighted squares over their variance. At most half of the views join.
-    """
-    n = len(equations.gradient)
-    score = sign * HALF_PX * equations.gradient.sum(axis=1)
-    information = HALF_PX**2 * equations.information.sum(axis=(1, 3))
-    members: list[int] = []
-    gain = 0.0
-    while len(members) < n // 2:
-        gains = {
-            i: (2.0 * score[at].sum() - information[np.ix_(at, at)].sum()) / factor
-            for i in range(n)
-            if i not in members
-            for at in [[*members, i]]
-        }
-        best = max(gains, key=lambda i: gains[i])
-        if gains[best] - gain < _JOINS:
-            break
-        members, gain = sorted([*members, best]), float(gains[best])
-    return gain, members, sign
-
-
-def _spread(bundle: Bundle, parameters: AdjustmentParameters) -> float:
-    """Return the robust standard deviation per axis of the weighted residuals."""
-    lengths = np.linalg.norm(bundle.weighted_residuals(parameters), axis=1)
-    return median(lengths) / RAYLEIGH_MEDIAN
-
-
-def _variance_factor(views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters) -> float:
-    """Return the variance of a weighted residual component, enlarged if the residuals are mostly systematic."""
-    variance = _spread(bundle, parameters) ** 2
-    noise = np.nan_to_num(typical_noise_px(views)) * bundle.observations.sigmas_per_px
-    if not variance > (_SYSTEMATIC * noise) ** 2:
-        return max(variance, noise**2)
-    stars = len(bundle.observations.view) / len(bundle.observations.slices)
-    return noise**2 + (variance - noise**2) * max(1.0, stars / _INDEPENDENT)
+def _joined(equations: ShiftEquations, by: float, count: float) -> tuple[float, Array]:
+    """Return 2 log(likelihood ratio) of the best group of views, beyond what is needed, and the (n, 2) shifts, px."""
+    views = len(equations.gradient)
+    shift, best = np.zeros((views, 2)), (-np.inf, np.zeros((views, 2)))
+    for size in range(1, views // 2 + 1):
+        tried = np.array(
+            [np.where(np.eye(views)[i][:, None] > 0, by, shift) for i in range(views) if not shift[i, 0]]
+        )
+        squares = equations.squares_after(tried)
+        shift, least = tried[squares.argmin()], max(float(squares.min()), 1e-9 * equations.squares)
+        ratio = count * float(np.log(equations.squares / least)) - needed(2 * math.comb(views, size))
+        best = max(best, (ratio, shift), key=lambda one: one[0])
+    return best
 
 
 def _words(offset: Sequence[float]) -> str:

@@ -6,7 +6,6 @@ them: joint adjustments of all views are compared. If two hypotheses do about as
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +17,8 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.gross_stars import typical_noise_px
-from calib.diagnosis.linearised import plain_bundle, target_shifts
+from calib.diagnosis.linearised import independent_components, plain_bundle, rms_px, target_shifts
+from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
 from calib.view import View
 
@@ -26,15 +26,9 @@ Array = NDArray[np.float64]
 
 #: Shifts up to this number of columns and rows are tried.
 MAX_SHIFT = 2
-#: A shift is accepted if it lowers -2 log(likelihood) by this much, and two shifts that differ by less than
-#: `_SEPARABLE` cannot be separated. The likelihood is that of Gaussian residuals of one unknown variance.
-_ACCEPTED = 40.0
-_SEPARABLE = 15.0
-#: Residuals above this multiple of the noise that neighbouring stars show are mostly systematic. They vary slowly over
-#: a view and resemble each other in all views, so they count as this number of independent components: the residuals
-#: must fall to 60 %. With more components, sound views of a real collimator were called wrong.
-_SYSTEMATIC = 1.3
-_INDEPENDENT = 40
+_SHIFTS = [
+    (i, j) for i in range(-MAX_SHIFT, MAX_SHIFT + 1) for j in range(-MAX_SHIFT, MAX_SHIFT + 1) if i or j
+]
 #: Number of stars of each view that take part, of hypotheses that are adjusted, and of steps.
 _STARS = 120
 _ADJUSTED = 4
@@ -116,15 +110,16 @@ def find_shifted_ids(
     start = AdjustmentParameters(
         parameters.camera, parameters.collimator, parameters.rotations, np.zeros((len(views), 3))
     )
-    rms = _rms_px(bundle, start)
+    rms, limit = rms_px(bundle, start), needed(len(views) * len(_SHIFTS))
     first_rms, accepted, rivals = rms, list[_Shift](), tuple[_Shift, ...]()
     for _ in range(max(1, (len(views) - 1) // 2)):
         taken = {place for place, _ in accepted}
-        tried = _best_shifts(bundle, start, pitch, taken, _weight(bundle, rms, noise))
-        if not tried or _gain(bundle, rms, tried[0][0], noise) < _ACCEPTED:
+        count = independent_components(bundle, rms, noise)
+        tried = _best_shifts(bundle, start, pitch, taken, float(np.exp(0.5 * limit / count)))
+        if not tried or _ratio(bundle, rms, tried[0][0], noise) < limit:
             break
         least = tried[0][0]
-        rivals = tuple(one for found, one, *_ in tried[1:] if _gain(bundle, found, least, noise) < _SEPARABLE)
+        rivals = tuple(one for found, one, *_ in tried[1:] if _ratio(bundle, found, least, noise) < DECISIVE)
         rms, shift, bundle, start = tried[0]
         accepted.append(shift)
     if not accepted:
@@ -137,22 +132,15 @@ def find_shifted_ids(
     )
 
 
-def _weight(bundle: Bundle, rms: float, noise: float) -> float:
-    """Return the number of independent residual components if the rms length of residual vectors is as given, px."""
-    obs = bundle.observations
-    components = max(2 * len(obs.view) - len(bundle.names) - 3 * len(obs.slices), 0)
-    systematic = rms / np.sqrt(2.0) > _SYSTEMATIC * noise
-    return float(min(components, _INDEPENDENT) if systematic else components)
+def _ratio(bundle: Bundle, before: float, after: float, noise: float) -> float:
+    """Return 2 log(likelihood ratio) of residuals whose rms falls from one value to another.
 
-
-def _gain(bundle: Bundle, before: float, after: float, noise: float) -> float:
-    """Return how much -2 log(likelihood) falls if the rms of the residuals falls from one value to another.
-
-    For Gaussian residuals of an unknown variance it is n log(before^2 / after^2).
+    For n Gaussian residuals of an unknown variance it is n log(before^2 / after^2).
     """
     # An exact fit is no better than rounding allows.
     least = 1e-6
-    return _weight(bundle, after, noise) * 2.0 * float(np.log(max(before, least) / max(after, least)))
+    count = independent_components(bundle, after, noise)
+    return 2.0 * count * float(np.log(max(before, least) / max(after, least)))
 
 
 _Shift = tuple[int, tuple[int, int]]
@@ -180,36 +168,26 @@ def _lattice_pitch(views: Sequence[View]) -> float | None:
     return pitch
 
 
-def _rms_px(bundle: Bundle, parameters: AdjustmentParameters) -> float:
-    """Return the rms length of the residual vectors, px; infinite if a star cannot be projected."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        rms = float(np.sqrt((bundle.residuals_px(parameters) ** 2).sum(axis=1).mean()))
-    return rms if np.isfinite(rms) else float("inf")
-
-
 def _best_shifts(
-    bundle: Bundle, start: AdjustmentParameters, pitch: float, taken: set[int], weight: float
+    bundle: Bundle, start: AdjustmentParameters, pitch: float, taken: set[int], fall: float
 ) -> list[tuple[float, _Shift, Bundle, AdjustmentParameters]]:
     """Return the best shifts of one more view, the best first: rms of the residuals, shift, bundle and optimum.
 
-    The list is empty if the linearised adjustment does not promise half of the gain that is needed.
+    The list is empty if the linearised adjustment does not promise that the squares fall by a factor.
     """
-    equations = target_shifts(bundle, start)
-    steps = range(-MAX_SHIFT, MAX_SHIFT + 1)
-    shifts = [(i, j) for i, j in itertools.product(steps, steps) if i or j]
-    now = equations.squares
-    hypotheses: list[tuple[float, _Shift]] = []
-    for place in set(range(len(equations.gradient))) - taken:
-        squares = equations.squares_after(place, pitch * np.array(shifts, float)).tolist()
-        hypotheses += [(one, (place, shift)) for one, shift in zip(squares, shifts, strict=True)]
-    hypotheses.sort()
-    if not hypotheses or weight * np.log(now / max(hypotheses[0][0], 1e-9 * now)) < 0.5 * _ACCEPTED:
+    equations, views = target_shifts(bundle, start), len(bundle.observations.slices)
+    hypotheses = [(place, shift) for place in range(views) if place not in taken for shift in _SHIFTS]
+    shifts = np.zeros((len(hypotheses), views, 2))
+    for k, (place, shift) in enumerate(hypotheses):
+        shifts[k, place] = pitch * np.array(shift)
+    squares = equations.squares_after(shifts)
+    if not equations.squares > fall * squares.min():
         return []
     found = []
-    for _, (place, shift) in hypotheses[:_ADJUSTED]:
+    for place, shift in [hypotheses[k] for k in np.argsort(squares)[:_ADJUSTED]]:
         moved = _moved(bundle, place, pitch * np.array(shift))
         end = refine(moved, start, Loss("l2"), _STEPS, _TOLERANCE).parameters
-        found.append((_rms_px(moved, end), (place, shift), moved, end))
+        found.append((rms_px(moved, end), (place, shift), moved, end))
     return sorted(found, key=lambda one: one[0])
 
 
