@@ -1,6 +1,6 @@
 """Model of a gimbal: what its readings and its errors say about the rotation of its head.
 
-The head turns by Rz(roll) Rx(tilt) Rz(squareness) Ry(pan). Each axis can have a scale and slips.
+The head turns by Rz(roll) Rx(tilt) Rz(squareness) Ry(pan). Each axis can have a scale, and the gimbal can have faults.
 
 The angle of a relative rotation does not depend on how the camera is mounted or where the gimbal stands. So pairs of
 poses show the scale of each axis without any other estimate, and a robust estimator survives single bad poses.
@@ -9,8 +9,8 @@ poses show the scale of each axis without any other estimate, and a robust estim
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,69 +31,74 @@ _STEPS = 40
 _MAD = 1.4826
 
 
+FaultKind = Literal["slip", "pose", "squareness"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that a gimbal can have.
+
+    ``slip``: the readings of an axis are off by a constant from a pose on. ``pose``: one pose does not fit.
+    ``squareness``: the axes of pan and tilt are not at right angles.
+    """
+
+    kind: FaultKind
+    axis: int = 0  # Index of the axis that slipped
+    pose: int = 0  # Index of the first pose after the slip, or of the pose that does not fit
+
+    @property
+    def size(self) -> int:
+        """Number of its parameters, rad: a wrong pose has a rotation vector."""
+        return 3 if self.kind == "pose" else 1
+
+    def columns(self, motors: Array, leaning: Array) -> Array:
+        """Return (n, 3, size) derivatives of the rotations, from the axes as `Gimbal.turned` returns them."""
+        if self.kind == "squareness":
+            return leaning[:, :, None]
+        if self.kind == "slip":
+            return np.asarray(
+                motors[:, :, [self.axis]] * (np.arange(len(motors)) >= self.pose)[:, None, None]
+            )
+        return np.asarray(np.eye(3) * (np.arange(len(motors)) == self.pose)[:, None, None])
+
+
 @dataclass(frozen=True, eq=False)
 class GimbalModel:
-    """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, and the errors of it that are estimated.
-
-    A slip has the index of its axis and of the first pose after it; squareness is the error of the right angle of pan
-    and tilt; smooth is an error of the rotations that is quadratic in the angles.
-    """
+    """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, axes with a free scale, and faults."""
 
     angles: Array
     free: tuple[int, ...]
-    slips: tuple[tuple[int, int], ...] = ()
-    squareness: bool = False
-    smooth: bool = False
-
-    @property
-    def parameter_count(self) -> int:
-        """Number of parameters beside the rotations A and B."""
-        return len(self.free) + len(self.slips) + self.squareness + self.bends.shape[2]
+    faults: tuple[Fault, ...] = ()
 
     @property
     def start(self) -> Array:
-        """(p,) float64 values of an ideal gimbal."""
-        values = np.zeros(self.parameter_count)
-        values[: len(self.free)] = 1.0
-        return values
+        """(p,) float64 values of an ideal gimbal: scales, then the parameters of each fault, rad."""
+        return np.append(np.ones(len(self.free)), np.zeros(sum(fault.size for fault in self.faults)))
 
-    @cached_property
-    def bends(self) -> Array:
-        """(n, 3, m) float64 quadratic functions of the angles, as rotation vectors; m is 0 or 3 a function."""
-        if not self.smooth:
-            return np.zeros((len(self.angles), 3, 0))
-        x = self.angles - self.angles.mean(axis=0)
-        x = x / np.maximum(np.abs(x).max(axis=0), 1e-9)
-        moved = [i for i in range(3) if np.ptp(self.angles[:, i]) > 0]
-        products = [x[:, i] * x[:, j] for k, i in enumerate(moved) for j in moved[k:]]
-        return np.concatenate([column[:, None, None] * np.eye(3) for column in products], axis=2)
+    def of(self, fault: Fault, values: Array) -> Array:
+        """Return the (size,) part of (p, ...) values that belongs to a fault."""
+        at = self.faults.index(fault)
+        first = len(self.free) + sum(one.size for one in self.faults[:at])
+        return values[first : first + fault.size]
 
-    def subset(self, kept: NDArray[np.int64]) -> GimbalModel:
-        """Return the model of (k,) poses, increasing; a slip begins at the first kept pose after it."""
-        slips = tuple((axis, int(np.searchsorted(kept, first))) for axis, first in self.slips)
-        return replace(self, angles=self.angles[kept], slips=slips)
+    def turned(self, values: Array) -> tuple[Array, Array, Array]:
+        """Return (n, 3, 3) rotations, head <- base, and the axes that turn them, as `Gimbal.turned`, at (p,) values."""
+        read, square = np.deg2rad(self.angles), 0.0
+        read[:, list(self.free)] *= values[: len(self.free)]
+        for fault in self.faults:
+            if fault.kind == "slip":
+                read[fault.pose :, fault.axis] += self.of(fault, values)[0]
+            elif fault.kind == "squareness":
+                square = float(self.of(fault, values)[0])
+        return Gimbal(non_orthogonality=square).turned(np.rad2deg(read))
 
-    def heads(self, values: Array) -> tuple[Array, Array]:
-        """Return the (n, 3, 3) rotations, head <- base, by readings and errors, and their (n, 3, d) derivatives.
-
-        The derivatives are rotation vectors about the head's axes. The (p,) values are scales, slips, squareness and
-        coefficients of the bends (rad); derivatives are by those before these.
-        """
-        read, count = np.deg2rad(self.angles), len(self.free)
-        turned = read.copy()
-        turned[:, list(self.free)] *= values[:count]
-        after = [np.arange(len(read)) >= first for _, first in self.slips]
-        for (axis, _), later, slip in zip(self.slips, after, values[count:], strict=False):
-            turned[later, axis] += slip
-        square = values[count + len(self.slips)] if self.squareness else 0.0
-        heads, motors, leaning = Gimbal(non_orthogonality=float(square)).turned(np.rad2deg(turned))
-        columns = [motors[:, :, axis] * read[:, axis, None] for axis in self.free]
-        columns += [
-            motors[:, :, axis] * later[:, None] for (axis, _), later in zip(self.slips, after, strict=True)
-        ]
-        if self.squareness:
-            columns.append(leaning)
-        return heads, np.stack(columns, axis=2) if columns else np.zeros((len(read), 3, 0))
+    def errors(self, values: Array) -> Array:
+        """Return (n, 3) rotation vectors, rad, about the camera's axes by which poses do not fit."""
+        errors = np.zeros((len(self.angles), 3))
+        for fault in self.faults:
+            if fault.kind == "pose":
+                errors[fault.pose] = self.of(fault, values)
+        return errors
 
 
 @dataclass(frozen=True)
@@ -110,19 +115,18 @@ class PairRatios:
     estimator: Mapping[int, Array] = field(repr=False)
 
 
-def pair_ratios(
-    rotations: Array, model: GimbalModel, covariance: Array, offsets: Array | None = None
-) -> PairRatios | None:
-    """Compare seen and read angles of all pairs of poses; None if no pair turned by half a degree or more.
+def pair_ratios(rotations: Array, model: GimbalModel, covariance: Array, values: Array) -> PairRatios | None:
+    """Compare seen and read angles of all pairs of poses that fit; None if none turned by half a degree or more.
 
     The ratio of each axis minimises the sum of the absolute differences of the angles (least absolute deviations, by
     iteratively reweighted least squares; Holland and Welsch, 1977). Rotations are camera <- target, covariances of
-    rotation vectors (3 n, 3 n), rad^2; offsets are (s,) slips, rad.
+    rotation vectors (3 n, 3 n), rad^2; of the (p,) values of the model, the scales do not matter.
     """
-    i, j = np.triu_indices(len(rotations), 1)
+    fits = [pose for pose in range(len(rotations)) if Fault("pose", pose=pose) not in model.faults]
+    i, j = np.array(fits)[np.array(np.triu_indices(len(fits), 1))]
     turns = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))
     seen = np.linalg.norm(turns, axis=1)
-    read = _read(model, np.ones(len(model.free)), offsets, i, j)
+    read = _read(model, np.ones(len(model.free)), values, i, j)
     used = (read > np.deg2rad(_MOVED_DEG)) & (np.maximum(seen, read) < np.deg2rad(_LARGEST_TURN_DEG))
     used &= seen > 0
     if not used.any():
@@ -138,7 +142,7 @@ def pair_ratios(
     by_pose[rows, i] += directions
     by_pose[rows, j] -= directions
     answer = by_pose.reshape(len(seen), -1)
-    by_axis, estimator = _regression(model, offsets, middle, (i, j, seen), answer)
+    by_axis, estimator = _regression(model, values, middle, (i, j, seen), answer)
     sigma = {axis: float(np.sqrt(row @ covariance @ row)) for axis, row in estimator.items()}
     return PairRatios(float(middle), float(spread), len(seen), by_axis, sigma, estimator)
 
@@ -151,20 +155,16 @@ def weighted_median(values: Array, weights: Array) -> float:
 
 
 def _read(
-    model: GimbalModel, scales: Array, offsets: Array | None, i: NDArray[np.int_], j: NDArray[np.int_]
+    model: GimbalModel, scales: Array, values: Array, i: NDArray[np.int_], j: NDArray[np.int_]
 ) -> Array:
-    """Return the angle between the heads of each pair, rad."""
-    values = model.start
-    values[: len(model.free)] = scales
-    if offsets is not None:
-        values[len(scales) : len(scales) + len(offsets)] = offsets
-    heads, _ = model.heads(values)
+    """Return the angle between the heads of each pair, rad, with other scales than those of the (p,) values."""
+    heads, _, _ = model.turned(np.append(scales, values[len(scales) :]))
     return np.asarray(np.linalg.norm(log_map(heads[i] @ np.swapaxes(heads[j], 1, 2)), axis=1))
 
 
 def _regression(
     model: GimbalModel,
-    offsets: Array | None,
+    values: Array,
     start: float,
     pairs: tuple[NDArray[np.int_], NDArray[np.int_], Array],
     answer: Array,
@@ -178,11 +178,11 @@ def _regression(
     weights = np.ones(len(seen))
     slopes = np.zeros((len(seen), count))
     for _ in range(_STEPS):
-        read = _read(model, scales, offsets, i, j)
+        read = _read(model, scales, values, i, j)
         for k in range(count):
             shifted = scales.copy()
             shifted[k] += 1e-6
-            slopes[:, k] = (_read(model, shifted, offsets, i, j) - read) / 1e-6
+            slopes[:, k] = (_read(model, shifted, values, i, j) - read) / 1e-6
         off = seen - read
         weights = 1.0 / np.maximum(np.abs(off), max(0.1 * float(np.median(np.abs(off))), 1e-9))
         step = np.linalg.lstsq(slopes * np.sqrt(weights)[:, None], off * np.sqrt(weights), rcond=1e-9)[0]

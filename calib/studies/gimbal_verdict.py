@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import special
 
-from calib.studies.gimbal_faults import FaultKind, GimbalFault
-from calib.studies.gimbal_model import PairRatios
+from calib.model.likelihood_ratio import DECISIVE
+from calib.studies.gimbal_faults import GimbalFault
+from calib.studies.gimbal_model import FaultKind, PairRatios
 
 VerdictKind = Literal[
     "agrees",
@@ -37,9 +37,6 @@ AXIS_NAMES = ("pan", "tilt", "roll")
 PARALLAX = 0.015
 #: Views disagree if they differ this many times more than star noise explains.
 _DISAGREE = 1.5
-#: One-sided probability beyond 3 sigma.
-_BEYOND = 0.00135
-_SIGMAS = 3.0
 #: A common ratio this near to 1 and within the U of the focal length is agreement.
 _SMALL = 1e-3
 
@@ -88,15 +85,6 @@ class Findings:
         return self.birge_ratio > _DISAGREE
 
     @property
-    def claimed_faults(self) -> tuple[GimbalFault, ...]:
-        """Faults that no smooth error of biased views can imitate."""
-        return tuple(
-            fault
-            for fault in self.faults
-            if not self.views_disagree or fault.bends_excluded or fault.kind == "pose"
-        )
-
-    @property
     def scale_known(self) -> bool:
         """Whether a scale may be stated."""
         return bool(self.scale) and not (self.contradicted or self.ambiguous)
@@ -109,8 +97,7 @@ def judge(found: Findings) -> Verdict:
     for fault in found.faults:
         kind, sentence = _fault(found, fault)
         says.append(sentence)
-        if fault in found.claimed_faults:
-            kinds.append(kind)
+        kinds.append(kind)
     if found.reversed_axes:
         kinds.append("wrong_sign")
         says.append(
@@ -193,12 +180,7 @@ def _fault(found: Findings, fault: GimbalFault) -> tuple[VerdictKind, str]:
         sentence = f"{pose[0].upper()}{pose[1:]} does not fit: reading and rotation differ by {size}"
     else:
         sentence = f"The axes of pan and tilt are not at right angles: they differ from it by {size}"
-    if fault not in found.claimed_faults:
-        sentence = (
-            "Not claimed, because the views contradict each other, and a smooth error of the rotations can imitate "
-            f"this: {sentence[0].lower()}{sentence[1:]}"
-        )
-    elif fault.rival is not None:
+    if fault.rival is not None:
         rival = {"slip": "a slipped axis", "pose": "one wrong pose", "squareness": "axes not at right angles"}
         sentence += f"; {rival[fault.rival]} explains the data nearly as well"
     return _KINDS[fault.kind], f"{sentence}."
@@ -221,11 +203,9 @@ def _of_pairs(found: Findings) -> str:
 
 
 def _significant(found: Findings, size: float, sigma: float) -> bool:
-    """Return whether a value exceeds 3 sigma; Student's distribution if the scatter was estimated."""
-    factor = _SIGMAS
-    if found.excess_deg > 0:
-        factor = float(special.stdtrit(max(found.degrees_of_freedom, 1), 1 - _BEYOND))
-    return size > factor * sigma
+    """Return whether the likelihood ratio decides for a value; that of Student's distribution if there is scatter."""
+    ratio, freedom = (size / max(sigma, 1e-12)) ** 2, max(found.degrees_of_freedom, 1)
+    return bool((freedom * np.log1p(ratio / freedom) if found.excess_deg > 0 else ratio) > DECISIVE)
 
 
 def _common_to_pairs(found: Findings) -> float:
@@ -264,7 +244,7 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
     if by_pairs and found.pairs is not None:
         off, common = seen_off, found.pairs.ratio
     own_sigma = 1 / float(np.sqrt((own**-2).sum()))
-    shown = found.views_disagree or by_pairs or _significant(found, off, own_sigma)
+    shown = by_pairs or _significant(found, off, own_sigma)
     if not differ and (not shown or (off <= focal and off < _SMALL)):
         return "agrees", seen
     if off <= focal and (not differ or found.views_disagree):

@@ -18,18 +18,12 @@ from scipy import special
 
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, angles_of
+from calib.model.likelihood_ratio import DECISIVE
 from calib.studies.gimbal_faults import GimbalFault, search_faults
+from calib.studies.gimbal_likelihood import Explanation, SeenRotations
 from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
-from calib.studies.hand_eye_fit import (
-    INCONSISTENT,
-    Explanation,
-    GimbalFit,
-    SeenRotations,
-    first_explanation,
-    global_fit,
-    scales_near,
-)
+from calib.studies.hand_eye_fit import GimbalFit, global_fit, refine, scales_near
 from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
@@ -39,12 +33,10 @@ _MIN_VIEWS = 3
 _MOVED_DEG = 0.5
 #: The scale of the fit contradicts the pairs beyond this many sigmas of their difference.
 _CONTRADICTED = 5.0
-#: Another minimum is a rival if its chi-square is larger by less than this (3 sigma).
-_RIVAL = 9.0
+#: Probability that the readings of a gimbal without errors do not agree.
+_INCONSISTENT = 1e-3
 #: A scale with a larger 1-sigma is not determined.
 _UNDETERMINED = 0.25
-#: Mirrored readings are better if the criterion is smaller by this (Raftery, 1995: very strong).
-_MIRRORED = 10.0
 #: Minima differ if their scales or mountings differ by this many sigmas.
 _DIFFERENT = 5.0
 
@@ -71,9 +63,7 @@ class HandEyeCheck:
     # not explain, arc seconds.
     excess_arcsec: float
     pairs: PairRatios | None  # Ratios from the pairs of poses; None if no pair turned far enough
-    faults: tuple[GimbalFault, ...]  # Faults found, claimed or not
-    # Those of them that no smooth error of biased views can imitate.
-    claimed_faults: tuple[GimbalFault, ...]
+    faults: tuple[GimbalFault, ...]
     verdict: Verdict
 
     @property
@@ -84,7 +74,7 @@ class HandEyeCheck:
     @property
     def consistent(self) -> bool:
         """Whether the chi-square is below its 99.9 % quantile."""
-        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), INCONSISTENT))
+        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), _INCONSISTENT))
 
 
 @on_one_thread
@@ -119,22 +109,27 @@ def check_hand_eye(
     given = tuple(i for i, axis in enumerate(AXES) if any(axis in reading for reading in readings_deg))
     enough = 3 * len(angles) > 6 + moved.sum()
     free = tuple(int(i) for i in np.flatnonzero(moved)) if enough else ()
-    model, seen = GimbalModel(angles, free), SeenRotations(rotations, covariance)
-    raw = pair_ratios(rotations, model, covariance)
+    model = GimbalModel(angles, free)
+    raw = pair_ratios(rotations, model, covariance, model.start)
     ratio = raw.ratio if raw else 1.0
     values = np.array([raw.by_axis.get(axis, ratio) if raw else 1.0 for axis in free])
-    first = first_explanation(seen, model, values)
+    equal = np.eye(len(covariance))
+    start = global_fit(rotations, model, equal, values)[0]
+    seen = SeenRotations(rotations, covariance, start)
+    first = seen.explain(model, start)
     mirrored = False
     if 2 in free and len(free) > 1:
-        other = first_explanation(seen, replace(model, angles=angles * (1.0, 1.0, -1.0)), values)
-        better = other.criterion < first.criterion - _MIRRORED or not scales_near(first.fit, values)
+        model = replace(model, angles=angles * (1.0, 1.0, -1.0))
+        other = seen.explain(model, global_fit(rotations, model, equal, values)[0])
+        better = other.likelihood > first.likelihood + DECISIVE or not scales_near(first.fit, values)
         mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
-    pairs = _pairs_of(seen, last) or raw
+    pairs = pair_ratios(rotations, last.fit.model, last.scatter.covariance, last.fit.values) or raw
     found = _findings(seen, last, pairs, faults, mirrored)
     found = replace(found, names=tuple(names), focal_uncertainty=focal_uncertainty, birge_ratio=birge_ratio)
-    stated = seen.chi_square(first, 0.0)
+    turns = first.fit.camera_from_head, first.fit.base_from_target
+    stated = refine(rotations, first.fit.model, seen.stated.whitening, (*turns, first.fit.values)).chi_square
     return HandEyeCheck(
         {AXES[axis]: value for axis, value in found.scale.items()} if found.scale_known else {},
         {AXES[axis]: value for axis, value in found.scale_sigma.items()} if found.scale_known else {},
@@ -144,19 +139,11 @@ def check_hand_eye(
         ARCSEC * np.sqrt(np.diag(covariance)).reshape(-1, 3),
         stated,
         first.fit.degrees_of_freedom(),
-        ARCSEC * last.excess_rad,
+        ARCSEC * last.excess_rad if last.scattered else 0.0,
         pairs,
         faults,
-        found.claimed_faults,
         judge(found),
     )
-
-
-def _pairs_of(seen: SeenRotations, last: Explanation) -> PairRatios | None:
-    """Return the ratios of the pairs of poses that are kept, with slips allowed for."""
-    model, count = last.fit.model, len(last.fit.model.free)
-    offsets = last.fit.values[count : count + len(model.slips)] if model.slips else None
-    return pair_ratios(seen.rotations[last.kept], model, last.metric.covariance, offsets)
 
 
 def _findings(
@@ -167,14 +154,14 @@ def _findings(
     mirrored: bool,
 ) -> Findings:
     """Collect what the verdict is made of."""
-    fit, metric = last.fit, last.metric
+    fit, covariance = last.fit, last.scatter.covariance
     free = fit.model.free
-    estimator = fit.estimator(metric)[6 : 6 + len(free)]
-    spread = estimator @ metric.covariance @ estimator.T
+    estimator = fit.estimator(last.scatter.whitening)[6 : 6 + len(free)]
+    spread = estimator @ covariance @ estimator.T
     sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
     freedom = fit.degrees_of_freedom()
     # Shared errors have few, large eigenvalues; the median is the variance that is a rotation's own.
-    scatter = max(fit.off @ fit.off / max(freedom, 1), float(np.median(metric.eigenvalues)) + metric.excess)
+    scatter = max(fit.off @ fit.off / max(freedom, 1), float(np.median(np.linalg.eigvalsh(covariance))))
     own = np.sqrt(scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)])
     values = fit.values[: len(free)]
     difference = 0.0
@@ -188,7 +175,7 @@ def _findings(
         if pairs is None or axis not in pairs.by_axis:
             continue
         row = estimator[k] - pairs.estimator[axis]
-        apart_sigma = float(np.sqrt(np.maximum(row @ metric.covariance @ row, 0.0)))
+        apart_sigma = float(np.sqrt(np.maximum(row @ covariance @ row, 0.0)))
         limit = _CONTRADICTED * apart_sigma + 0.1 * abs(pairs.by_axis[axis] - 1) + 1e-7
         contradicted |= bool(abs(values[k] - pairs.by_axis[axis]) > limit)
     whole = freedom == len(fit.off) - fit.jacobian.shape[1]
@@ -204,7 +191,7 @@ def _findings(
         and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
         faults,
-        float(np.rad2deg(last.excess_rad)),
+        float(np.rad2deg(last.excess_rad)) if last.scattered else 0.0,
         freedom,
         None,
         1.0,
@@ -226,14 +213,14 @@ def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> str:
 
 def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array) -> bool:
     """Return whether another minimum with other scales, or another mounting, fits nearly as well."""
-    fit, metric, count = last.fit, last.metric, len(last.fit.model.free)
-    minima = global_fit(seen.rotations[last.kept], fit.model, metric, fit.values)
-    mounted = fit.estimator(metric)[:3]
-    mounting = float(np.sqrt(np.trace(np.asarray(mounted @ metric.covariance @ mounted.T))))
+    fit, scatter, count = last.fit, last.scatter, len(last.fit.model.free)
+    minima = global_fit(seen.rotations, fit.model, scatter.whitening, fit.values)
+    mounted = fit.estimator(scatter.whitening)[:3]
+    mounting = float(np.sqrt(np.trace(np.asarray(mounted @ scatter.covariance @ mounted.T))))
     whole = fit.degrees_of_freedom() == len(fit.off) - fit.jacobian.shape[1]
 
     def differs(other: GimbalFit) -> bool:
-        if not scales_near(other, fit.values) or other.chi_square > fit.chi_square + _RIVAL:
+        if not scales_near(other, fit.values) or other.chi_square > fit.chi_square + DECISIVE:
             return False
         if (np.abs(other.values[:count] - fit.values[:count]) > _DIFFERENT * sigma + 1e-6).any():
             return True
