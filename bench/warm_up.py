@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from bench.base.clock import BenchClock
-from bench.base.home import PARTS, remove_stale_kernels, set_kernel_cache
-from bench.terminal.compiling import compile_missing
+from bench.base.home import PARTS, compile_missing, remove_stale_kernels, set_kernel_cache
 from drivers.errors import RecordingFailed
 
 if TYPE_CHECKING:

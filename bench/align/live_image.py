@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig
-from bench.stations.station_cameras import FrameCameraConfig
 from calib.errors import CalibrationError, FlickerNotFound, TooFewEvents
 from calib.events.event_image import EventImages, make_images
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers

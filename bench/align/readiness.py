@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.align.device_controls import ANSWER_S
-from bench.align.open_bench import Bench
+from bench.align.open_bench import ANSWER_S, Bench
 from bench.align.session import Session
 from bench.base.errors import FORESEEN, Failure
 from bench.plan.plan import Plan, load_documents, make_plan

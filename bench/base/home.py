@@ -1,11 +1,19 @@
-"""Folders outside of runs: the bench's own files (keys, ledger, index of runs, outbox), and compiled event kernels."""
+"""Files outside of runs: the bench's own folder, the program's sources by hash, and its compiled kernels.
+
+By the hashes a verification tells another program from changed evidence: a version number does not identify a working
+copy.
+"""
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import os
+import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, MutableMapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -115,3 +123,86 @@ def _may_write(folder: Path) -> bool:
 
 def _user_name() -> str:
     return str(os.getuid()) if hasattr(os, "getuid") else "user"
+
+
+_PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
+_REPORT = "bench/report"
+_DRAWN_WITH = (
+    "calib/uncertainty/projection_uncertainty.py",
+    "calib/model/camera.py",
+    "calib/model/lens.py",
+)
+"""Modules of the engine that the plots use."""
+_EXPORTED_WITH = (
+    "bench/results/exports.py",
+    "calib/model/camera.py",
+    "calib/model/lens.py",
+)
+_ENDINGS = frozenset({".py", ".j2", ".css"})
+_SHOWN = 16
+
+
+@functools.cache
+def forms() -> dict[str, str]:
+    """Return ``program``, ``report_form``, ``export_form``: 16 digits of the SHA-256 of these files and their names."""
+    import bench
+
+    root = Path(bench.__file__).parent.parent
+    return {
+        "program": _hash(root, (path for package in _PACKAGES for path in _sources(root / package))),
+        "report_form": _hash(root, [*_sources(root / _REPORT), *(root / name for name in _DRAWN_WITH)]),
+        "export_form": _hash(root, (root / name for name in _EXPORTED_WITH)),
+    }
+
+
+def _sources(folder: Path) -> Iterable[Path]:
+    return (path for path in folder.rglob("*") if path.suffix in _ENDINGS)
+
+
+def _hash(root: Path, files: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for name, path in sorted((path.relative_to(root).as_posix(), path) for path in files):
+        data = path.read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{name} {len(data)}\n".encode() + data)
+    return digest.hexdigest()[:_SHOWN]
+
+
+_SAID_EVERY_S = 20.0
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+"""The other processor has work of its own."""
+
+
+def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
+    """Compile the missing parts in processes of their own, and tell; what fails is compiled when it is used."""
+    missing = missing_parts(parts, os.environ)
+    if not missing:
+        return
+    say(
+        f"Compiling loops for this processor, once after an installation or an update ({' and '.join(missing)}): "
+        "half a minute to two minutes, longer on a busy computer."
+    )
+    begun_s = said_s = time.monotonic()
+    running = {
+        part: subprocess.Popen(
+            [sys.executable, "-m", "bench.warm_up", part],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **_ONE_THREAD},
+        )
+        for part in missing
+    }
+    try:
+        while running:
+            for part, process in list(running.items()):
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(0.2)
+                    del running[part]
+                    end = "compiled" if process.returncode == 0 else "could not be compiled beforehand"
+                    say(f"  {part}: {end}, {time.monotonic() - begun_s:.0f} s")
+            if running and time.monotonic() - said_s > _SAID_EVERY_S:
+                said_s = time.monotonic()
+                say(f"  {', '.join(running)}: still compiling, {said_s - begun_s:.0f} s ...")
+    finally:
+        for process in running.values():
+            process.terminate()
+            process.wait()

@@ -8,12 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from bench.cluster.kept_rows import KeptRows, content_key, require_program_of
-from bench.cluster.work import Workers, results_of
+from bench.base.home import forms
+from bench.cluster.work import KeptRows, Workers, content_key, require_program_of, results_of
 from bench.plan.plan import load_documents, make_plan
 from bench.records.storage import storage_errors
 from bench.results.forecasts import expected_bench
-from bench.results.forms import forms
 from bench.stations.station import Station
 from calib.calibration import CalibrationOptions
 from calib.studies.monte_carlo import MonteCarloStudy, Repetition, calibrate_once, study_of

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import FORESEEN, EvidenceError, Failure, StorageError, UsageError
-from bench.cluster.kept_rows import Table, line_of
 from bench.cluster.tasks import (
     ROW_FORMAT,
     FoundView,
@@ -28,7 +27,7 @@ from bench.cluster.tasks import (
     find_view,
     list_recordings,
 )
-from bench.cluster.work import Finished, TimeLeft, Work, Workers, most_handed_out
+from bench.cluster.work import Finished, Table, TimeLeft, Work, Workers, line_of, most_handed_out
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.records.run_folder import RESULTS

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from bench.base.errors import FORESEEN, BenchError, StorageError, UsageError
-from bench.cluster.kept_rows import require_program_of
+from bench.cluster.work import require_program_of
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.records.storage import read_json, sha256_of, storage_errors
 from bench.results.offline import OfflineResult, calibrate_sources, with_kept_views

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, Failure, UsageError
-from bench.cluster.kept_rows import KeptRows, content_key, require_program_of
-from bench.cluster.work import Finished, Workers, map_work
+from bench.base.home import forms
+from bench.cluster.work import Finished, KeptRows, Workers, content_key, map_work, require_program_of
 from bench.evidence.findings import Derivation, Findings, SealFault, Verification
 from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
 from bench.records.storage import sha256_of, storage_errors, sync_folder
-from bench.results.forms import forms
 
 # Many event files converted into one folder: one piece of work each; what is done is known by its content.
 #

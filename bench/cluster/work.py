@@ -1,19 +1,137 @@
 """Pieces of work for one process, for the processes of this computer, or for a Dask scheduler: one interface for all.
 
-A piece of work is a pure function at the top of a module: it may be done again after a worker died.
+A piece of work is a pure function at the top of a module: it may be done again after a worker died. Results are kept on
+the disk, by the hash of all that decides them, as synced lines of JSON; half a line does not count.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
-from bench.base.errors import FORESEEN, BenchError, Failure
+from bench.base.bounded_json import parse_json
+from bench.base.errors import FORESEEN, BenchError, Failure, UsageError
+from bench.base.home import forms
+from bench.records.storage import (
+    MOST_TABLE_BYTES,
+    lock_folder,
+    make_folder,
+    read_bounded,
+    storage_errors,
+    write_all,
+)
+
+# Refuses work of another program. Loads no mathematics.
+
+
+def require_program_of(program: str) -> None:
+    """Refuse work of another program, because its results would differ."""
+    if (here := forms()["program"]) != program:
+        raise BenchError(
+            f"This worker has another Starbench ({here}) than the command ({program}).",
+            remedy="Install the same version on all computers, and restart the workers.",
+        )
+
+
+def content_key(parts: Mapping[str, Any]) -> str:
+    """Return the hash of all that decides a result: 64 hexadecimal digits.
+
+    >>> content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
+    True
+    """
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+class Table:
+    """Rows in one file of a folder, which is made if it does not exist, and holds nothing else without the file."""
+
+    foreign = "The folder holds something else"
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.path = folder / name
+        with storage_errors(folder):
+            inside = folder.iterdir() if folder.is_dir() else ()
+            found = next((one for one in inside if not one.name.startswith(".")), None)
+        if found is not None and not self.path.is_file():
+            raise UsageError(
+                f"{self.foreign}: it contains {found.name}, but no {name}.",
+                where=str(folder),
+                remedy="Choose a new folder.",
+            )
+        make_folder(folder)
+        self._lock = lock_folder(folder)
+        try:
+            self._rows = self._read()
+            with storage_errors(self.path):
+                self._stream = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._stream)
+        os.close(self._lock)
+
+    def _known(self, row: Any) -> tuple[str, Any]:
+        """Return key and value of a line. Raises KeyError, TypeError for a line of another kind."""
+        raise NotImplementedError
+
+    def _append(self, row: Mapping[str, Any]) -> None:
+        """Write a line, synced."""
+        with storage_errors(self.path):
+            write_all(self._stream, line_of(row))
+            os.fsync(self._stream)
+        key, value = self._known(row)
+        self._rows[key] = value
+
+    def _read(self) -> dict[str, Any]:
+        if not self.path.is_file():
+            return {}
+        rows: dict[str, Any] = {}
+        with storage_errors(self.path):
+            data = read_bounded(self.path, MOST_TABLE_BYTES)
+            whole = data[: data.rfind(b"\n") + 1]
+            if len(whole) < len(data):
+                os.truncate(self.path, len(whole))
+        for line in whole.splitlines():
+            with suppress(ValueError, KeyError, TypeError):
+                key, value = self._known(parse_json(line))
+                rows[key] = value
+        return rows
+
+
+def line_of(row: Mapping[str, Any]) -> bytes:
+    """Return a row as a line of the file."""
+    return (json.dumps(row, allow_nan=False) + "\n").encode()
+
+
+class KeptRows(Table):
+    """Results by their key."""
+
+    def get(self, key: str) -> Any:
+        """Return a result of this key as JSON holds it; None if it is not known."""
+        return self._rows.get(key)
+
+    def add(self, key: str, value: Any) -> None:
+        """Keep a result."""
+        self._append({"key": key, "value": value})
+
+    def _known(self, row: Any) -> tuple[str, Any]:
+        return row["key"], row["value"]
+
 
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from bench.base.errors import UsageError
-from bench.base.home import home_folder
+from bench.base.home import forms, home_folder
 from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
 from bench.cluster.tasks import Task, find_places
 from bench.commands.calibrations import engine_options, offline_dict, offline_lines
@@ -20,7 +20,6 @@ from bench.commands.output import JSON, NOT_KEPT, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
 from bench.records.run_facts import coverage_factor, factors_text
 from bench.report.text import unit_text, with_uncertainty, words_for
-from bench.results.forms import forms
 from bench.results.offline_options import OfflineOptions
 from bench.terminal.encoding import clock_text, printable
 from bench.terminal.signals import reliable_interrupts

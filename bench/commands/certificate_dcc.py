@@ -133,7 +133,7 @@ def from_dcc(path: Path, quantity: str, trusted: Path | None) -> int:
     Prints the lines for the station file and for lab.yaml: value, uncertainty, number, date and hash of the
     certificate. Nothing is written.
     """
-    from bench.certificate.dcc_reader import read_reference
+    from bench.certificate.dcc import read_reference
     from bench.certificate.dcc_signature import load_certificates, verify_signature
 
     data = _read(path)

@@ -71,7 +71,7 @@ _CALCULATES = {
     **dict.fromkeys(("run", "resume", "batch"), ("stars", "simulator")),
     **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig", "compare"), ("stars",)),
 }
-"""Parts with compiled loops that a command uses (`bench.terminal.compiling`)."""
+"""Parts with compiled loops that a command uses (`bench.base.home`)."""
 _RENAMED = {
     "recalibrate": "calibrate RUN... --each",
     "hold": "tell RUN hold",
@@ -167,7 +167,7 @@ def _compile_missing(args: list[str]) -> None:
         from bench.base.home import missing_parts
 
         if missing_parts(parts, os.environ):
-            from bench.terminal.compiling import compile_missing
+            from bench.base.home import compile_missing
 
             compile_missing(parts, lambda text: click.echo(text, err=True))
 

@@ -106,8 +106,8 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
     from contextlib import ExitStack
 
-    from bench.cluster.kept_rows import KeptRows
     from bench.cluster.verifications import CONVERTED, convert_many, plan_targets
+    from bench.cluster.work import KeptRows
     from bench.terminal.encoding import printable
     from bench.terminal.signals import reliable_interrupts
 

@@ -145,14 +145,14 @@ def runs(
             )
         return show_capability(choice, capability)
     if chart is not None:
-        from bench.commands.runs_tables import chart_runs
+        from bench.commands.runs_capability import chart_runs
 
         if folder is None and Path(chart).is_dir():  # `runs --chart FOLDER`: the folder, not a parameter
             choice, chart = replace(choice, folder=Path(chart)), _EVERY_PARAMETER
         parameter = None if chart == _EVERY_PARAMETER else chart
         return chart_runs(choice, parameter, by, baseline, output or Path("runs-charts.html"))
     if output is not None:
-        from bench.commands.runs_tables import export_runs
+        from bench.commands.runs_capability import export_runs
 
         return export_runs(choice, output)
     return _show_runs(choice, compare=compare)
@@ -161,7 +161,7 @@ def runs(
 def _show_runs(choice: RunChoice, *, compare: bool) -> int:
     """Print a list of runs, or compare their parameters; return 1 if the ledgers and the folders do not agree."""
     if choice.ledgers:
-        from bench.commands.runs_tables import find_runs
+        from bench.commands.runs_capability import find_runs
 
         merged = find_runs(choice)
         found, faults, notes = merged.runs, merged.faults, merged.notes

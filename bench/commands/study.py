@@ -101,8 +101,8 @@ def _run(spec: ComparisonConfig, text: bytes, folder: Path, workers: Workers) ->
 
 def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row]]:
     """Do the tasks of a comparison by workers, and yield the rows of each."""
+    from bench.base.home import forms
     from bench.cluster.work import results_of
-    from bench.results.forms import forms
 
     program = forms()["program"]
     for _, rows in results_of(do_task, ((task, program) for task in tasks), workers):
@@ -111,7 +111,7 @@ def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row
 
 def do_task(task: Task, program: str) -> dict[str, Row]:
     """Do one task of a comparison, on a worker."""
-    from bench.cluster.kept_rows import require_program_of
+    from bench.cluster.work import require_program_of
     from bench.compare.run_comparison import run_task
 
     require_program_of(program)
@@ -229,8 +229,8 @@ def study(
 
 def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path | None) -> MonteCarloStudy:
     """Run a study, with its progress; ``folder`` keeps what is done, None keeps nothing."""
-    from bench.cluster.kept_rows import KeptRows
     from bench.cluster.many_calibrations import STUDY, run_blocks
+    from bench.cluster.work import KeptRows
     from bench.terminal.signals import reliable_interrupts
 
     line = CountLine(runs, "calibrations")

@@ -18,9 +18,8 @@ from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
 
 if TYPE_CHECKING:
-    from bench.cluster.kept_rows import KeptRows
     from bench.cluster.verifications import Check, Checked
-    from bench.cluster.work import Finished, Workers
+    from bench.cluster.work import Finished, KeptRows, Workers
     from bench.evidence.findings import Derivation, Findings, Verification
     from bench.evidence.key_trust import Trust
 
@@ -107,8 +106,8 @@ def verify(
     )
     moment = at.replace(tzinfo=UTC) if at else None
     if len(folders) > 1 or isinstance(workers, str) or output:
+        from bench.base.home import forms
         from bench.cluster.verifications import Check
-        from bench.results.forms import forms
 
         who = open_workers(workers, most=len(folders))
         check = Check(trust, moment, serial, again, forms()["program"])
@@ -162,9 +161,8 @@ def _valid_lines(found: Verification) -> Iterator[str]:
 
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
     """Check folders by workers, a line each, exit status as for one; ``output`` keeps what was derived, or None."""
-    from bench.cluster.kept_rows import KeptRows
     from bench.cluster.verifications import VERIFIED, check_one
-    from bench.cluster.work import map_work
+    from bench.cluster.work import KeptRows, map_work
     from bench.terminal.encoding import printable
     from bench.terminal.signals import reliable_interrupts
 

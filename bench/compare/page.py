@@ -14,8 +14,7 @@ from bench import __version__
 from bench.compare.spec import STAR_METHODS
 from bench.compare.table import DATA_HEADS, HEADS, PARAMETERS, data_rows, parameter_rows, table_rows
 from bench.report.html import environment
-from bench.report.plot_frame import Key, Words, axes_in
-from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Picture, Scale, plain
+from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Key, Picture, Scale, Words, axes_in, plain
 
 # Plots of a comparison: errors of direction and of the focal length of every repetition, column by column.
 

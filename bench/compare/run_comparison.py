@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.bounded_json import parse_json, without_nan
 from bench.base.errors import UsageError
+from bench.base.home import forms
 from bench.compare.spec import ColumnConfig, ComparisonConfig
 from bench.records.storage import MOST_TABLE_BYTES, make_folder, read_bounded, storage_errors
-from bench.results.forms import forms
 
 if TYPE_CHECKING:
     from bench.compare.scenes import Images

@@ -18,9 +18,8 @@ from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script, find_url_secrets
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.records.run_folder import CHECKED_COPY
-from bench.stations.sections import AxisConfig
+from bench.stations.sections import AxisConfig, FrameCameraConfig
 from bench.stations.station import Station, load_station
-from bench.stations.station_cameras import FrameCameraConfig
 from bench.stations.station_fields import find_placeholders
 from bench.views.camera_kinds import recording_duration_s
 from calib.model.passport import Passport

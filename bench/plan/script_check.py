@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from bench.base.bounded_json import leaves
 from bench.plan.passports import NO_PASSPORT, setting_path
+from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraConfig
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (

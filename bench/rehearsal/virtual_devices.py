@@ -20,8 +20,8 @@ from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_
 from bench.records.storage import read_bounded
 from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
+from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraConfig
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts

@@ -14,8 +14,19 @@ import numpy as np
 from markupsafe import Markup
 
 from bench.report.html import environment
-from bench.report.plot_frame import Words, axes_in
-from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Array, Picture, Scale, tick_label, ticks
+from bench.report.svg_plot import (
+    FONT,
+    INK,
+    MUTED,
+    POSE_COLOURS,
+    Array,
+    Picture,
+    Scale,
+    Words,
+    axes_in,
+    tick_label,
+    ticks,
+)
 from bench.report.text import NOTHING, with_uncertainty
 
 # A chart of many runs. What falls on the same place is drawn once, so the size of a picture is bounded, also with

@@ -11,8 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 from bench.records.events import UntilDecided
-from bench.report.plot_frame import Words, axes_in
-from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale
+from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale, Words, axes_in
 from bench.report.text import NOTHING, duration, fixed, goals_text, meaning_of_goal, number
 
 # Plot of the course of an ``until``: the expanded uncertainty against the number of poses, with its goals.

@@ -11,8 +11,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.plot_frame import Key, Words, axes_in, height_for
-from bench.report.svg_plot import INK, PANEL, POSE_COLOURS, Axes, Picture, Scale, shade, text_width
+from bench.report.svg_plot import (
+    INK,
+    PANEL,
+    POSE_COLOURS,
+    Axes,
+    Key,
+    Picture,
+    Scale,
+    Words,
+    axes_in,
+    height_for,
+    shade,
+    text_width,
+)
 from calib.uncertainty.projection_uncertainty import CameraDifference
 
 # Contours of a map on a grid: closed outlines of the part that reaches a level, by marching squares. Pure.

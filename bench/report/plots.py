@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from bench.records.results import Results
 from bench.records.run_facts import coverage_factor
 from bench.report.maps import GROUND, sensor_axes, sensor_map, shade_unsupported, supported_share
-from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.pose_plot import (
     camera_covariance,
     camera_of,
@@ -26,7 +25,21 @@ from bench.report.pose_plot import (
     pose_directions,
     pose_frames,
 )
-from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, WIDE, Axes, Picture, Scale, painted, shade
+from bench.report.svg_plot import (
+    INK,
+    MUTED,
+    PANEL,
+    POSE_COLOURS,
+    WIDE,
+    Axes,
+    Key,
+    Picture,
+    Scale,
+    Words,
+    axes_in,
+    painted,
+    shade,
+)
 from bench.report.text import STARS, TargetWords, words_of
 from bench.report.view_picture import PLOTS, ViewPicture, thinned
 from calib.model.result_parts import WORST_CORNER

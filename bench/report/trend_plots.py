@@ -11,8 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.plot_frame import Key, Place, Words, axes_in, write_legend
-from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Picture, Scale
+from bench.report.svg_plot import (
+    INK,
+    MUTED,
+    POSE_COLOURS,
+    Axes,
+    Key,
+    Picture,
+    Place,
+    Scale,
+    Words,
+    axes_in,
+    write_legend,
+)
 from bench.report.text import unit_of
 
 # The plot of a simulation study: histograms of the errors beside the normal distribution.

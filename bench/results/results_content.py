@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import __version__
+from bench.base.home import forms
 from bench.plan.job import Job
 from bench.records.conformity import conformity
 from bench.records.events import GateData
 from bench.records.history import Attempt, History
 from bench.records.results import CalibrationData, Results
 from bench.report.maps import reach_px, star_distance
-from bench.results.forms import forms
 from bench.results.solution import Solution, compare_with_truth
 from bench.stations.sections import GROUPS, Plugin, plugins
 from bench.stations.station import Station
@@ -198,7 +198,7 @@ def target_data(job: Job) -> dict[str, str]:
 
 
 def software() -> dict[str, str]:
-    """Return versions by name of the software that makes a result and its report, and `bench.results.forms`."""
+    """Return versions by name of the software that makes a result and its report, and `bench.base.home`."""
     parts = {"starbench": __version__, "python": platform.python_version()}
     for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):
         parts[name] = version(name)

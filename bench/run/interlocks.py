@@ -1,22 +1,36 @@
 """Interlocks: conditions that make a run hold, with light off and stage at rest, and let it continue once they clear.
 
-A second, stricter limit to continue avoids switching on and off. The thread of the commands checks the door ten times a
-second, and an open door interrupts the work; the others are checked between two pieces of work.
+Their kinds are door, disk space, camera temperature, event rate and lost device. A second, stricter limit to continue
+avoids switching on and off. The thread of the commands checks the door ten times a second, and an open door interrupts
+the work; the others are checked between two pieces of work.
 """
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+import stat
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
+from bench.records.storage import storage_errors
+from bench.stations.station_fields import (
+    CameraTemperatureConfig,
+    DeviceLostConfig,
+    DiskSpaceConfig,
+    DoorConfig,
+    EventRateConfig,
+    InterlockName,
+    InterlocksConfig,
+)
 from drivers.errors import DriverError
-
-if TYPE_CHECKING:
-    from bench.stations.station_fields import InterlockName
 
 DOOR: InterlockName = "door"
 DEVICE_LOST: InterlockName = "device_lost"
@@ -152,3 +166,181 @@ def interlock_text(name: str) -> str:
     'camera temperature'
     """
     return name.replace("_", " ")
+
+
+_MOST_BYTES = 64
+
+
+class Sensors(Protocol):
+    """Readings of the run's devices that interlocks need (`bench.run.run_devices.RunDevices`)."""
+
+    def camera_c(self) -> float | None:
+        """Read the temperature of the camera, degrees Celsius; None if it does not measure it."""
+        ...
+
+    def last_mev_s(self) -> float:
+        """Return the event rate of the last recording, millions of events per second."""
+        ...
+
+    def dark_mev_s(self, duration_s: float) -> float:
+        """Measure the event rate in the dark for some seconds: millions of events per second."""
+        ...
+
+    def reopen(self) -> str:
+        """Open the devices again, and return why that failed; empty if all devices are open."""
+        ...
+
+
+@dataclass(frozen=True)
+class Door:
+    """A file that states whether the enclosure is closed. If it cannot be read, the door counts as open."""
+
+    config: DoorConfig  # Section ``door`` of the station file
+    name: InterlockName = field(default=DOOR, init=False)
+    poll_s: float = field(default=0.1, init=False)  # Time between two checks, s
+    utc_s: Callable[[], float] = time.time  # Returns the system time, s since 1970
+
+    @property
+    def max_hold_s(self) -> float:
+        """See `Interlock.max_hold_s`."""
+        return self.config.max_hold_s
+
+    def why(self, *, held: bool) -> str:  # noqa: ARG002 - a door is open or closed
+        """See `Interlock.why`."""
+        try:
+            state, written_s = _read_sensor(self.config.path)
+        except OSError as error:
+            return f"its sensor cannot be read ({error.strerror})"
+        age_s = self.utc_s() - written_s
+        if self.config.max_age_s is not None and age_s > self.config.max_age_s:
+            return f"its sensor has reported nothing for {age_s:.0f} s"
+        if self.config.max_age_s is not None and age_s < -self.config.max_age_s:
+            return (
+                f"the last report of its sensor lies {-age_s:.0f} s in the future:"
+                " the clock of this computer was set back, or is wrong"
+            )
+        return "" if state == self.config.closed else f"it is open (the sensor reports {state!r})"
+
+
+def _read_sensor(path: str) -> tuple[str, float]:
+    """Read the text of a sensor's file and its time of writing. Raises OSError, also for a pipe."""
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        return os.read(descriptor, _MOST_BYTES).decode(errors="replace").strip(), found.st_mtime
+    finally:
+        os.close(descriptor)
+
+
+@dataclass(frozen=True)
+class DiskSpace:
+    """Free space on the disk of the run folder."""
+
+    config: DiskSpaceConfig  # Section ``disk_space`` of the station file
+    folder: Path
+    name: InterlockName = field(default="disk_space", init=False)
+    poll_s: float = field(default=1.0, init=False)  # Time between two checks, s
+
+    @property
+    def max_hold_s(self) -> float:
+        """See `Interlock.max_hold_s`."""
+        return self.config.max_hold_s
+
+    def why(self, *, held: bool) -> str:
+        """See `Interlock.why`."""
+        with storage_errors(self.folder):
+            free_gb = shutil.disk_usage(self.folder).free / 1e9
+        wanted_gb = self.config.release_gb if held else self.config.min_free_gb
+        return (
+            f"{free_gb:.3g} GB are free, at least {wanted_gb:g} GB are needed" if free_gb < wanted_gb else ""
+        )
+
+
+@dataclass(frozen=True)
+class CameraTemperature:
+    """Temperature of the sensor; a camera that does not measure it never holds the run."""
+
+    config: CameraTemperatureConfig  # Section ``camera_temperature`` of the station file
+    read_c: Callable[[], float | None]  # Reads the temperature, degrees Celsius
+    name: InterlockName = field(default="camera_temperature", init=False)
+    poll_s: float = field(default=5.0, init=False)  # Time between two checks, s
+
+    @property
+    def max_hold_s(self) -> float:
+        """See `Interlock.max_hold_s`."""
+        return self.config.max_hold_s
+
+    def why(self, *, held: bool) -> str:
+        """See `Interlock.why`."""
+        found_c = self.read_c()
+        most_c = self.config.release_c if held else self.config.max_c
+        if found_c is None or found_c <= most_c:
+            return ""
+        return f"the sensor has {found_c:.1f} C, at most {most_c:g} C are allowed"
+
+
+@dataclass(frozen=True)
+class EventRate:
+    """Event rate of the last recording; while it holds, that of a short recording in the dark."""
+
+    config: EventRateConfig  # Section ``event_rate`` of the station file
+    last_mev_s: Callable[[], float]  # Returns the event rate of the last recording, Mev/s
+    dark_mev_s: Callable[[float], float]  # Measures the event rate in the dark for a time in s, Mev/s
+    name: InterlockName = field(default="event_rate", init=False)
+    poll_s: float = field(default=2.0, init=False)  # Time between two checks, s
+
+    @property
+    def max_hold_s(self) -> float:
+        """See `Interlock.max_hold_s`."""
+        return self.config.max_hold_s
+
+    def why(self, *, held: bool) -> str:
+        """See `Interlock.why`."""
+        if held:
+            found, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
+            return f"{found:.3g} Mev/s in the dark, at most {most:g} are allowed" if found > most else ""
+        found, most = self.last_mev_s(), self.config.max_mev_s
+        return (
+            f"{found:.3g} Mev/s in the last recording, at most {most:g} are allowed" if found > most else ""
+        )
+
+
+@dataclass(frozen=True)
+class DeviceLost:
+    """A lost device: holds until all devices can be opened again, each with the serial number it had."""
+
+    config: DeviceLostConfig  # Section ``device_lost`` of the station file
+    reopen: Callable[[], str]  # Opens the devices again; returns why that failed, or an empty text
+    name: InterlockName = field(default=DEVICE_LOST, init=False)
+
+    @property
+    def max_hold_s(self) -> float:
+        """See `Interlock.max_hold_s`."""
+        return self.config.max_hold_s
+
+    @property
+    def poll_s(self) -> float:
+        """See `Interlock.poll_s`."""
+        return self.config.retry_s
+
+    def why(self, *, held: bool) -> str:
+        """See `Interlock.why`. It never begins to hold by itself."""
+        return self.reopen() if held else ""
+
+
+def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> list[Interlock]:
+    """Create the interlocks of a station's section ``interlocks``, in a fixed order."""
+    found: list[Interlock] = []
+    if config.door is not None:
+        found.append(Door(config.door))
+    if config.disk_space is not None:
+        found.append(DiskSpace(config.disk_space, folder))
+    if config.camera_temperature is not None:
+        found.append(CameraTemperature(config.camera_temperature, sensors.camera_c))
+    if config.event_rate is not None:
+        found.append(EventRate(config.event_rate, sensors.last_mev_s, sensors.dark_mev_s))
+    if config.device_lost is not None:
+        found.append(DeviceLost(config.device_lost, sensors.reopen))
+    return found

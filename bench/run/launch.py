@@ -49,11 +49,10 @@ from bench.results.result import Outcome
 from bench.results.results_content import plugins_of_run, run_software
 from bench.run.control import remove_inbox
 from bench.run.heartbeat import archive_crash, crash_log, read_crash
-from bench.run.run_messages import RunMessages
-from bench.run.runner import RunEnd, Runner
+from bench.run.runner import RunEnd, RunMessages, Runner
 from bench.run.steps import intentions
 from bench.stations.devices import Devices
-from bench.stations.station_cameras import PictureFolderConfig
+from bench.stations.station import PictureFolderConfig
 from bench.terminal.progress import Progress
 from bench.terminal.signals import stop_on_signals
 from drivers.wire_log import WireLogFile

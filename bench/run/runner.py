@@ -13,7 +13,8 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.device_ends import DeviceEnd
-from bench.base.errors import FORESEEN, Failure, StorageError
+from bench.base.errors import FORESEEN, BenchError, Failure, StorageError
+from bench.messaging.messages import Courier
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.records.events import Entering, Event, FailureData, LeftOff
 from bench.records.history import RunLog, way_on
@@ -24,17 +25,74 @@ from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
-from bench.run.interlock_kinds import interlocks_of
-from bench.run.interlocks import Interlocks, Trip, loss_text
+from bench.run.interlocks import Interlocks, Trip, interlock_text, interlocks_of, loss_text
 from bench.run.machine import RunMachine
 from bench.run.run_devices import RunContext, RunDevices
-from bench.run.run_messages import HoldNotifier
 from bench.run.states import StateWork
+from bench.run.status import read_status, status_text
 from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to_do
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from sequences.script import ChooseStep, RecordStep, WaitStep
+
+HOLD_NOTIFY_INTERVAL_S = 600.0
+"""Shortest time between two notifications about holds by the same interlock, s."""
+
+
+class RunMessages:
+    """Writes messages about one run; ``say`` prints why one could not be written, and the run continues."""
+
+    def __init__(self, courier: Courier, folder: Path, say: Callable[[str], None]) -> None:
+        self._courier = courier
+        self._folder = folder
+        self._say = say
+
+    def write(self, occasion: str, what: str, key: str) -> None:
+        """Write a message on ``failure``, ``hold`` or ``end``, if wanted; ``key`` is the line's hash."""
+        if not self._courier.is_wanted(occasion):
+            return
+        try:
+            status = read_status(self._folder)
+        except BenchError as error:
+            self._say(f"A message could not be written: {error}")
+            return
+        simulated = " (SIMULATED)" if status.simulated else ""
+        subject = f"Starbench: run {status.run_id}{simulated} {what}"
+        self._courier.write(
+            occasion,
+            subject,
+            status_text(status),
+            run=status.run_id,
+            folder=self._folder,
+            key=key,
+            place=status.place,
+        )
+
+
+class HoldNotifier:
+    """Notifies absent people that a run holds, about the same interlock not too often."""
+
+    def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
+        self._clock = clock
+        self._notify = notify
+        self._notified_s: dict[str, float] = {}
+
+    def entering(self, facts: Entering, line: str) -> None:
+        """Notify that the run holds. A door that opens again and again does not cause a hundred messages."""
+        rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
+        if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
+            return
+        self._notified_s[rule] = now_s
+        self._notify("hold", _waits_for(facts), line)
+
+
+def _waits_for(facts: Entering) -> str:
+    """Return what a run that holds waits for."""
+    if "rule" in facts:
+        return f"is held by the {interlock_text(facts['rule'])} interlock: {facts['why']}"
+    return f"is held by {facts['by']}" if "by" in facts else "asks the operator a question"
+
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""

@@ -15,7 +15,7 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.device_ends import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
-from bench.stations import station_cameras
+from bench.stations import station as station_file
 from bench.stations.sections import EventCameraSection, FrameCameraSection, PortName
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
@@ -192,21 +192,21 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
 def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:  # noqa: PLR0911 - one for each driver
     """Open the camera of a station. Nothing moves, and nothing is switched on."""
     match station.camera:
-        case station_cameras.SimulatedEvk4Config() as config:
+        case station_file.SimulatedEvk4Config() as config:
             return SimulatedEvk4Camera.open(
                 port(config.address), serial=config.serial, clock=clock, utc_now=clock.utc_now
             )
-        case station_cameras.MetavisionConfig() as config:
+        case station_file.MetavisionConfig() as config:
             return MetavisionEvk4.open(serial=config.serial, clock=clock)
-        case station_cameras.NeuromorphicEvk4Config() as config:
+        case station_file.NeuromorphicEvk4Config() as config:
             return NeuromorphicEvk4.open(serial=config.serial, clock=clock, utc_now=clock.utc_now)
-        case station_cameras.RecordedCameraConfig() as config:
+        case station_file.RecordedCameraConfig() as config:
             return RecordedCamera.open(config.path, serial=config.serial, clock=clock)
-        case station_cameras.OpenCvCameraConfig() as config:
+        case station_file.OpenCvCameraConfig() as config:
             source = port(config.source_in_use())
             hidden = f"${config.source_env}" if config.source_env else ""
             return OpenCvFrameCamera.open(source, serial=config.serial, clock=clock, shown_as=hidden)
-        case station_cameras.PictureFolderConfig() as config:
+        case station_file.PictureFolderConfig() as config:
             return FolderFrameCamera.open(config.path, serial=config.serial, clock=clock)
         case EventCameraSection() | FrameCameraSection() as config:
             return config.open_device(port, clock=clock)

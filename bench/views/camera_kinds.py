@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
+from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraConfig
 from bench.views.gates import FILTERS_TO_DISABLE, Gate, at_least, recording_gates, rejection_reasons
 from calib.boards.board import Board
 from calib.target import StarTarget

@@ -37,11 +37,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from quick_runs import THREE, write_sequence, write_station
 from varied_runs import make_runs
 
+from bench.base.home import forms
 from bench.cluster.processes import Processes
 from bench.cluster.recalculation import TABLE, Recalculation, ResultsFolders
 from bench.cluster.tasks import Place, Task, find_places, find_view
 from bench.cluster.work import Serial, Work
-from bench.results.forms import forms
 from bench.results.offline_options import OfflineOptions
 
 ROOT = Path(__file__).parents[2]

@@ -26,11 +26,11 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from bench.base.home import forms
 from bench.cluster.recalculation import ResultsFolders
 from bench.cluster.tasks import Place, Task, list_recordings
 from bench.evidence.keys import create_key
 from bench.records.storage import sha256_of
-from bench.results.forms import forms
 from bench.results.offline import OfflineResult, calibrate_sources
 from bench.results.offline_folder import offline_files
 from bench.results.offline_options import OfflineOptions

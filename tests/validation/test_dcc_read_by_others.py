@@ -16,8 +16,7 @@ import lab_pki
 import pytest
 
 from bench.certificate.dcc_signature import sign_dcc
-from bench.certificate.dcc_units import OUR_UNITS
-from bench.certificate.dcc_xml import schema_faults, schema_folder
+from bench.certificate.dcc_xml import OUR_UNITS, schema_faults, schema_folder
 
 SCHEMAS = schema_folder(None)
 needs_schemas = pytest.mark.skipif(

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.base import home
 from bench.base.home import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
-from bench.terminal import compiling
 
 ROOT = Path(__file__).parents[4]
 
@@ -125,9 +125,9 @@ def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypat
         begun.append(words[1:])
         return real([sys.executable, "-c", f"raise SystemExit({int(words[-1] == 'stars')})"], **options)
 
-    monkeypatch.setattr(compiling, "missing_parts", lambda parts, _environ: tuple(parts))
+    monkeypatch.setattr(home, "missing_parts", lambda parts, _environ: tuple(parts))
     monkeypatch.setattr("subprocess.Popen", begin)
-    compiling.compile_missing(("good", "stars"), said.append)
+    home.compile_missing(("good", "stars"), said.append)
     assert begun == [["-m", "bench.warm_up", part] for part in ("good", "stars")]
     assert said[0].startswith("Compiling loops for this processor, once after an installation or an update")
     assert any(text.startswith("  good: compiled, ") for text in said[1:])
@@ -135,5 +135,5 @@ def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypat
 
 
 def test_nothing_is_said_where_all_is_compiled(monkeypatch):
-    monkeypatch.setattr(compiling, "missing_parts", lambda _parts, _environ: ())
-    compiling.compile_missing(PARTS, pytest.fail)
+    monkeypatch.setattr(home, "missing_parts", lambda _parts, _environ: ())
+    home.compile_missing(PARTS, pytest.fail)

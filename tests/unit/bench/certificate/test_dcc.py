@@ -16,8 +16,20 @@ from bench.certificate import dcc_xml
 from bench.certificate.certificate_data import Certificate, Software
 from bench.certificate.dcc import ellipsoid_factor, number_text, plain_number, render_dcc
 from bench.certificate.dcc_signature import verify_signature, without_signature
-from bench.certificate.dcc_units import OUR_UNITS, d_si_unit, is_unit, length_mm, product
-from bench.certificate.dcc_xml import NAMESPACES, VERSIONS, Versions, read_dcc, read_xml, short, to_bytes
+from bench.certificate.dcc_xml import (
+    NAMESPACES,
+    OUR_UNITS,
+    VERSIONS,
+    Versions,
+    d_si_unit,
+    is_unit,
+    length_mm,
+    product,
+    read_dcc,
+    read_xml,
+    short,
+    to_bytes,
+)
 
 
 def dcc_of(certificate):

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from lxml import etree
 
 from bench.base.errors import EvidenceError
-from bench.certificate.dcc_reader import read_reference
+from bench.certificate.dcc import read_reference
 from bench.certificate.dcc_xml import NAMESPACES
 from bench.commands.certificate_dcc import from_dcc
 

@@ -8,15 +8,14 @@ import pytest
 from click.testing import CliRunner
 
 from bench.base.errors import UsageError
+from bench.base.home import forms
 from bench.cluster import many_calibrations, verifications
-from bench.cluster.kept_rows import KeptRows
 from bench.cluster.many_calibrations import STUDY, plan_study, run_blocks
 from bench.cluster.verifications import Check, check_one, convert_many, plan_targets
-from bench.cluster.work import Serial
+from bench.cluster.work import KeptRows, Serial
 from bench.commands.cli import cli
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
-from bench.results.forms import forms
 from calib.studies.monte_carlo import study_of
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, Triggers

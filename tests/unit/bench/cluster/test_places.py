@@ -8,10 +8,10 @@ import pytest
 from solved_run import write_solved_run
 
 from bench.base.errors import StorageError, UsageError
+from bench.base.home import forms
 from bench.cluster.recalculation import listed_ahead
 from bench.cluster.tasks import FoundView, Place, Task, calibrate_found, find_places, list_recordings
 from bench.records.storage import sha256_of
-from bench.results.forms import forms
 from bench.results.offline_options import OfflineOptions
 from bench.views.views_file import read_views
 

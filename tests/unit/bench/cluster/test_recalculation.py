@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bench.base.home import forms
 from bench.cluster.recalculation import TABLE, Recalculation, ResultsFolders
 from bench.cluster.tasks import Place, Task, find_places, list_recordings
 from bench.cluster.work import Serial, WorkersLost
@@ -16,7 +17,6 @@ from bench.evidence.keys import SIGNERS_FILE, create_key, read_signers
 from bench.evidence.verify import verify_folder
 from bench.plan.plan import load_documents, make_plan
 from bench.results.forecasts import expected_bench
-from bench.results.forms import forms
 from bench.results.offline import calibrate_paths
 from bench.results.offline_options import OfflineOptions
 from calib.studies.predicted_views import predicted_view

@@ -12,7 +12,7 @@ from bench.batch.batch_plan import read_job, read_queue
 from bench.plan.job import Job, ParkStep, calibration_options
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.plan.plan_text import render_plan
-from bench.stations.station_cameras import OpenCvCameraConfig
+from bench.stations.station import OpenCvCameraConfig
 from calib.calibration import LossName, ModelName
 from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE, SKEW
 from sequences import solve_schema as schema

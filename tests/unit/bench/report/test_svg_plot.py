@@ -11,9 +11,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bench.report.maps import outlines
-from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.plots import deviations_from_truth, regions, residual_vectors
-from bench.report.svg_plot import Picture, Scale, log_ticks, text_width, tick_labels, ticks
+from bench.report.svg_plot import (
+    Key,
+    Picture,
+    Scale,
+    Words,
+    axes_in,
+    log_ticks,
+    text_width,
+    tick_labels,
+    ticks,
+)
 from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 

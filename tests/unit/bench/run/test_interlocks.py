@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import Interrupted, VirtualClock
-from bench.run.interlock_kinds import CameraTemperature, DiskSpace, Door, EventRate, interlocks_of
-from bench.run.interlocks import Interlocks
+from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks, interlocks_of
 from bench.stations.station import Station
 from bench.stations.station_fields import (
     CameraTemperatureConfig,

@@ -8,7 +8,7 @@ from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.run.interlocks import Interlocks
-from bench.run.run_messages import HoldNotifier
+from bench.run.runner import HoldNotifier
 from bench.run.status import read_status, status_text
 
 

@@ -12,8 +12,7 @@ from bench.commands.station import station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import station_draft
 from bench.stations.stages_and_lights import LightConfig
-from bench.stations.station import SHIPPED_STATIONS, Station, load_station
-from bench.stations.station_cameras import CameraConfig
+from bench.stations.station import SHIPPED_STATIONS, CameraConfig, Station, load_station
 from bench.stations.station_draft import (
     CAMERA_SECTIONS,
     LIGHT_SECTIONS,
