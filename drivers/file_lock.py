@@ -1,22 +1,26 @@
-"""Lock an open file against other processes, by flock, or by msvcrt on Windows; say which process holds a lock.
+"""Lock a file or a device against other processes, by flock, or by msvcrt on Windows; say which process holds a lock.
 
-Both locks belong to the kernel and vanish with their process, however it ended. No file's content is touched.
-
-Who holds a lock is read from what Linux tells: process, user, since when, and the run folder. Nothing is written beside
-the lock, so nothing can be left behind or be false. Where the system does not tell, as on another system or for a
-process of another container, the text is empty. Sources: the manual pages proc(5), proc_locks(5) and proc_pid_stat(5).
+A device is locked by a small file that is named after it, because several ports may reach it; every user must name it
+alike. Cameras need that too: OpenCV refuses no second program. Locks belong to the kernel and vanish with their
+process. Who holds one is what Linux tells, or empty (proc(5), proc_locks(5), proc_pid_stat(5)).
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
+import re
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
+
+from drivers.errors import CameraBusy, CameraError, DriverError, PortBusy, PortDenied
 
 _PROC: Final = Path("/proc")
 _START_TIME: Final = 19
@@ -119,3 +123,105 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
             raise
         holder = "" if shared else holder_text(os.fstat(descriptor).st_ino)
         raise BlockingIOError(errno.EWOULDBLOCK, holder or "another process") from error
+
+
+def event_camera_name(serial: str) -> str:
+    """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other."""
+    return f"event camera {serial}"
+
+
+FOLDER_MODE: Final = 0o1777
+"""All users of a computer share its devices: everybody may lock one, nobody may remove another user's file."""
+FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
+"""Environment variable that names another folder: one that containers share, or one for a single test."""
+
+
+def locks_folder() -> Path:
+    """Return the folder of the lock files, the same one for all users of this computer.
+
+    It is the one that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary folder.
+    """
+    if folder := os.environ.get(FOLDER_VARIABLE):
+        return Path(folder)
+    base = Path(tempfile.gettempdir()) if sys.platform == "win32" else Path("/tmp")  # noqa: S108 - TMPDIR may differ between users
+    return base / "starbench-devices"
+
+
+class DeviceHold:
+    """A device reserved for this process, until ``release`` or the end of the process.
+
+    ``device`` is a unique name: family and serial number, or its real path; ``folder`` None stands for
+    ``locks_folder()``. Raises `PortDenied` if the lock file cannot be made.
+    """
+
+    # BUSY, DENIED: Errors that are raised; a subclass may name errors of its own family.
+    BUSY: ClassVar[type[DriverError]] = PortBusy
+    DENIED: ClassVar[type[DriverError]] = PortDenied
+
+    def __init__(self, device: str, *, folder: Path | None = None) -> None:
+        self._descriptor = -1
+        path = (locks_folder() if folder is None else folder) / _file_name(device)
+        try:
+            _make_folder(path.parent)
+            self._descriptor = _open(path)
+            lock(self._descriptor)
+        except BlockingIOError as error:
+            self.release()
+            raise self.BUSY(
+                f"Another program holds it, perhaps through another port: {error.strerror}.",
+                where=device,
+                remedy="End the other run, or the program that uses it, then try again.",
+            ) from error
+        except OSError as error:
+            self.release()
+            raise self.DENIED(
+                f"The lock file of a device cannot be made: {error.strerror}.",
+                where=str(path),
+                remedy="Remove this file, let all users write in its folder, or name another folder in"
+                f" {FOLDER_VARIABLE}.",
+            ) from error
+
+    def release(self) -> None:
+        """Give the device free for others. A second call does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def _file_name(device: str) -> str:
+    """Return a readable file name that is different for every device.
+
+    >>> _file_name("evk4 00050423")
+    'evk4-00050423-4642f8a7.lock'
+    """
+    readable = re.sub(r"[^A-Za-z0-9]+", "-", device).strip("-")[:60]
+    return f"{readable}-{hashlib.sha256(device.encode()).hexdigest()[:8]}.lock"
+
+
+def _make_folder(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    with suppress(PermissionError):  # the folder of another user, who has set its mode
+        folder.chmod(FOLDER_MODE)
+
+
+def _open(path: Path) -> int:
+    """Open the lock file for every user, never through a symbolic link."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    try:
+        descriptor = os.open(path, flags, 0o666)
+    except PermissionError:
+        # In a sticky folder the kernel lets nobody create over another user's file; it can still be locked.
+        return os.open(path, flags & ~os.O_CREAT & ~os.O_RDWR | os.O_RDONLY)
+    with suppress(PermissionError, AttributeError):
+        os.fchmod(descriptor, 0o666)
+    return descriptor
+
+
+class CameraLock(DeviceHold):
+    """A camera locked by this process, until ``release`` or the end of the process.
+
+    Raises `CameraBusy` if another process, or another driver object in this one, holds the lock.
+    """
+
+    BUSY: ClassVar[type[DriverError]] = CameraBusy
+    DENIED: ClassVar[type[DriverError]] = CameraError

@@ -17,8 +17,7 @@ from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
-from drivers.link import Link, ReplyReader, no_unsolicited
-from drivers.retry import TRIES, repeat
+from drivers.link import TRIES, Link, ReplyReader, no_unsolicited, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 

@@ -12,10 +12,37 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from sequences.limits import ResultLimits
-from sequences.plain_number import Within
-from sequences.solve_schema import CheckConfig, Limit, SolveConfig
-from sequences.strict_model import StrictModel
+from sequences.solve_schema import CheckConfig, DistortionTerm, Limit, SolveConfig
+from sequences.strict_model import StrictModel, Within
+
+LimitedResult = Literal["fx", "fy", "cx", "cy", "x", "y", "r", DistortionTerm]
+Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
+
+
+class RuleConfig(StrictModel):
+    """Limits of one result. The guard band is the expanded uncertainty."""
+
+    lower: Bound | None = None
+    upper: Bound | None = None
+
+    @model_validator(mode="after")
+    def _limits(self) -> RuleConfig:
+        if self.lower is None and self.upper is None:
+            raise PydanticCustomError("no_limit", "needs lower, upper or both.")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise PydanticCustomError("limits", "lower must be less than upper.")
+        return self
+
+
+class ResultLimitConfig(RuleConfig):
+    """Limits of one result of a run, in its own unit: px, mm, or none."""
+
+    result: Annotated[LimitedResult, Field(description="Symbol of the result, such as fx.")]
+    specification: Annotated[str, Field(max_length=300, description="Where the limits come from.")] = ""
+
+
+ResultLimits = Annotated[tuple[ResultLimitConfig, ...], Field(max_length=100)]
+
 
 AXES = ("pan", "tilt", "roll")
 

@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core import PydanticCustomError
 
-from sequences.plain_number import Within
-from sequences.strict_model import StrictModel
+from sequences.strict_model import StrictModel, Within
 
 CalibrationModel = Literal[
     "auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"

@@ -33,8 +33,7 @@ from bench.web.guard import PageToken
 from bench.web.pages import EventStream, Message, page_app, read_object
 from bench.web.server import PageServer, announce_url
 from drivers.errors import DriverError
-from sequences.reader import find_document
-from sequences.settings import OptionSettings
+from sequences.reader import OptionSettings, find_document
 
 # The align page's server side: its requests, and the stream that shows state and picture.
 #

@@ -32,8 +32,7 @@ from bench.stations.station_text import TextLightConfig
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence as SequenceFile
-from sequences.tree import DocumentPath
-from sequences.yaml_text import parse
+from sequences.yaml_text import DocumentPath, parse
 
 Text = str | tuple[str, ...]
 """YAML text of a value, or of each entry of a list."""

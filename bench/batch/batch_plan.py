@@ -23,11 +23,12 @@ from bench.batch.schedule import Bounds, Item, Slot, bounds_of, items_of, look_a
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.plan.script_check import find_url_secrets
 from bench.records.events import Event
+from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import read_journal
 from bench.records.ledger_marks import LedgerRun
 from bench.records.run_folder import JOURNAL, PLAN
 from bench.records.run_index import QUEUE_COPY, is_rehearsal
-from bench.records.storage import Inbox, KnownBy, MessageId, Poller, is_locked, make_folder, read_json
+from bench.records.storage import is_locked, make_folder, read_json
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Key, Queue
 from sequences.reader import Located, read_document

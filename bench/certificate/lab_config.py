@@ -18,8 +18,8 @@ from bench.certificate.certificate_data import PlaceKind
 from bench.certificate.series import is_number_format
 from bench.stations.station_budget import Date
 from bench.stations.station_fields import Serial
-from sequences.limits import RuleConfig
 from sequences.reader import Located, check_document, read_document
+from sequences.schema import RuleConfig
 from sequences.strict_model import StrictModel
 
 EXAMPLE = Path(__file__).with_name("example_lab.yaml")

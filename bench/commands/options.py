@@ -366,7 +366,7 @@ BEGIN = click.option(
 
 def settings_of(texts: tuple[str, ...]) -> Mapping[str, str]:
     """Split the PATH=VALUE of ``--set``."""
-    from sequences.settings import OptionSettings
+    from sequences.reader import OptionSettings
 
     for text in texts:
         if "=" not in text:

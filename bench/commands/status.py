@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bench.batch.batch_plan import Request
     from bench.batch.batch_summary import BatchStatus
     from bench.messaging.outbox import Delivery
-    from bench.records.storage import KnownBy
+    from bench.records.inbox import KnownBy
     from bench.run.control import Command
 
 # The command `tell`: what an operator tells a run or a batch from another terminal, and its answer.

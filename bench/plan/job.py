@@ -16,8 +16,8 @@ from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
 from bench.views.camera_kinds import CameraKind, camera_kind
+from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import Gate, at_most
-from bench.views.measure import grid_from_journal
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
@@ -25,7 +25,7 @@ from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.limits import ResultLimitConfig
+from sequences.schema import ResultLimitConfig
 from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from bench.views.camera_kinds import recording_duration_s
 from calib.model.passport import Passport
 from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
-from sequences.reader import Located, find_document, read_document
+from sequences.reader import Located, OptionSettings, find_document, read_document
 from sequences.schema import Sequence
 from sequences.script import (
     ChooseStep,
@@ -41,9 +41,8 @@ from sequences.script import (
     Until,
     WaitStep,
 )
-from sequences.settings import OptionSettings
 from sequences.solve_schema import CalibrationModel
-from sequences.tree import Fault
+from sequences.yaml_text import Fault
 
 # Expected duration and disk space of the steps of a plan, by the station's speeds and by the allowances
 # below.

@@ -10,7 +10,7 @@ from decimal import Decimal
 
 from bench.records.results import CalibrationData, ConformityData, StatementData, Verdict
 from bench.records.run_facts import coverage_factor
-from sequences.limits import ResultLimitConfig
+from sequences.schema import ResultLimitConfig
 
 RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
 NO_CONVERGENCE = "The optimisation did not converge."

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.stations.station import Station
-from bench.views.measure import best_angles_deg
+from bench.views.expected_grid import best_angles_deg
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.model.gimbal_readings import AXES

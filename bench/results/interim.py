@@ -18,7 +18,8 @@ from bench.report.text import meaning_of_goal
 from bench.results.next_pose import Choice, Wish, choose_pose, fixed_parts
 from bench.results.solution import measure_again
 from bench.results.solve_options import limited_numbers, solve_options
-from bench.views.measure import Measurement, aligned_poses, best_angles_deg
+from bench.views.expected_grid import best_angles_deg
+from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from calib.model.passport import Passport

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.plan.passports import determines_one_view
 from bench.stations.station import Station
-from bench.views.measure import best_angles_deg
+from bench.views.expected_grid import best_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound

@@ -19,7 +19,7 @@ from bench.records.history import Attempt, replay
 from bench.records.journal import read_journal, stored_captures
 from bench.records.run_folder import JOURNAL
 from bench.results.offline_options import OfflineOptions, read_point_file
-from bench.views.measure import grid_from_journal
+from bench.views.expected_grid import grid_from_journal
 from calib.boards.board import Board
 from calib.errors import TargetNotFound, TooFewStars
 from calib.view import View

@@ -21,18 +21,10 @@ from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.records.events import Event
 from bench.records.history import History, RunLog
+from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import lines_after
 from bench.records.run_folder import JOURNAL
-from bench.records.storage import (
-    Inbox,
-    KnownBy,
-    MessageId,
-    Poller,
-    is_locked,
-    make_folder,
-    storage_errors,
-    sync_folder,
-)
+from bench.records.storage import is_locked, make_folder, storage_errors, sync_folder
 from bench.run.heartbeat import CONTROL, HEARTBEAT, LAST_VIEW
 from sequences.schema import Answer
 

@@ -16,21 +16,23 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
 from bench.records.storage import storage_errors
-from bench.stations.station_fields import (
-    CameraTemperatureConfig,
-    DeviceLostConfig,
-    DiskSpaceConfig,
-    DoorConfig,
-    EventRateConfig,
-    InterlockName,
-    InterlocksConfig,
-)
 from drivers.errors import DriverError
+
+if TYPE_CHECKING:  # the model of the station file loads NumPy, which `status` does not need
+    from bench.stations.station_fields import (
+        CameraTemperatureConfig,
+        DeviceLostConfig,
+        DiskSpaceConfig,
+        DoorConfig,
+        EventRateConfig,
+        InterlockName,
+        InterlocksConfig,
+    )
 
 DOOR: InterlockName = "door"
 DEVICE_LOST: InterlockName = "device_lost"

@@ -56,7 +56,7 @@ from bench.stations.station import PictureFolderConfig
 from bench.terminal.progress import Progress
 from bench.terminal.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
-from sequences.settings import OptionSettings
+from sequences.reader import OptionSettings
 
 # The page of a run that failed or was aborted, with the bench's signature of it.
 #

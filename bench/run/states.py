@@ -19,8 +19,9 @@ from bench.run.interlocks import Trip, interlock_text
 from bench.run.run_devices import RunContext
 from bench.stations.devices import Devices
 from bench.terminal.progress import Reply, ask
+from bench.views.expected_grid import grid_from_earlier_poses
 from bench.views.gates import failed_gate_texts
-from bench.views.measure import Measurement, grid_from_earlier_poses
+from bench.views.measure import Measurement
 from bench.views.measure_board import with_advice
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S

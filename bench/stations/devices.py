@@ -26,8 +26,8 @@ from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
-from drivers.device_hold import DeviceHold
 from drivers.errors import DriverError, StillOpening
+from drivers.file_lock import DeviceHold
 from drivers.light import Light
 from drivers.stage import AxisLimits, Stage
 from drivers.wire_log import WireLog

@@ -31,10 +31,9 @@ from drivers.clock import Clock
 from drivers.light import Light, LightSettings
 from drivers.stage import AxisLimits, Stage
 from drivers.wire_log import WireLog
-from sequences.plain_number import Within
 from sequences.schema import Angle, Axis
 from sequences.script import Flicker
-from sequences.strict_model import StrictModel
+from sequences.strict_model import StrictModel, Within
 
 NotNegative = Annotated[int, Field(ge=0, le=8191)]
 Pixels = Annotated[int, Field(gt=0, le=8192)]

@@ -29,9 +29,9 @@ from drivers.light import Light, LightSettings
 from drivers.light.scpi import DialectName, Load
 from drivers.stage import Stage
 from drivers.wire_log import WireLog
-from sequences.plain_number import Within
 from sequences.schema import Axis
 from sequences.script import Flicker
+from sequences.strict_model import Within
 
 _BAUD_RATES = Within(50, 20_000_000, "Bd")
 Scale = Annotated[

@@ -45,11 +45,9 @@ from calib.errors import InputMismatch
 from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
 from drivers.camera.frames import FrameSettings
 from drivers.port_address import SOURCE_REMEDY, refused_source
-from sequences.limits import ResultLimits
-from sequences.plain_number import Within
 from sequences.reader import Located, find_document, read_document
-from sequences.schema import Name
-from sequences.strict_model import StrictModel
+from sequences.schema import Name, ResultLimits
+from sequences.strict_model import StrictModel, Within
 
 
 class SimulatedEvk4Config(EventCameraConfig):

@@ -18,9 +18,8 @@ from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import FocalLength, Positive, Serial, Text
 from calib.model.type_b_terms import Distribution, TermKind, TypeBTerm
-from sequences.plain_number import Within
 from sequences.schema import Name
-from sequences.strict_model import StrictModel
+from sequences.strict_model import StrictModel, Within
 
 # Sections of the station file about the collimator and about the gimbal's readings: what is known, and how
 # well.

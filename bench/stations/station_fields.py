@@ -11,9 +11,8 @@ from bench.base.bounded_json import leaves
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
-from sequences.plain_number import Within
-from sequences.strict_model import StrictModel
-from sequences.tree import Fault, Tree, path_text
+from sequences.strict_model import StrictModel, Within
+from sequences.yaml_text import Fault, Tree, path_text
 
 # Placeholders in a drafted or example station file for values that a person must fill in.
 #

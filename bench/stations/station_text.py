@@ -29,10 +29,10 @@ from drivers.stage import Stage
 from drivers.stage.text import TextAxis, TextStage
 from drivers.wire_log import WireLog
 from sequences.errors import DocumentFaults
-from sequences.plain_number import Within
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Axis
-from sequences.tree import Fault
+from sequences.strict_model import Within
+from sequences.yaml_text import Fault
 
 # Descriptions of devices: YAML files that say how a stage or a light is talked to, without code.
 

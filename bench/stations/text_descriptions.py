@@ -10,8 +10,7 @@ from pydantic_core import PydanticCustomError
 from bench.stations.station_fields import Text
 from drivers.described import description as of
 from drivers.described.description import Template, TemplateFault, parse_template
-from sequences.plain_number import Within, is_plain_number
-from sequences.strict_model import StrictModel
+from sequences.strict_model import StrictModel, Within, is_plain_number
 
 # What all descriptions of devices share: requests and replies, the line, refusals, notices, states.
 #

@@ -1,12 +1,11 @@
 """From one recording to one view: RAW file, whole flicker periods, event image, stars.
 
 Every number that a gate or the report shows is calculated here, from the file alone, so that it can be done again.
-Where the stars of a pose are expected follows from the gimbal and earlier poses; the journal stores that grid, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -16,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.bounded_json import without_nan
-from bench.records.events import CaptureStored, MeasuredFacts
-from bench.records.history import Attempt, History
+from bench.records.events import MeasuredFacts
 from bench.views.event_window import read_events, recorded_image, whole_image
 from bench.views.gates import Gate, at_least, at_most
 from calib.errors import (
@@ -90,11 +88,8 @@ __all__ = [
     "ExpectedGrid",
     "Measurement",
     "aligned_poses",
-    "best_angles_deg",
     "edge_angle_deg",
     "find_stars",
-    "grid_from_earlier_poses",
-    "grid_from_journal",
     "measure",
     "motion_px",
     "recorded_image",
@@ -291,33 +286,3 @@ def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
 
 def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:
     return frames.mean(axis=0, dtype=np.float64).astype(np.float32)
-
-
-def grid_from_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> ExpectedGrid:
-    """Predict a recording's grid, as `calib.stars.pointing`, from accepted poses with the tag, or `DegenerateViews`."""
-    # Loaded here, because it needs OpenCV and numba, which a plan that reads angles does not.
-    from calib.stars.pointing import LabelledView, predict_grid
-
-    here = best_angles_deg(stored["measured_deg"])
-
-    def predict(image_size: tuple[int, int]) -> NDArray[np.float64]:
-        labelled = [
-            LabelledView(np.array(measured["grid"]), best_angles_deg(attempt.stored["measured_deg"]))
-            for attempt in history.accepted().values()
-            if (measured := attempt.measured).get("named_by") in ("tag", "part of the tag")
-        ]
-        return predict_grid(labelled, here, image_size, target.pitch_mm).grid
-
-    return predict
-
-
-def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
-    """Return the grid expected when a recording was accepted; None if the tag labelled its stars."""
-    grid = attempt.measured.get("expected_grid")
-    return None if grid is None else lambda _image_size: np.array(grid)
-
-
-def best_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
-    """Return angle by axis, degrees: that of the encoder (``pan_encoder``) if there is one, else the stated one."""
-    axes = ("pan", "tilt", "roll")
-    return {a: measured_deg.get(f"{a}_encoder", measured_deg[a]) for a in axes if a in measured_deg}

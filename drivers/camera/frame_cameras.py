@@ -22,7 +22,6 @@ import numpy as np
 from drivers.camera import CameraIdentity, FoundCamera
 from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, read_frames, to_grey
 from drivers.clock import Clock
-from drivers.device_hold import CameraLock
 from drivers.errors import (
     CameraError,
     CameraLost,
@@ -31,6 +30,7 @@ from drivers.errors import (
     RecordingFailed,
     WrongDevice,
 )
+from drivers.file_lock import CameraLock
 
 DEV: Final = Path("/dev")
 """Folder of the device files."""

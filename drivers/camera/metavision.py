@@ -43,7 +43,6 @@ from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.camera.recording import RecordingOutcome, check_duration, recording_facts
 from drivers.camera.usb_permission import check_link
 from drivers.clock import Clock
-from drivers.device_hold import CameraLock, event_camera_name
 from drivers.errors import (
     CameraError,
     CameraLost,
@@ -52,6 +51,7 @@ from drivers.errors import (
     RecordingFileError,
     WrongDevice,
 )
+from drivers.file_lock import CameraLock, event_camera_name
 from drivers.lateness import own_lateness
 
 

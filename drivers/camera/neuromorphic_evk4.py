@@ -33,8 +33,8 @@ from drivers.camera.recording import (
 )
 from drivers.camera.usb_permission import check_link, only_camera_kind, only_camera_mbit_s
 from drivers.clock import Clock
-from drivers.device_hold import CameraLock, event_camera_name
 from drivers.errors import CameraError, CameraLost, CameraNotFound, CameraSoftwareMissing, WrongDevice
+from drivers.file_lock import CameraLock, event_camera_name
 
 SILENCE_S: Final = 5.0
 """Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""

@@ -14,8 +14,7 @@ from functools import reduce
 from drivers.clock import Clock
 from drivers.described.description import Exchange, LineDescription, Notice, Switch, Value
 from drivers.errors import DeviceRefused, ReplyError, WrongDevice
-from drivers.link import Link, ReplyReader
-from drivers.retry import TRIES, repeat
+from drivers.link import TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 

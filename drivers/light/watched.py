@@ -13,8 +13,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 from drivers.clock import Clock
 from drivers.errors import LightFault, SettingRefused
 from drivers.light import LightIdentity, LightSettings
-from drivers.link import Link
-from drivers.retry import read_until_agreed
+from drivers.link import Link, read_until_agreed
 from drivers.serial_port import SerialPort
 from drivers.wire_log import WireLog
 

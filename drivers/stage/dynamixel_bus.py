@@ -22,8 +22,7 @@ from typing import Final, NamedTuple, Self
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
-from drivers.link import Link, ReplyReader
-from drivers.retry import repeat
+from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 

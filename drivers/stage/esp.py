@@ -16,7 +16,7 @@ from typing import Literal
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits
-from drivers.retry import read_until_agreed
+from drivers.link import read_until_agreed
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis

@@ -14,8 +14,7 @@ from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, ReplyGarbled, ReplyTimeout
-from drivers.link import Link, ReplyReader
-from drivers.retry import repeat
+from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import motion
 from drivers.wire_log import WireLog

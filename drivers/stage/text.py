@@ -16,7 +16,7 @@ from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription, Value
 from drivers.described.line import DescribedLine
 from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
-from drivers.retry import TRIES, read_until_agreed
+from drivers.link import TRIES, read_until_agreed
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis

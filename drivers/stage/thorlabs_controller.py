@@ -18,8 +18,7 @@ from typing import Final, Self, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
-from drivers.link import Link, ReplyReader
-from drivers.retry import read_until_agreed, repeat
+from drivers.link import Link, ReplyReader, read_until_agreed, repeat
 from drivers.serial_port import Port
 from drivers.stage.watched import read_back_otherwise
 from drivers.wire_log import WireLog

@@ -23,8 +23,7 @@ from drivers.errors import (
     PortLost,
     WrongDevice,
 )
-from drivers.link import Link
-from drivers.retry import Reading, read_position_until_agreed
+from drivers.link import Link, Reading, read_position_until_agreed
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.motion import Axis

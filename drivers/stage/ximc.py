@@ -14,8 +14,7 @@ from typing import ClassVar, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
-from drivers.link import Link, ReplyReader
-from drivers.retry import repeat
+from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion, ximc_protocol
 from drivers.stage.motion import Axis

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
-from drivers.link import Link, ReplyReader
-from drivers.retry import repeat
+from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion, zaber_protocol
 from drivers.stage.motion import Axis

@@ -15,8 +15,8 @@ from station_texts import PLAIN
 from bench.base.clock import BenchClock
 from bench.stations.devices import Devices, serial_devices
 from bench.stations.station import Station
-from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy
+from drivers.file_lock import FOLDER_VARIABLE, DeviceHold
 from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice, TcpPort
@@ -25,7 +25,7 @@ from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 
 HOLD = """
 import sys
-from drivers.device_hold import DeviceHold
+from drivers.file_lock import DeviceHold
 hold = DeviceHold(sys.argv[1])
 print("held", flush=True)
 sys.stdin.read()

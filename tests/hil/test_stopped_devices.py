@@ -18,7 +18,7 @@ from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
 from bench.stations.devices import open_light, open_stage
 from bench.stations.station import load_station
-from drivers.device_hold import FOLDER_VARIABLE
+from drivers.file_lock import FOLDER_VARIABLE
 from simulators.config import bench_config
 
 AT_POSE = {"recording": 1, "slewing": 2}

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from drivers.camera.event_arrays import Events, empty_events
-from drivers.camera.formats.event_import import open_events
+from drivers.camera.formats.event_files import open_events
 
 
 def import_events(path):

@@ -26,11 +26,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from drivers.camera import CameraIdentity
-from drivers.camera.event_arrays import Events, Triggers, empty_events
+from drivers.camera.event_arrays import Events, EventSource, Triggers, empty_events
 from drivers.camera.evt3 import Words
-from drivers.camera.formats.event_files import ExportSummary, export_hdf5, export_metavision, export_numpy
-from drivers.camera.formats.event_import import open_events
-from drivers.camera.formats.event_source import EventSource
+from drivers.camera.formats.event_files import (
+    ExportSummary,
+    export_hdf5,
+    export_metavision,
+    export_numpy,
+    open_events,
+)
 from drivers.camera.formats.prophesee_words import header_fields, is_dat, is_evt2
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_HEADER_BYTES, MAX_SIDE_PX, render_header

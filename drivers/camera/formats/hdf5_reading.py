@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.formats.event_source import require_ratio
+from drivers.camera.event_arrays import require_ratio
 
 MOST_CHUNK_BYTES: Final = 1 << 24
 """Largest chunk, decompressed. Writers use chunks of at most some megabytes."""

@@ -22,8 +22,15 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers, join_triggers
-from drivers.camera.formats.event_source import MOST_TRIGGERS, EventSource
+from drivers.camera.event_arrays import (
+    MOST_TRIGGERS,
+    Events,
+    EventSource,
+    Triggers,
+    empty_events,
+    empty_triggers,
+    join_triggers,
+)
 from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingCorrupt
 
 MOST_BYTES: Final = 2 << 30

@@ -29,18 +29,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers
-from drivers.camera.formats import library_process
-from drivers.camera.formats.event_source import (
+from drivers.camera.event_arrays import (
+    Events,
     EventSource,
     Piece,
+    Triggers,
     as_events,
     as_triggers,
+    empty_events,
+    empty_triggers,
     origin_us,
     require_one_length,
     require_ratio,
     source_of_stream,
 )
+from drivers.camera.formats import library_process
 from drivers.camera.raw_header import MAX_SIDE_PX
 from drivers.errors import CameraSoftwareMissing, DriverError, RecordingCorrupt
 

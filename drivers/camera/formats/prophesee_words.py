@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import raw_header
-from drivers.camera.event_arrays import Events, Triggers
-from drivers.camera.formats.event_source import EventSource, Piece, source_of_stream
+from drivers.camera.event_arrays import Events, EventSource, Piece, Triggers, source_of_stream
 from drivers.camera.raw_header import MAX_HEADER_BYTES
 from drivers.camera.raw_writer import require_regular
 

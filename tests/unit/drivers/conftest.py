@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.device_hold import FOLDER_VARIABLE
+from drivers.file_lock import FOLDER_VARIABLE
 
 
 class ScriptedPort:

@@ -11,7 +11,7 @@ import pytest
 from imported import import_events
 
 from drivers.camera.formats.event_conversion import write_raw
-from drivers.camera.formats.event_import import open_events
+from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.hdf5_reading import MOST_CHUNK_BYTES
 from drivers.camera.raw_writer import require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
@@ -271,9 +271,9 @@ def test_a_pipe_and_a_folder_are_no_files(tmp_path, make):
 def test_events_are_read_and_written_piece_by_piece(tmp_path, monkeypatch):
     from datetime import UTC, datetime
 
-    from drivers.camera.formats import event_import
+    from drivers.camera.formats import event_files
 
-    monkeypatch.setattr(event_import, "PIECE_EVENTS", 700)
+    monkeypatch.setattr(event_files, "PIECE_EVENTS", 700)
     plain(tmp_path / "a.h5").close()
     with open_events(tmp_path / "a.h5") as source:
         assert [len(piece.t) for piece in source.pieces()] == [700, 700, 700, 700, 200]

@@ -6,8 +6,7 @@ from drivers import lateness
 from drivers.clock import SystemClock
 from drivers.errors import ReplyTimeout
 from drivers.lateness import Deadline, Lateness, follow_clock, follow_no_clock
-from drivers.link import Link
-from drivers.retry import TRIES, TRIES_WHEN_LATE, repeat
+from drivers.link import TRIES, TRIES_WHEN_LATE, Link, repeat
 
 
 class Time:

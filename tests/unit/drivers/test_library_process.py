@@ -11,7 +11,7 @@ import pytest
 from imported import import_events
 
 from drivers.camera.formats import library_process
-from drivers.camera.formats.event_import import open_events
+from drivers.camera.formats.event_files import open_events
 from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingFileError
 
 NONE, LZ4, ZSTD = 0, 1, 3

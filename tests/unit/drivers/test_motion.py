@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits, ReplyGarbled
-from drivers.retry import Reading, read_position_until_agreed, read_until_agreed
+from drivers.link import Reading, read_position_until_agreed, read_until_agreed
 from drivers.stage import AxisLimits
 from drivers.stage.motion import MoveWatch, check_targets, deadline_s, longest_move_s, travel_time_s
 

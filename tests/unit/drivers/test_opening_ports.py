@@ -22,8 +22,8 @@ from drivers.camera.usb_permission import (
     slow_cameras,
     unreadable_cameras,
 )
-from drivers.device_hold import DeviceHold
 from drivers.errors import CameraSoftwareMissing, DriverError, PortDenied, PortError, PortNotFound
+from drivers.file_lock import DeviceHold
 from drivers.serial_port import SerialPort
 
 

@@ -9,7 +9,7 @@ import pytest
 from imported import import_events
 
 from drivers.camera.formats.event_conversion import convert
-from drivers.camera.formats.event_import import open_events
+from drivers.camera.formats.event_files import open_events
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from drivers.errors import PortLost, ReplyGarbled, ReplyTimeout
-from drivers.link import RESYNCHRONISE_TRIES, Link
-from drivers.retry import TRIES, repeat
+from drivers.link import RESYNCHRONISE_TRIES, TRIES, Link, repeat
 
 
 class Line(Link):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sequences.errors import DocumentFaults
-from sequences.settings import with_settings
+from sequences.reader import with_settings
 from sequences.yaml_text import parse
 
 

@@ -5,8 +5,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sequences.tree import Spot
-from sequences.yaml_text import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse
+from sequences.yaml_text import MOST_BYTES, MOST_DEPTH, MOST_NODES, Spot, parse
 
 
 def faults(text: str | bytes) -> list[str]:

@@ -21,7 +21,7 @@ from bench.certificate.dcc import render_dcc
 from bench.certificate.pdf import draw_plots, pictures
 from bench.records.conformity import conformity, verdict_of
 from bench.report.text import BOARD, STARS
-from sequences.limits import ResultLimitConfig
+from sequences.schema import ResultLimitConfig
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
 

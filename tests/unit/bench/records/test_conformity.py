@@ -4,7 +4,7 @@ import pytest
 
 from bench.records.conformity import conformity
 from bench.report.text import conformity_headline, conformity_sentences
-from sequences.limits import ResultLimitConfig
+from sequences.schema import ResultLimitConfig
 
 
 def calibration(**changes):

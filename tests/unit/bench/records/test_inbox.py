@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 from bench.base.errors import StorageError
-from bench.records.storage import Inbox, Poller
+from bench.records.inbox import Inbox, Poller
 
 
 class Note(BaseModel):

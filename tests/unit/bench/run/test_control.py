@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
-from bench.records import storage as inbox_module
+from bench.records import inbox as inbox_module
 from bench.records.events import Event
 from bench.records.history import Attempt, History, RunLog, replay
 from bench.records.journal import Journal, read_journal

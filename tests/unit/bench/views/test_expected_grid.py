@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.records.history import Attempt, History
-from bench.views.measure import best_angles_deg, grid_from_earlier_poses, grid_from_journal
+from bench.views.expected_grid import best_angles_deg, grid_from_earlier_poses, grid_from_journal
 from bench.views.measure_board import with_advice
 from calib.boards.board import Board
 from calib.errors import DegenerateViews
