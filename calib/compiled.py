@@ -1,8 +1,12 @@
-"""How the engine's loops are compiled by numba."""
+"""How the engine's loops are compiled by numba, and its linear algebra done: on one thread, as matrices are small."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, Final, ParamSpec, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 KERNEL: Final[dict[str, Any]] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiler options. Only Python and other loops call these loops: an entry for C costs 4 % of the time of compiling."""
@@ -17,3 +21,18 @@ compiled; a call from Python would crash the process."""
 
 INNER: Final[dict[str, Any]] = {**INNER_WITH_ARRAYS, "_nrt": False}
 """The same of one that makes no arrays: references to its arguments need not be counted."""
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function's linear algebra use one thread: a calibration then takes 1 s, not 16, on two busy processors."""
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited

@@ -14,6 +14,7 @@ from calib.calibration import (
     CalibrationOptions,
     ViewSummary,
 )
+from calib.compiled import on_one_thread
 from calib.diagnosis.checks import check_adjustment, check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
@@ -23,7 +24,6 @@ from calib.model.camera import PINHOLE
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
-from calib.threads import on_one_thread
 from calib.view import View
 
 __all__ = ["Calibration", "CalibrationOptions", "ViewSummary", "calibrate"]

@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle, Observations
-from calib.adjustment.degeneracy import explain_weak_geometry, require_constrained, require_distinct_poses
 from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
 from calib.adjustment.levenberg_marquardt import Refinement, refine
 from calib.adjustment.loss import Loss, lengths
-from calib.adjustment.parameters import AdjustmentParameters, poses_of
+from calib.adjustment.parameters import (
+    AdjustmentParameters,
+    explain_weak_geometry,
+    poses_of,
+    require_constrained,
+    require_distinct_poses,
+)
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.checks import check_adjustment
 from calib.diagnosis.gross_stars import GrossStars, used_stars

@@ -22,9 +22,9 @@ from bench.align.where_to_turn import SeenMotion, TurnFigures, where_to_turn
 from bench.base.bounded_json import mapped
 from calib.errors import CalibrationError, TargetNotFound
 from calib.stars.beam import Beam, find_beam
-from calib.stars.dark_square import DarkSquare, find_dark_square
 from calib.stars.focus import contrast
 from calib.stars.quick import QuickStars, find_stars_quickly, follow_stars
+from calib.stars.tag import DarkSquare, find_dark_square
 from drivers.camera import RecordingFacts
 from drivers.errors import RecordingFileError
 

@@ -20,9 +20,8 @@ from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig
 from calib.errors import CalibrationError, FlickerNotFound, TooFewEvents
-from calib.events.event_image import EventImages, make_images
+from calib.events.event_image import EventImages, make_images, make_quick_image
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
-from calib.events.quick_image import make_quick_image
 from calib.target import StarTarget
 from drivers.camera import RecordingFacts
 from drivers.camera.event_arrays import Events, Triggers, join_triggers

@@ -19,8 +19,8 @@ from bench.align.live_image import LiveSetting
 from calib.model.homography import apply_homography, fit_homography, linear_at
 from calib.model.rotation import euler_zxy
 from calib.stars.beam import Beam
-from calib.stars.dark_square import Border, DarkSquare
 from calib.stars.quick import QuickStars
+from calib.stars.tag import Border, DarkSquare
 
 Array = NDArray[np.float64]
 

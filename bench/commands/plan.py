@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from bench.results.forecasts import PlanForecast
     from bench.results.next_pose import ExpectedCourse
     from calib.model.result_parts import BudgetRow
-    from calib.studies.planning import Forecast
-    from calib.studies.pose_choice import WeighedPose
+    from calib.studies.planning import Forecast, WeighedPose
     from sequences.queue import Queue
 
 _MOST_TERMS = 5

@@ -14,7 +14,7 @@ from bench.commands.output import JSON, show
 
 if TYPE_CHECKING:
     from bench.results.undistorted import Straightness
-    from calib.model.undistortion import Undistortion
+    from calib.model.camera import Undistortion
 
 
 @click.command(
@@ -55,7 +55,7 @@ def undistort(file: Path, output: Path, keep: float, preview: Path | None, board
     from bench.results.offline_folder import require_new
     from bench.results.offline_options import parse_board
     from bench.results.undistorted import board_straightness, read_picture_for, undistorted_files
-    from calib.model.undistortion import undistort as tables_of
+    from calib.model.camera import undistort as tables_of
 
     if board is not None and preview is None:
         raise UsageError(

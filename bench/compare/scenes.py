@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from bench.compare.spec import STAR_METHODS, ColumnConfig, MotionConfig
 from bench.simulated import virtual_camera
 from calib.boards.board import Board
-from calib.boards.detect import detect_board
-from calib.boards.opencv_corners import Finder, opencv_corners
+from calib.boards.detect import Finder, detect_board, opencv_corners
 from calib.errors import CalibrationError
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 from calib.events.reconstruction import reconstruct
 from calib.model.camera import CameraModel
 from calib.stars.detect import detect_view
-from calib.stars.vignetting import downweight_vignetted
+from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
 

@@ -38,8 +38,7 @@ from bench.base.errors import BenchError
 from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.model.boresight import Boresight
-from calib.model.camera import BROWN, SKEW, CameraModel
-from calib.model.nearest_lens import nearest_lens
+from calib.model.camera import BROWN, SKEW, CameraModel, nearest_lens
 from calib.target import StarTarget
 
 # What the writers of the exports share: refusals of lenses that a format cannot carry, matrices, YAML.

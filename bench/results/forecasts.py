@@ -20,8 +20,7 @@ from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.result_parts import WORST_CORNER
-from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
-from calib.studies.pose_choice import WeighedPose, next_poses
+from calib.studies.planning import REDUCED_BY_POSES, Forecast, WeighedPose, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import ChooseStep, SolveStep

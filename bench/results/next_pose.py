@@ -35,8 +35,7 @@ from calib.model.result_parts import (
     BudgetRow,
 )
 from calib.studies.expected_posterior import Angles, Sigmas
-from calib.studies.planning import REDUCED_BY_POSES, Forecast, forecast
-from calib.studies.pose_choice import PoseWeigher, WeighedPose, fit_gimbal
+from calib.studies.planning import REDUCED_BY_POSES, Forecast, PoseWeigher, WeighedPose, fit_gimbal, forecast
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import RecordStep, Until

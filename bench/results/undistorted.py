@@ -18,8 +18,7 @@ from bench.results.view_sources import picture_of
 from calib.boards.board import Board
 from calib.boards.detect import detect_board
 from calib.events.grey_image import to_uint8
-from calib.model.camera import CameraModel
-from calib.model.undistortion import Undistortion, straightness_px
+from calib.model.camera import CameraModel, Undistortion, straightness_px
 from calib.view import View
 
 TABLES, CAMERA_INFO, PREVIEW = "undistort.npz", "camera_info.yaml", "preview.png"

@@ -305,7 +305,7 @@ def _photograph(path: Path) -> NDArray[Any]:
 
 def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
     from calib.stars.detect import detect_view
-    from calib.stars.vignetting import downweight_vignetted
+    from calib.stars.rim import downweight_vignetted
 
     picture = _photograph(path)
     if choices.board is not None:

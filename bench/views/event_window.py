@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
 from calib.errors import FlickerNotFound, TooFewEvents
-from calib.events.event_image import ChosenImage, EventImages, SliceFacts, make_images
+from calib.events.event_image import ChosenImage, EventImages, SliceFacts, half_windows, make_images
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
-from calib.events.motion import half_windows
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile
 

@@ -26,12 +26,11 @@ from calib.errors import (
     TooFewEvents,
     TooFewStars,
 )
+from calib.events.event_image import MOVING_PX, motion_between
 from calib.events.grey_image import to_uint8
-from calib.events.motion import MOVING_PX, motion_between
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_stars, detect_view
-from calib.stars.rim import find_rim
-from calib.stars.vignetting import downweight_vignetted
+from calib.stars.rim import downweight_vignetted, find_rim
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera.frames import FrameFacts, read_frames

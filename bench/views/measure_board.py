@@ -21,7 +21,7 @@ from calib.boards.blinking_dots import detect_blinking_dots
 from calib.boards.board import Board
 from calib.boards.detect import detect_board, relocate_board
 from calib.errors import CalibrationError, FlickerNotFound, TargetNotFound, TooFewEvents, TooFewStars
-from calib.events.motion import motion_between
+from calib.events.event_image import motion_between
 from calib.events.reconstruction import ReconstructedPicture, reconstruct
 from calib.model.homography import fit_homography
 from calib.view import View

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.adjustment.bundle import Bundle, Observations
-from calib.adjustment.degeneracy import explain_weak_geometry
 from calib.adjustment.initialization import best_start, passport_starts, spherical_starts
-from calib.adjustment.parameters import AdjustmentParameters, poses_of
+from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geometry, poses_of
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, NotConverged
 from calib.joint import amplitudes as amp

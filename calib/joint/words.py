@@ -6,8 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.adjustment.degeneracy import MAX_FOCAL_SIGMA, explain_weak_geometry, require_distinct_poses
-from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.parameters import (
+    MAX_FOCAL_SIGMA,
+    AdjustmentParameters,
+    explain_weak_geometry,
+    require_distinct_poses,
+)
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
 from calib.joint.knowledge import READINGS

@@ -17,12 +17,18 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewStars
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
-from calib.stars.centring import SYMMETRY_REACH, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
+from calib.stars.centring import (
+    SYMMETRY_REACH,
+    SymmetryFit,
+    refine_by_symmetry,
+    smooth,
+    symmetry_samples,
+    variance_factor,
+)
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap, fit_grid_map
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
-from calib.stars.noise import variance_factor
-from calib.stars.open_sides import cell_reach, open_sides
+from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, learnt_contrasts, star_contrasts
 from calib.target import StarTarget
 from calib.view import View

@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.stars.growth import GrowthStart
-from calib.stars.star_search import search_stars
+from calib.stars.growth import GrowthStart, search_stars
 from calib.stars.template import SEARCH_RADII, StarTemplate
 
 #: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.

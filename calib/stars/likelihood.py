@@ -35,13 +35,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.stars.edge_gathering import gather_edge_pixels
 from calib.stars.edge_pixels import (
     EDGE_UNKNOWNS,
     TAU_BIN_PX,
     ScoreTables,
     count_levels,
     edge_scores,
+    gather_edge_pixels,
 )
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import EdgeMap, blurred_edge_map, render_star
@@ -103,7 +103,7 @@ def refine_by_likelihood(
     Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
     likelihood, which is this project's own. The levels are those of the image before smoothing; the centres are right
     to about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
-    `calib.stars.open_sides`; None if all stars lie between stars.
+    `calib.stars.printed_star`; None if all stars lie between stars.
     """
     pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))

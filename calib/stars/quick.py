@@ -29,7 +29,7 @@ from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_tag
 from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import typical_pitch_px
-from calib.stars.open_sides import cell_reach, open_sides
+from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.tag import TagDetection, find_tag, modules_correlation
 from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, star_contrasts
 from calib.target import StarTarget

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.compiled import on_one_thread
 from calib.errors import InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
-from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_derivatives, sensor_grid
 
 Array = NDArray[np.float64]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, angles_of
 from calib.model.likelihood_ratio import DECISIVE
@@ -24,7 +25,6 @@ from calib.studies.gimbal_likelihood import Explanation, SeenRotations
 from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
 from calib.studies.hand_eye_fit import GimbalFit, global_fit, refine, scales_near
-from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
 Array = NDArray[np.float64]

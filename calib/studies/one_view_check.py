@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.closed_forms import poses_from_homographies
 from calib.model.homography import fit_homography
 from calib.model.rotation import exp_map, skew
-from calib.threads import on_one_thread
 from calib.view import View
 
 Array = NDArray[np.float64]

@@ -1,31 +1,42 @@
-"""Planning: the uncertainty that a set of poses will give; repeats of a pose count as one.
+"""Planning: the uncertainty that a set of poses will give, and what each possible pose would add to it.
 
-A forecast is the posterior of the joint adjustment on predicted views (`calib.studies.expected_posterior`).
+A forecast is the posterior of the joint adjustment on predicted views (`calib.studies.expected_posterior`); repeats of
+a pose count as one. A possible pose's rotation comes from a gimbal fitted to the poses so far. A pose is judged by what
+remains at the worst point of the sensor (the G-optimality of experimental design; Kiefer and Wolfowitz, 1960).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.parameters import AdjustmentParameters, members, poses_of
+from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, members, poses_of
 from calib.calibration import CalibrationOptions
+from calib.compiled import on_one_thread
+from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.words import require_determined
 from calib.model import result_parts as rows
+from calib.model.gimbal import Gimbal, aligned_gimbal
+from calib.model.gimbal_readings import angles_of
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
+from calib.model.rotation import nearest_rotation
 from calib.studies.expected_posterior import (
     Angles,
+    PoseGains,
+    Sigmas,
+    distance_deg,
     expected_posterior,
+    share_of_news,
     with_distortion,
 )
-from calib.studies.predicted_views import ExpectedBench, predicted_view
-from calib.threads import on_one_thread
+from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share, view_at
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
+from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -143,3 +154,167 @@ def _remarks(bench: ExpectedBench) -> tuple[str, ...]:
             "uncertainty."
         )
     return tuple(remarks)
+
+
+_MIN_VIEWS = 3
+_MOVED_DEG = 0.5
+
+
+@on_one_thread
+def next_poses(
+    bench: ExpectedBench,
+    taken_deg: Sequence[Angles],
+    candidates_deg: Sequence[Angles],
+    count: int = 1,
+) -> tuple[WeighedPose, ...]:
+    """Return the poses that lower the worst projection uncertainty most, the best first, before a straight gimbal.
+
+    The candidates, degrees, lie within the station's limits; those that show too little are skipped; each is chosen at
+    most once.
+    Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
+    Raises DegenerateViews: If too few candidates show the target.
+    """
+    for pose in taken_deg:
+        predicted_view(bench, pose, "taken")
+    return PoseWeigher(bench, Gimbal(), taken_deg).best(candidates_deg, count)
+
+
+def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
+    """Fit the gimbal to the poses recorded so far, well enough to predict what a pose shows.
+
+    Without three or more views turned about two axes, the camera is assumed to be mounted straight, and only the base
+    is fitted: the mean of the rotations that the views give, projected on the rotations (Moakher, 2002). Without views,
+    the gimbal stands straight before the target. Missing angles are zero.
+    """
+    if not len(rotations):
+        return Gimbal()
+    angles = angles_of(readings_deg)
+    if len(rotations) < _MIN_VIEWS or (np.ptp(angles, axis=0) > _MOVED_DEG).sum() < 2:
+        back = np.swapaxes(Gimbal().heads(angles), 1, 2)
+        return Gimbal(base_from_target=nearest_rotation(np.mean(back @ rotations, axis=0)))
+    return aligned_gimbal(rotations, angles)
+
+
+@dataclass(frozen=True)
+class WeighedPose:
+    """What a possible pose would add."""
+
+    angles_deg: Angles  # Angles of the gimbal, degrees
+    after: Sigmas
+    rim_share: float  # Share of the rim of the beam's disc that would be in view, 0 to 1
+
+
+class PoseWeigher:
+    """Weighs possible poses, none that failed, against those recorded so far; each must show ``min_stars``.
+
+    Uncertainties are those of the joint adjustment for the expected amplitudes, with camera and collimator of the last
+    calibration, or the expected ones. The discount for neighbouring poses is this project's own.
+    """
+
+    def __init__(
+        self,
+        bench: ExpectedBench,
+        gimbal: Gimbal,
+        taken_deg: Sequence[Angles],
+        *,
+        refused_deg: Sequence[Angles] = (),
+        min_stars: int = 0,
+    ) -> None:
+        self._bench = with_distortion(bench)
+        self._gimbal = gimbal
+        self._taken = tuple(taken_deg)
+        self._refused = tuple(refused_deg)
+        self._min_stars = min_stars
+        views = self._views(self._taken)
+        self._shown = [
+            (pose, view) for pose, view in zip(self._taken, views, strict=True) if view is not None
+        ]
+        self._news = np.array(
+            [
+                share_of_news(self._taken[i], self._taken[:i])
+                for i, view in enumerate(views)
+                if view is not None
+            ]
+        )
+        self.before: Sigmas | None = None
+        if self._shown:
+            gains = self._gains(self._shown)
+            self.before = gains.sigmas(gains.covariance(self._news))
+
+    def best(self, candidates_deg: Iterable[Angles], count: int) -> tuple[WeighedPose, ...]:
+        """Return the poses that leave the least at the worst point, one after the other (greedy; own), none twice.
+
+        Raises DegenerateViews: If too few of the poses show the target.
+        """
+        shown = self._possible(candidates_deg)
+        gains = self._gains([*self._shown, *shown]) if shown else None
+        first, taken, chosen = len(self._shown), list(self._taken), list[WeighedPose]()
+        weights = np.concatenate([self._news, np.zeros(len(shown))])
+        for _ in range(count):
+            free = [k for k, (pose, _) in enumerate(shown) if not _repeats(pose, taken)]
+            if gains is None or not free:
+                raise DegenerateViews(
+                    f"Only {len(chosen)} of the candidate poses show the target and repeat no other pose; {count} are "
+                    "needed."
+                )
+            before, news = gains.covariance(weights), {k: share_of_news(shown[k][0], taken) for k in free}
+            after = {k: gains.with_pose(before, first + k, news[k]) for k in free}
+            best = min((after[k].worst_px, k) for k in free)[1]
+            weights[first + best] = news[best]
+            taken.append(shown[best][0])
+            chosen.append(self._weighed(shown[best][0], after[best]))
+        return tuple(chosen)
+
+    def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
+        """Return the poses that show enough of the target and repeat no recorded or failed pose, in their order."""
+        return [pose for pose, _ in self._possible(candidates_deg)]
+
+    def weigh(self, candidates_deg: Iterable[Angles]) -> list[WeighedPose]:
+        """Return what each possible pose would add, in their order; others are left out."""
+        shown = self._possible(candidates_deg)
+        if not shown:
+            return []
+        gains = self._gains([*self._shown, *shown])
+        known = gains.covariance(self._news)
+        return [
+            self._weighed(
+                pose, gains.with_pose(known, len(self._shown) + k, share_of_news(pose, self._taken))
+            )
+            for k, (pose, _) in enumerate(shown)
+        ]
+
+    def _weighed(self, pose: Angles, after: Sigmas) -> WeighedPose:
+        return WeighedPose(pose, after, rim_share(self._bench, self._rotations([pose])[0]))
+
+    def _possible(self, candidates_deg: Iterable[Angles]) -> list[tuple[Angles, View]]:
+        """Return the possible poses, each with what it shows."""
+        others = (*self._taken, *self._refused)
+        new = [pose for pose in candidates_deg if not _repeats(pose, others)]
+        return [
+            (pose, view)
+            for pose, view in zip(new, self._views(new), strict=True)
+            if view is not None and len(view) >= self._min_stars
+        ]
+
+    def _views(self, poses: Sequence[Angles]) -> list[View | None]:
+        """Return the stars that each pose shows; None if it shows too few."""
+        return [self._view(rotation) for rotation in self._rotations(poses)]
+
+    def _view(self, rotation: Array) -> View | None:
+        try:
+            return view_at(self._bench, rotation, "possible")
+        except TooFewStars:
+            return None
+
+    def _rotations(self, poses: Sequence[Angles]) -> Array:
+        """Return the (n, 3, 3) rotations of the camera at some poses."""
+        return self._gimbal.rotations(angles_of(poses))
+
+    def _gains(self, shown: Sequence[tuple[Angles, View]]) -> PoseGains:
+        """Return what the views of some poses say."""
+        poses = [pose for pose, _ in shown]
+        return PoseGains(self._bench, [view for _, view in shown], self._rotations(poses), poses)
+
+
+def _repeats(pose: Angles, others: Iterable[Angles]) -> bool:
+    return any(distance_deg(pose, other) < SAME_POSE_DEG for other in others)

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy import linalg, special
 
 from calib.calibration import Calibration
+from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.boresight import RotationErrors
 from calib.model.camera import CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.rotation import exp_map, log_map, nearest_rotation
 from calib.studies.rig_boards import BoardPair, adjusted
-from calib.threads import on_one_thread
 from calib.uncertainty.projection_uncertainty import ARCSEC
 from calib.view import View
 

@@ -41,7 +41,7 @@ OFF_AT: Final = 4  # an OFF event comes when u has risen to this
 U: Final = 5  # u at the requested phase
 T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
 IS_ON: Final = 7  # its polarity
-LIMIT_DISTANCE: Final = 8  # square: relative distance of the targets from the limit of u; see square_tail
+LIMIT_DISTANCE: Final = 8  # square: relative distance of the targets from the limit of u; see pixel_reset
 TARGET: Final = 2  # smooth: ln u at the next crossing
 EARLIEST: Final = 8  # smooth: see atlas_lookup.near_crossing
 SHIFT: Final = 9

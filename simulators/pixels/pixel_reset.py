@@ -3,11 +3,16 @@
 A pixel that has been read takes a new reference at the end of its dead time. The pixels of a row are processed as a
 batch in float32; if they are few, one by one. Under a square light, double precision is used for pixels that are read
 at once and for crossings in the flat tail of an edge. ``readout`` decides when a row is read, and produces events.
+
+In the tail of an edge u is almost flat. Where its logarithm changes by 1e-6 per microsecond, an error of 1e-6 moves an
+event by a microsecond; elsewhere the errors of float32, some 1e-7, do no harm. Crossings in a tail are therefore
+computed again with more digits. The first reference of a pixel remains a float32: where ln u changes by less than 1e-6
+per microsecond, an event may still be off by a microsecond.
 """
 
 from __future__ import annotations
 
-from math import floor
+from math import exp, floor, log
 from typing import Any, Final
 
 import numpy as np
@@ -15,8 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels import photoreceptor as pr
-from simulators.pixels import square_tail as tail
-from simulators.pixels.drive import Drive
+from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import INNER, INNER_KERNEL, JIT
 from simulators.pixels.photoreceptor import fill_crossings, fill_levels, fill_steady_states, period_start
 from simulators.pixels.pixel_noise import earlier_reset_error, reset_error, reset_errors, uniform
@@ -30,8 +34,112 @@ from simulators.pixels.sensor_state import (
     U_REF,
     Pixels,
     Readout,
+    smallest,
     update_minima,
 )
+
+STEEP: Final = 3e-5
+"""Smallest change of ln u per microsecond at which float32 is good to some hundredths of a microsecond."""
+LEAST_Q_US: Final = 1.0
+TIME_STEP_US: Final = 4.0 / 1024.0
+"""The coarsest step of a float32 time after the epoch, about 4 ns."""
+
+
+@njit(forceinline=True, **INNER)
+def tail_width(d: Drive) -> float:
+    """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``."""
+    return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
+
+
+@njit(forceinline=True, **INNER)
+def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
+    """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period."""
+    i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
+    i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
+    return min(abs(on_at * i_high - np.float32(1.0)), abs(off_at * i_low - np.float32(1.0)))
+
+
+@njit(**INNER_KERNEL)
+def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any:
+    """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light; return the smallest, at most 1."""
+    for k in range(n):
+        batch[pr.LIMIT_DISTANCE, k] = limit_distance(
+            drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k]
+        )
+    return min(np.float32(1.0), smallest(batch[pr.LIMIT_DISTANCE, :n]))
+
+
+@njit(**INNER)
+def _steady(d: Drive, light: float) -> tuple[float, float]:
+    """Return u at the rising and the falling edge in the periodic steady state."""
+    i_high, i_low = d.ambient + light * d.w_high, d.ambient + light * d.w_low
+    decay_high = exp(-i_high * d.high_us / d.q_us)
+    decay_low = exp(-i_low * (d.period_us - d.high_us) / d.q_us)
+    bright, dark = 1.0 / i_high, 1.0 / i_low
+    rise = dark * (1.0 - decay_low) + bright * (1.0 - decay_high) * decay_low
+    u_rise = rise / (1.0 - decay_high * decay_low)
+    return u_rise, bright + (u_rise - bright) * decay_high
+
+
+@njit(**INNER)
+def level(d: Drive, light: float, phase: float) -> float:
+    """Return u of a pixel at a phase."""
+    u_rise, u_fall = _steady(d, light)
+    rising = phase >= d.high_us  # u rises in the low part
+    i = d.ambient + light * (d.w_low if rising else d.w_high)
+    since = phase - (d.high_us if rising else 0.0)
+    return 1.0 / i + ((u_fall if rising else u_rise) - 1.0 / i) * exp(-since * i / d.q_us)
+
+
+@njit(**INNER)
+def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
+    """Return the first crossing at or after a phase: its phase, us (inf = none), and whether it is ON."""
+    u_rise, u_fall = _steady(d, light)
+    bright, dark = 1.0 / (d.ambient + light * d.w_high), 1.0 / (d.ambient + light * d.w_low)
+    can_on, can_off = u_fall <= on_at, u_rise >= off_at
+    rising = phase >= d.high_us
+    on = not can_off if rising else can_on  # the present part of the period first, then the one after it
+    if not (can_on if on else can_off):
+        return np.inf, on
+    start, end, at = (u_rise, bright, on_at) if on else (u_fall, dark, off_at)
+    begin = (d.period_us if rising else 0.0) if on else d.high_us
+    if start == end:
+        return np.inf, on
+    past = (start - end) / (at - end) if at != end else np.inf
+    return max(begin + d.q_us * end * log(max(past, 1.0)), phase), on
+
+
+@njit(**INNER)
+def request_time(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
+    """Return when u met a target, more exactly than float32 stores a request's time t, us after the epoch.
+
+    On a steep slope the target determines the moment better than the stored time does. The light that the pixel
+    receives at the end of its dead time sets the next reference.
+    """
+    begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)
+    u_rise, u_fall = _steady(d, light)
+    end = 1.0 / (d.ambient + light * (d.w_high if on else d.w_low))
+    past = ((u_rise if on else u_fall) - end) / (target - end) if target != end else 0.0
+    exact = begin + d.q_us * end * log(past) if past > 0.0 else t
+    return exact if abs(exact - t) <= TIME_STEP_US else t
+
+
+# Digits of a reference beyond float32: its relative rounding error, at most 2^-24, as -63 to 63 steps in bits 1 to 7.
+
+
+@njit(forceinline=True, **INNER)
+def lower_digits(u: float, u32: Any) -> Any:
+    """Return the digits of u that its float32 value lacks, to be stored beside it: bits 1 to 7; bit 0 is free."""
+    steps = floor((u / np.float64(u32) - 1.0) * (63.0 * 16777216.0) + 64.5)
+    return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
+
+
+@njit(forceinline=True, **INNER)
+def join_digits(u32: Any, digits: Any) -> float:
+    """Return a float32 reference with its digits from ``lower_digits``; 0 in bits 1 to 7 if none were stored."""
+    steps = np.int64(digits >> np.uint8(1))
+    return np.float64(u32) * (1.0 + ((steps - 64) / (63.0 * 16777216.0) if steps else 0.0))
+
 
 FEW: Final = 9
 """With fewer events, the pixels of a row are processed one by one, not as a batch."""
@@ -94,9 +202,9 @@ def _store(
 def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: float, start: float) -> None:
     """Set a pixel's next crossing by a reference in double precision, and store the reference with its lower digits."""
     on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
-    cross, on = tail.crossing(drive, px.cell[r, c, STORED_LIGHT], u * on_gain, u / off_gain, phase)
+    cross, on = crossing(drive, px.cell[r, c, STORED_LIGHT], u * on_gain, u / off_gain, phase)
     px.cell[r, c, U_REF] = u
-    px.is_on[r, c] = tail.lower_digits(u, px.cell[r, c, U_REF]) | np.uint8(on)
+    px.is_on[r, c] = lower_digits(u, px.cell[r, c, U_REF]) | np.uint8(on)
     px.t_next[r, c] = max(px.cell[r, c, T_LIVE], np.float32(start + cross))
 
 
@@ -123,8 +231,8 @@ def reset_pixel(
     px.cell[r, c, T_LIVE] = live
     px.is_on[r, c] = np.uint8(on)
     px.t_next[r, c] = max(live, np.float32(start) + cross)
-    if tail.limit_distance(drive, light, on_at, off_at) < tail.tail_width(drive):
-        cross_exactly(px, drive, r, c, tail.level(drive, light, phase) * error, phase, start)
+    if limit_distance(drive, light, on_at, off_at) < tail_width(drive):
+        cross_exactly(px, drive, r, c, level(drive, light, phase) * error, phase, start)
 
 
 @njit(**INNER)
@@ -134,14 +242,14 @@ def reset_at_once(
     """Reset a row's listed pixels, read at their request t, us after the epoch, under a square light: in double."""
     for k in range(n):
         c = np.int64(px.column[k])
-        light, u_ref = px.cell[r, c, STORED_LIGHT], tail.join_digits(px.cell[r, c, U_REF], px.is_on[r, c])
+        light, u_ref = px.cell[r, c, STORED_LIGHT], join_digits(px.cell[r, c, U_REF], px.is_on[r, c])
         on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
         on = px.is_on[r, c] & np.uint8(1) != 0
         target = u_ref * on_gain if on else u_ref / off_gain
-        t_live = tail.request_time(drive, light, target, on, t, start) + ro.dead_us
+        t_live = request_time(drive, light, target, on, t, start) + ro.dead_us
         live_start = start + floor((t_live - start) / drive.period_us) * drive.period_us
         phase = t_live - live_start
-        u = tail.level(drive, light, phase) * reset_error(ro.normals, ro.reset_noise, random)
+        u = level(drive, light, phase) * reset_error(ro.normals, ro.reset_noise, random)
         px.cell[r, c, T_LIVE] = t_live
         cross_exactly(px, drive, r, c, u, phase, live_start)
 
@@ -166,12 +274,12 @@ def reset_row(
     _fill_firing_levels(px.gains[r], px.column, px.batch, whole)
     fill_crossings(drive, px.batch, whole, phase)
     _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
-    width = tail.tail_width(drive)
-    if width > 0.0 and tail.fill_limit_distance(drive, px.batch, n) < width:
+    width = tail_width(drive)
+    if width > 0.0 and fill_limit_distance(drive, px.batch, n) < width:
         for k in range(n):
             if px.batch[pr.LIMIT_DISTANCE, k] < width:
                 c = np.int64(px.column[k])
-                u = tail.level(drive, px.cell[r, c, STORED_LIGHT], phase)
+                u = level(drive, px.cell[r, c, STORED_LIGHT], phase)
                 error = earlier_reset_error(ro.normals, ro.reset_noise, random, n - k)
                 cross_exactly(px, drive, r, c, u * error, phase, start)
 
@@ -219,7 +327,7 @@ def apply_change(
         fill_steady_states(drive, batch, width)
         fill_levels(drive, batch, width, t - start)
         fill_crossings(drive, batch, width, t - start)
-        tail.fill_limit_distance(drive, batch, width)
+        fill_limit_distance(drive, batch, width)
         for c in range(width):
             if px.t_next[r, c] <= t:
                 continue  # it already waits
@@ -231,9 +339,9 @@ def apply_change(
             lower = px.is_on[r, c] & np.uint8(0xFE)
             px.is_on[r, c] = lower | np.uint8(on)
             if (
-                batch[pr.LIMIT_DISTANCE, c] < tail.tail_width(drive)
+                batch[pr.LIMIT_DISTANCE, c] < tail_width(drive)
                 and batch[pr.ON_AT, c] < u < batch[pr.OFF_AT, c]
             ):
-                u_ref = tail.join_digits(px.cell[r, c, U_REF], lower)
+                u_ref = join_digits(px.cell[r, c, U_REF], lower)
                 cross_exactly(px, drive, r, c, u_ref, t - start, start)
     update_minima(px)

@@ -51,7 +51,7 @@ class Pixels(NamedTuple):
     # (rows, columns) float32, time of the next request, us after the epoch; inf = none.
     t_next: NDArray[np.float32]
     # (rows, columns) uint8, polarity of that request in bit 0; above it, the lower digits of U_REF
-    # (``square_tail``).
+    # (``pixel_reset``).
     is_on: NDArray[np.uint8]
     cell: NDArray[np.float32]  # (rows, columns, N_CELL) float32, further numbers of each pixel
     gains: NDArray[np.uint32]  # (rows, columns, N_CELL) uint32, the same memory as words

@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, NamedTuple
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
-from simulators.stages.controller import Unit
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, Unit
 from simulators.world.trajectory import LoadTrajectory
 
 _START: Final = b"\xff\xff\xfd\x00"

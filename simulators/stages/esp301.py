@@ -20,8 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
-from simulators.stages.controller import AxisOfController, Controller
+from simulators.stages.axis_motion import Axis, AxisOfController, Controller, Mechanics, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)

@@ -21,8 +21,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
-from simulators.stages.controller import AxisOfController, Controller
+from simulators.stages.axis_motion import Axis, AxisOfController, Controller, Mechanics, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")

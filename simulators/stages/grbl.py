@@ -15,8 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from simulators.stages.axis_motion import Axis, MotionEvent
-from simulators.stages.controller import AxisOfController, Unit
+from simulators.stages.axis_motion import Axis, AxisOfController, MotionEvent, Unit
 from simulators.stages.grbl_planner import (
     Block,
     GcodeError,

@@ -19,8 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
-from simulators.stages.controller import Controller
+from simulators.stages.axis_motion import Axis, Controller, Mechanics, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 _COMPUTER: Final = 0x01

@@ -17,8 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
-from simulators.stages.controller import Unit
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, Unit
 from simulators.world.trajectory import LoadTrajectory
 
 #: Longest request, bytes; longer ones are dropped.

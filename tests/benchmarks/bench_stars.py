@@ -128,7 +128,7 @@ def solve(recording: Path, found: Path) -> None:
     """Find the stars of a recording some times; write the CPU seconds and the view. Runs in a process of its own."""
     from bench.views.event_window import EventData, read_events, whole_image
     from bench.views.measure import find_stars
-    from calib.stars.vignetting import downweight_vignetted
+    from calib.stars.rim import downweight_vignetted
     from drivers.camera.event_arrays import Events, Triggers
 
     def known(function: Any, **wanted: Any) -> dict[str, Any]:

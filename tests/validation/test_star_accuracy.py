@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.events.event_image import make_images
+from calib.events.event_image import half_windows, make_images, motion_between
 from calib.events.flicker import Flicker, flicker_from_events
-from calib.events.motion import half_windows, motion_between
 from calib.stars.detect import detect_stars, detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate

@@ -5,7 +5,7 @@ import pytest
 
 from calib.engine import calibrate
 from calib.stars.detect import detect_view
-from calib.stars.vignetting import downweight_vignetted
+from calib.stars.rim import downweight_vignetted
 from simulators.optics.picture import TARGET, pose_rotation, project, render
 from simulators.world.truth_config import truth_from_config
 

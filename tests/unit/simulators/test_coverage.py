@@ -13,7 +13,7 @@ from simulators.optics.drawing import add_edge as inner_add_edge
 from simulators.optics.drawing import empty_picture, join_cells, spread_kernel
 from simulators.optics.outlines import black_polygons
 from simulators.pixels import pixel_reset
-from simulators.pixels import square_tail as tail
+from simulators.pixels import pixel_reset as tail
 from simulators.pixels.pixel_noise import reset_error as inner_reset_error
 from simulators.pixels.pixel_reset import reset_row as inner_reset_row
 from simulators.pixels.sensor import Sensor

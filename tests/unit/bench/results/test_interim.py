@@ -19,7 +19,7 @@ from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import angles_of
 from calib.model.result_parts import BudgetRow
 from calib.model.rotation import euler_zxy
-from calib.studies.pose_choice import PoseWeigher, fit_gimbal
+from calib.studies.planning import PoseWeigher, fit_gimbal
 from sequences.script import ChooseStep
 
 TAKEN = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.bursts import whole_period_window
+from calib.events.accumulation import whole_period_window
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from calib.events import accumulation
+from calib.events.event_image import make_quick_image
 from calib.events.grey_image import CLIPPED_SHARE, to_uint8
-from calib.events.quick_image import make_quick_image
 
 
 def counts_of(on, off):

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch
-from calib.model.camera import CameraModel
-from calib.model.undistortion import straightness_px, undistort
+from calib.model.camera import CameraModel, straightness_px, undistort
 
 SIZE = (320, 180)
 LENSES = {

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from calib.stars.beam import find_beam
-from calib.stars.dark_square import find_dark_square
 from calib.stars.quick import find_stars_quickly
+from calib.stars.tag import find_dark_square
 from simulators.optics.picture import TARGET, project, true_rotation
 from tests.support.live_slices import bench, fired, seen
 

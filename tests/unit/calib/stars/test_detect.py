@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
+from calib.events.event_image import half_windows, motion_between
 from calib.events.grey_image import to_uint8
-from calib.events.motion import half_windows, motion_between
 from calib.model.homography import apply_homography
 from calib.stars import tag as tag_module
 from calib.stars.detect import detect_stars, detect_view

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.stars.noise import stencil_residuals, variance_factor
-from calib.stars.vignetting import downweight_vignetted, vignetted_stars
+from calib.stars.centring import stencil_residuals, variance_factor
+from calib.stars.rim import downweight_vignetted, vignetted_stars
 from calib.target import StarTarget
 from calib.view import View
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.stars.detect import detect_stars
-from calib.stars.open_sides import MIN_REACH, cell_reach, open_sides
+from calib.stars.printed_star import MIN_REACH, cell_reach, open_sides
 from calib.target import StarTarget
 from simulators.optics.picture import pose_rotation, project, render
 from simulators.world.truth import Truth

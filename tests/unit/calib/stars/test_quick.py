@@ -7,8 +7,8 @@ import pytest
 
 from calib.errors import TargetNotFound
 from calib.stars.centring import centre_information, solve_steps
+from calib.stars.growth import search_stars
 from calib.stars.quick import find_stars_quickly
-from calib.stars.star_search import search_stars
 from calib.stars.template import SEARCH_RADII, StarTemplate, star_contrasts
 from simulators.optics.picture import TARGET, project, star_centres, true_rotation
 from tests.support.live_slices import bench, fired, seen

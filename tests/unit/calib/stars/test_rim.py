@@ -6,7 +6,7 @@ from scipy.ndimage import map_coordinates
 
 from calib.stars.beam import find_beam
 from calib.stars.centring import SYMMETRY_REACH
-from calib.stars.edge_gathering import gather_edge_pixels
+from calib.stars.edge_pixels import gather_edge_pixels
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import blurred_edge_map, render_star
 from calib.stars.rim import find_rim

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from calib.stars.centring import symmetry_samples
-from calib.stars.symmetry_kernels import normal_equations
+from calib.stars.centring import normal_equations, symmetry_samples
 
 random = np.random.default_rng(5)
 IMAGE = random.normal(100.0, 30.0, (60, 70)).astype(np.float32)

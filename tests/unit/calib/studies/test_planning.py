@@ -12,8 +12,7 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.result_parts import PARALLAX, PASSPORT, POSE_FIELDS, STARS, TURN_FIELDS, UNBOUNDED_PARALLAX
-from calib.studies.planning import forecast
-from calib.studies.pose_choice import next_poses
+from calib.studies.planning import forecast, next_poses
 from calib.studies.predicted_views import CollimatorErrors, ExpectedBench
 
 CAMERA = CameraModel(3345.0, 3345.0, 640.0, 360.0, (1280, 720), {"k1": 0.06, "k2": -0.9})
