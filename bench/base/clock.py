@@ -1,19 +1,23 @@
 """The clock of the bench. Every wait of a run goes through it, so that a request to stop ends every wait.
 
-A signal handler or another thread calls `BenchClock.request_stop`; the next ``sleep`` or ``check`` raises `Aborted`, or
-`Interrupted` after an interlock's ``interrupt``, until ``clear_interruption``. While devices are made safe, the clock
-is ``shielded`` from both. ``inactive_s`` grows where a driver hangs: the work neither waits, nor checks, nor reads the
-time. The time of a `VirtualClock` passes only where the work waits.
+The first SIGINT, SIGTERM or SIGHUP, or another thread, calls `BenchClock.request_stop`; the next ``sleep`` or ``check``
+raises `Aborted`, or `Interrupted` after an interlock's ``interrupt``, until ``clear_interruption``. While devices are
+made safe, the clock is ``shielded`` from both; the third signal, if SIGINT (Ctrl-C), ends the process at once.
+``inactive_s`` grows where a driver hangs: the work neither waits, nor checks, nor reads the time. The time of a
+`VirtualClock` passes only where the work waits.
 """
 
 from __future__ import annotations
 
 import queue
+import signal
+import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
+from types import FrameType
 from typing import Any
 
 from drivers.lateness import own_lateness
@@ -197,3 +201,64 @@ class VirtualClock(BenchClock):
     def lateness(self) -> Mapping[str, Any]:
         """See `BenchClock.lateness`."""
         return {}
+
+
+_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
+_SIGNALS_TO_END_AT_ONCE = 3
+_RESEND_AFTER_S = 0.05
+
+
+@contextmanager
+def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
+    """Turn SIGINT, SIGTERM and SIGHUP into a request to stop, with its reason. Only for the main thread."""
+    received = 0
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        nonlocal received
+        received += 1
+        if received >= _SIGNALS_TO_END_AT_ONCE and number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            raise KeyboardInterrupt
+        request_stop(f"{signal.Signals(number).name} received")
+
+    numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
+    before = {number: signal.signal(number, ask) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def reliable_interrupts() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C does, with all clean-up, and let no interrupt be lost. Main thread only.
+
+    Python ignores an exception raised in a finalizer (``sys.unraisablehook``); a lost KeyboardInterrupt is sent again.
+    """
+    hook = sys.unraisablehook
+    # A shell starts background jobs with SIGINT ignored; SIGTERM is handled below in any case.
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    sent_again = signal.SIGTERM if ignored else signal.SIGINT
+    timers: list[threading.Timer] = []
+    main = threading.get_ident()
+
+    def resend(lost: sys.UnraisableHookArgs) -> None:
+        if issubclass(
+            lost.exc_type, KeyboardInterrupt
+        ):  # sent later: within this hook it would be lost again
+            timers.append(threading.Timer(_RESEND_AFTER_S, signal.pthread_kill, (main, sent_again)))
+            timers[-1].start()
+        else:
+            hook(lost)
+
+    terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.unraisablehook = resend
+    try:
+        yield
+    finally:
+        for timer in timers:
+            timer.cancel()
+            timer.join()
+        sys.unraisablehook = hook
+        signal.signal(signal.SIGTERM, terminate)

@@ -20,21 +20,22 @@ from bench.base.errors import BenchError, RunFolderError, ScriptError
 from bench.base.home import home_folder
 from bench.batch.batch_plan import Request, RequestInbox, planned_duration_s, refusal
 from bench.batch.batch_record import (
+    NEVER_S,
     BatchBegun,
     BatchEnded,
     BatchEvent,
     BatchRecord,
+    Item,
     ItemBegun,
     ItemEnded,
     Requested,
+    choose_next,
     resume_text,
 )
 from bench.batch.batch_summary import RUNS, newest_place, summarise, summary_lines, write_summary
-from bench.batch.schedule import NEVER_S, Item, choose_next
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
-from bench.history.check_standard import standard_problem
-from bench.messaging.messages import Courier
-from bench.messaging.outbox import Outbox
+from bench.history.chart_findings import standard_problem
+from bench.messaging.messages import Courier, Outbox
 from bench.plan.plan import load_documents
 from bench.records.history import History, replay
 from bench.records.journal import Journal, UnsyncedJournal, read_journal

@@ -18,8 +18,17 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError, ScriptError
-from bench.batch.batch_record import BatchEvent, BatchRecord, Requested
-from bench.batch.schedule import Bounds, Item, Slot, bounds_of, items_of, look_ahead
+from bench.batch.batch_record import (
+    BatchEvent,
+    BatchRecord,
+    Bounds,
+    Item,
+    Requested,
+    Slot,
+    bounds_of,
+    items_of,
+    look_ahead,
+)
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.plan.script_check import find_url_secrets
 from bench.records.events import Event

@@ -15,8 +15,15 @@ from typing import Any
 
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_plan import planned_duration_s
-from bench.batch.batch_record import BatchRecord, Requested, RunAttempt, replay_batch
-from bench.batch.schedule import Item, by_priority, look_ahead
+from bench.batch.batch_record import (
+    BatchRecord,
+    Item,
+    Requested,
+    RunAttempt,
+    by_priority,
+    look_ahead,
+    replay_batch,
+)
 from bench.history.chart_findings import find_charts, group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text

@@ -17,7 +17,7 @@ from bench.base.clock import VirtualClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch import Batch
 from bench.batch.batch_plan import WORKER_S
-from bench.batch.schedule import Item
+from bench.batch.batch_record import Item
 from bench.batch.supervisor import WorkerEnd
 from bench.records.storage import make_folder, storage_errors
 from bench.rehearsal.rehearsal import rehearse_run

@@ -47,8 +47,8 @@ from bench.certificate.lab_config import (
 )
 from bench.certificate.run_facts import is_unnamed
 from bench.certificate.series import SIMULATED
-from bench.records.conformity import verdict_of
 from bench.records.results import Results
+from bench.records.run_facts import verdict_of
 from bench.report.text import words_of
 from calib.model.lens import is_fisheye
 from calib.model.result_parts import PASSPORT

@@ -26,8 +26,7 @@ from bench.results.offline import OfflineResult, calibrate_sources, with_kept_vi
 from bench.results.offline_folder import offline_files
 from bench.results.offline_options import OfflineOptions, options_data
 from bench.results.view_sources import ViewSource, view_sources
-from bench.views.kept_views import KeptViews
-from bench.views.views_file import VIEWS
+from bench.views.views_file import VIEWS, KeptViews
 from calib.errors import CalibrationError
 from calib.view import View
 from drivers.camera.raw_writer import require_regular, require_whole

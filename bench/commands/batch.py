@@ -49,11 +49,11 @@ def batch(queue: Path, output: Path) -> int:
             where=str(queue),
             remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
         )
+    from bench.base.clock import stop_on_signals
     from bench.base.home import home_folder
     from bench.batch.batch import Batch
     from bench.batch.batch_plan import read_queue
     from bench.evidence.keys import usable_key
-    from bench.terminal.signals import stop_on_signals
 
     clock = BenchClock()
     usable_key(home_folder(), clock.utc_now())  # one that processes without a terminal can use

@@ -62,9 +62,11 @@ _MODULES = {
     "resume": "run",
     "rehearse": "batch",
     "compare": "study",
+    "check": "calibrate",
+    "undistort": "convert",
     **dict.fromkeys(("align", "panel"), "pages"),
     **dict.fromkeys(("tell", "messages"), "status"),
-    **dict.fromkeys(("schema", "target", "simulate"), "station"),
+    **dict.fromkeys(("devices", "schema", "target", "simulate"), "station"),
 }
 """Modules of the commands that share one; all others have the name of their command."""
 _CALCULATES = {

@@ -17,7 +17,6 @@ from bench.commands.output import show
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.history.chart_findings import Grouped, Level, drifts, find_charts, group_runs, needs_attention
-from bench.history.gauge_study import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
 from bench.history.merged_runs import (
     LedgerSource,
     MergedRuns,
@@ -26,6 +25,7 @@ from bench.history.merged_runs import (
     merge_runs,
     read_source,
 )
+from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
 from bench.history.table import (
     SCHEMA,
     kind_of,

@@ -1,4 +1,4 @@
-"""The commands `station`, `schema`, `target` and `simulate`: what a station file says, before anything moves."""
+"""The commands `station`, `devices`, `schema`, `target` and `simulate`: what is connected, what a station says."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bench.base.errors import BenchError
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError, UsageError
 from bench.commands.options import SEED, STATION, STATION_NAME, Family, NewFile, Number, epilog
-from bench.commands.output import JSON, print_json, show
+from bench.commands.output import JSON, STOPPED, print_json, show
 
 if TYPE_CHECKING:
+    from bench.run.wiring import WiringReport
+    from bench.stations.station_draft import Discovery
     from bench.stations.station_fields import TargetConfig
-    from bench.stations.target.use import Optics, TargetUse
+    from bench.stations.target_files import Optics, TargetUse
+
 
 # The command `target`: what the target of a station is good for, and its drawing.
 
@@ -75,7 +79,7 @@ def target(
     described = load_station(station).value
     if output is not None:
         return _draw(described.target, output)
-    from bench.stations.target.use import optics_of, use_of
+    from bench.stations.target_files import optics_of, use_of
 
     optics = optics_of(described, focal_length_mm=focal_length_mm, r_mm=r_mm, pixel_um=pixel_um)
     found = use_of(described.target, optics)
@@ -114,8 +118,8 @@ def _lines(target: TargetConfig, optics: Optics, found: TargetUse) -> Iterator[s
 def _draw(target: TargetConfig, path: Path) -> int:
     """Write the drawing of a target, never over an existing file."""
     from bench.records.storage import write_atomic
-    from bench.stations.target.draw import drawing_file
-    from bench.stations.target.shapes import title_of
+    from bench.stations.target_files import drawing_file
+    from bench.stations.target_shapes import title_of
 
     write_atomic(path, drawing_file(target, path))
     width, height = target.size_mm
@@ -254,3 +258,108 @@ def schema(document: str) -> int:
     }
     print_json(models[document].model_json_schema())
     return 0
+
+
+@click.command(epilog=epilog("starbench devices"))
+@click.option(
+    "--wiring",
+    is_flag=True,
+    help="Test the cable from the light to the camera's trigger input: the light flickers.",
+)
+@click.option("--station", "-s", type=STATION_NAME, help="Station for --wiring.")
+@click.option("--yes", is_flag=True, help="With --wiring: switch the light on without asking.")
+@click.option("--seed", type=SEED, metavar="N", default=1, hidden=True)
+@JSON
+def devices(wiring: bool, station: str | None, yes: bool, seed: int) -> int:
+    """List connected devices, their names for a station file, and missing software.
+
+    Sends nothing to stages and lights. The camera makers' software asks each camera for its name.
+
+    With --wiring and --station: asks, switches the light on for 2 s at 20 Hz, and compares trigger edges with events.
+    Names a trigger cable that is missing, inverted, on the wrong channel, or of the wrong level. Nothing moves.
+    """
+    if wiring:
+        if station is None:
+            raise click.UsageError("Missing option '--station' / '-s', which --wiring needs.")
+        return _show_wiring(station, seed, yes=yes)
+    from bench.stations.station_draft import discover
+
+    return show_devices(discover())
+
+
+def show_devices(found: Discovery) -> int:
+    """Print the connected devices and the missing software."""
+    plugins = _plugins()
+    show(lambda: {**found.to_dict(), "plugins": plugins}, _device_lines(found, plugins))
+    return 0
+
+
+def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[str]:
+    for port in found.ports:
+        note = f"  ({port.note})" if port.note else ""
+        yield f"serial port  {port.name}  {port.what}{note}"
+    for camera in found.cameras:
+        trouble = f"  ({camera.trouble})" if camera.trouble else ""
+        keys = {"driver": camera.driver, "source": camera.source, "serial": camera.serial}
+        entry = "  ".join(f"{name}: {value}" for name, value in keys.items() if value)
+        yield f"camera       {entry}  # {camera.description}{trouble}"
+    for plugin in plugins:
+        trouble = f"  (cannot be used: {plugin['trouble']})" if plugin["trouble"] else ""
+        yield f"plug-in      {plugin['driver']}  {plugin['kind']}  # {plugin['package']}{trouble}"
+    for sentence in found.missing:
+        yield f"missing      {sentence}"
+    yield (
+        "simulated    -s simulated, simulated_board, simulated_frames, simulated_ideal, simulated_unaligned: "
+        "stations without devices"
+    )
+
+
+def _plugins() -> list[dict[str, str]]:
+    """Return the drivers that other packages bring, with the trouble of those that cannot be used."""
+    from bench.stations.sections import GROUPS, plugins
+
+    return [
+        {
+            "driver": plugin.name,
+            "kind": kind,
+            "package": plugin.package,
+            "trouble": plugin.trouble,
+        }
+        for kind in GROUPS
+        for plugin in plugins(kind)
+    ]
+
+
+def _show_wiring(station_name: str, seed: int, *, yes: bool) -> int:
+    """Ask, test the wiring, print the result; exit status 0: right, 1: not, 3: the person refused."""
+    from bench.run.wiring import FREQUENCY_HZ, check_wiring
+    from bench.stations.devices import Devices
+    from bench.stations.station import load_station
+
+    station = load_station(station_name).value
+    if not yes:
+        if not sys.stdin.isatty():
+            raise UsageError(
+                "The wiring test switches the light on, and nobody can be asked.",
+                remedy="Run it at a terminal, or give --yes.",
+            )
+        asked = f"The light will flicker at {FREQUENCY_HZ:g} Hz for about 2 s. Nothing moves. Continue?"
+        if not click.confirm(asked, err=True):
+            click.echo("Nothing was done.", err=True)
+            return STOPPED
+    clock = BenchClock()
+    devices = Devices(station, seed=seed, clock=clock, wire_log=None)
+    try:
+        report = check_wiring(devices, station, clock)
+    finally:
+        devices.close()
+    show(report.to_dict, _wiring_lines(report))
+    return int(bool(report.faults))
+
+
+def _wiring_lines(report: WiringReport) -> Iterator[str]:
+    yield f"Seen: {report.seen}."
+    for fault in report.faults:
+        yield f"{fault.name}: {fault.what} {fault.remedy}"
+    if not report.faults:
+        yield "The wiring is right: channel, polarity and number of the trigger edges agree with the light."

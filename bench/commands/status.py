@@ -26,7 +26,7 @@ from bench.terminal.encoding import output_is_lost
 if TYPE_CHECKING:
     from bench.batch.batch_plan import Request
     from bench.batch.batch_summary import BatchStatus
-    from bench.messaging.outbox import Delivery
+    from bench.messaging.messages import Delivery
     from bench.records.inbox import KnownBy
     from bench.run.control import Command
 
@@ -152,8 +152,7 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
 @JSON
 def messages(send_now: bool) -> int:
     """List the messages of this bench: sent ones and waiting ones."""
-    from bench.messaging.messages import send
-    from bench.messaging.outbox import Outbox
+    from bench.messaging.messages import Outbox, send
 
     outbox = Outbox(home_folder())
     waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0

@@ -18,7 +18,7 @@ from bench.commands.output import JSON, STOPPED, show
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
 
 if TYPE_CHECKING:
-    from bench.cluster.many_calibrations import PlannedStudy
+    from bench.cluster.recalculation import PlannedStudy
     from bench.cluster.work import Workers
     from bench.compare.run_comparison import Row, Task
     from bench.compare.spec import ComparisonConfig
@@ -73,13 +73,13 @@ def compare(
 
 def _run(spec: ComparisonConfig, text: bytes, folder: Path, workers: Workers) -> int:
     """Run a comparison, write its page and results, and print the table; return 3 if Ctrl-C stopped it."""
+    from bench.base.clock import reliable_interrupts
     from bench.compare.page import render_page
     from bench.compare.run_comparison import compare as run_all
     from bench.compare.scenes import true_camera
     from bench.compare.table import summarise, table_text
     from bench.records.storage import write_atomic
     from bench.simulated import virtual_camera
-    from bench.terminal.signals import reliable_interrupts
 
     try:
         with reliable_interrupts():
@@ -203,7 +203,7 @@ def study(
 
     The work is done on all processors of this computer or on the workers of a Dask scheduler, with the same result.
     """
-    from bench.cluster.many_calibrations import BLOCK, plan_study, write_study_plot
+    from bench.cluster.recalculation import BLOCK, plan_study, write_study_plot
 
     planned = plan_study(sequence, station, **options)
     who = open_workers(workers, most=-(-runs // BLOCK))
@@ -229,9 +229,9 @@ def study(
 
 def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path | None) -> MonteCarloStudy:
     """Run a study, with its progress; ``folder`` keeps what is done, None keeps nothing."""
-    from bench.cluster.many_calibrations import STUDY, run_blocks
+    from bench.base.clock import reliable_interrupts
+    from bench.cluster.recalculation import STUDY, run_blocks
     from bench.cluster.work import KeptRows
-    from bench.terminal.signals import reliable_interrupts
 
     line = CountLine(runs, "calibrations")
     with reliable_interrupts(), ExitStack() as stack:

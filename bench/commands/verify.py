@@ -161,10 +161,10 @@ def _valid_lines(found: Verification) -> Iterator[str]:
 
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
     """Check folders by workers, a line each, exit status as for one; ``output`` keeps what was derived, or None."""
+    from bench.base.clock import reliable_interrupts
     from bench.cluster.verifications import VERIFIED, check_one
     from bench.cluster.work import KeptRows, map_work
     from bench.terminal.encoding import printable
-    from bench.terminal.signals import reliable_interrupts
 
     chosen = list(dict.fromkeys(folder.absolute() for folder in folders))
     line = CountLine(len(chosen), "folders", quiet=wants_json())

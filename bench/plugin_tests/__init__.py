@@ -5,11 +5,9 @@ does; a simulated stage or light is on a pseudo-terminal behind a line of faults
 docs/plugins.md explains it. No run uses this package.
 """
 
-from bench.plugin_tests.cameras import CameraContract, SimulatedCamera
-from bench.plugin_tests.frame_cameras import FrameCameraContract
-from bench.plugin_tests.lights import LightContract
+from bench.plugin_tests.cameras import CameraContract, FrameCameraContract, SimulatedCamera
 from bench.plugin_tests.rig import SimulatedLight, SimulatedStage
-from bench.plugin_tests.stages import StageContract
+from bench.plugin_tests.stages import LightContract, StageContract
 
 __all__ = [
     "CameraContract",

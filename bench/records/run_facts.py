@@ -1,23 +1,31 @@
-"""What the index keeps of a run: the facts of its row, its parameters, and details for tables and charts.
+"""What the index keeps of a run: the facts of its row, its parameters, and details; and whether results keep limits.
 
-`results.json` is read only if its hash is the one in the journal. Nothing is written.
+`results.json` is read only if its hash is the one in the journal. Nothing is written. A limit is kept only if the value
+is inside by U or more: w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1), for PASS or FAIL of a run as for a
+certificate.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.records.events import Event
 from bench.records.history import Attempt, History
 from bench.records.journal import Entry
+from bench.records.results import CalibrationData, ConformityData, StatementData, Verdict
 from bench.records.run_folder import RESULTS
 from bench.records.storage import read_bounded
+
+if TYPE_CHECKING:
+    from sequences.schema import ResultLimitConfig
+
 
 # What a run says of one parameter: its value, its uncertainty with the k of this value, and what other runs
 # share.
@@ -260,3 +268,70 @@ def _mean(known: Sequence[float]) -> float | None:
 def _total(accepted: Sequence[Attempt], name: str) -> int | None:
     known = [one.stored.get("facts", {}).get(name) for one in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
+
+
+RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
+NO_CONVERGENCE = "The optimisation did not converge."
+
+
+def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
+    """Return ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail`` for a value; None stands for no limit.
+
+    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
+    ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
+    """
+    band = Decimal(expanded)
+    inside = min(
+        (Decimal(repr(upper)) - Decimal(value)) if upper is not None else Decimal("Infinity"),
+        (Decimal(value) - Decimal(repr(lower))) if lower is not None else Decimal("Infinity"),
+    )
+    if inside >= band:
+        return "pass"
+    if inside >= 0:
+        return "conditionalPass"
+    return "conditionalFail" if inside >= -band else "fail"
+
+
+def conformity(
+    calibration: CalibrationData,
+    limits: Mapping[str, Sequence[ResultLimitConfig]],
+    failed_gates: Sequence[str],
+    *,
+    checks: bool = False,
+) -> ConformityData | None:
+    """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
+    statements = [_statement(calibration, stated_by, one) for stated_by, one in _each(limits)]
+    if not statements and not checks:
+        return None
+    reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
+    reasons += [f"The gate {name} failed." for name in failed_gates]
+    kept = all(one["verdict"] == "pass" for one in statements)
+    return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
+
+
+def _each(
+    limits: Mapping[str, Sequence[ResultLimitConfig]],
+) -> Iterator[tuple[str, ResultLimitConfig]]:
+    for stated_by, rules in limits.items():
+        for one in rules:
+            yield stated_by, one
+
+
+def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
+    name, sigma = rule.result, calibration["sigma"]
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    said: StatementData = {
+        "result": name,
+        "specification": rule.specification,
+        "stated_by": stated_by,
+        "lower": rule.lower,
+        "upper": rule.upper,
+        "value": None,
+        "expanded": None,
+        "verdict": "fail",
+    }
+    if name in values and sigma.get(name, 0.0) > 0:
+        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
+        said["value"], said["expanded"] = value, expanded
+        said["verdict"] = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
+    return said

@@ -16,7 +16,7 @@ from bench.records.results import Results
 from bench.records.run_facts import coverage_factor
 from bench.report import calibration_tables, pose_tables, run_tables, text
 from bench.report.calibration_tables import amplitude_rows, witness_rows
-from bench.report.course import courses, state_diagram
+from bench.report.pose_tables import courses, state_diagram
 from bench.report.run_tables import left, source_rows
 from bench.report.text import NOTHING, TargetWords, moment, number, value_text, words_of
 from bench.report.verdict import change, verdict

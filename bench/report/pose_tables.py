@@ -1,14 +1,33 @@
-"""Rows of the report's tables about the poses: angles and stars, recordings, gates; none for a missing part."""
+"""Rows of the report's tables about the poses: angles and stars, recordings, gates; and the course of an ``until``.
+
+Rows are empty for a missing part. The course is the expanded uncertainty after each pose, as table and plot.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from html import escape
+from itertools import pairwise
+from typing import Any
 
-from bench.records.events import GateData, ImageFacts
+from bench.records.events import GateData, ImageFacts, UntilDecided
 from bench.records.results import Numbers, PoseData
-from bench.report.text import NOTHING, STARS, TargetWords, duration, fixed, number, value_text
+from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale, Words, axes_in
+from bench.report.text import (
+    NOTHING,
+    STARS,
+    TargetWords,
+    duration,
+    fixed,
+    goals_text,
+    meaning_of_goal,
+    number,
+    value_text,
+)
 
 _POSE_PREFIX = re.compile(r"pose \d+: ")
 _VERDICTS = ("pass", "marginal", "fail")
@@ -170,3 +189,239 @@ def _image(image: ImageFacts) -> str:
     if image.get("hot_pixels") is not None:
         details.append(f"{value_text(image['hot_pixels'])} hot pixels")
     return ", ".join(details) or NOTHING
+
+
+# Plot of the course of an ``until``: the expanded uncertainty against the number of poses, with its goals.
+
+_COLOURS = ("#0072b2", "#d55e00")
+_HEIGHT, _GAP = 195.0, 12.0
+_MOST_POSES = 8
+
+
+def course_plot(decisions: Sequence[Mapping[str, Any]]) -> str:
+    """Draw U against the number of poses, with goals; at least one decision has reached an uncertainty."""
+    wanted = decisions[-1]["wanted"]
+    reached = [decided for decided in decisions if decided["now"]]
+    width = WIDE / len(wanted)
+    label, about = "Expanded uncertainty after each pose", _about(reached[-1], wanted)
+    picture = Picture(WIDE, _HEIGHT, f"course-{decisions[-1]['until']}", label, about)
+    for place, (name, colour) in enumerate(zip(wanted, _COLOURS, strict=False)):
+        _panel(picture, (place * width, 0.0, width - _GAP, _HEIGHT), reached, name, colour)
+    return picture.svg()
+
+
+def _panel(
+    picture: Picture,
+    place: tuple[float, float, float, float],
+    reached: Sequence[Mapping[str, Any]],
+    name: str,
+    colour: str,
+) -> None:
+    """Draw one expanded uncertainty with its goal, and with the part that poses do not lower."""
+    goal = reached[-1]["wanted"][name]
+    points = [(decided["poses"], decided["now"][name]) for decided in reached]
+    fixed_px = sum(part**2 for part in reached[-1]["fixed"].get(name, {}).values()) ** 0.5
+    heights = [height for _, height in points] + [goal] + ([fixed_px] if fixed_px > 0 else [])
+    words = Words((f"{meaning_of_goal(name)}, px",), "poses")
+    up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
+    axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
+    _goal_line(axes, goal, "goal", INK)
+    if fixed_px > 0:
+        _goal_line(axes, fixed_px, "does not depend on the poses", MUTED)
+    axes.line(points, colour, 1.2)
+    axes.dots(points, colour, 4.5)
+
+
+def _poses_scale(poses: Sequence[int]) -> Scale:
+    """Return the axis of the numbers of poses, with ticks at whole numbers."""
+    first, last = poses[0], poses[-1]
+    beside = 0.04 * (last - first) or 0.5
+    step = max(1, -(-(last - first) // _MOST_POSES))
+    return Scale(first - beside, last + beside, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
+
+
+def _goal_line(axes: Axes, height: float, name: str, colour: str) -> None:
+    axes.level(height, colour, 0.9, "4 2.5")
+    axes.text((axes.x.high, height), name, by=(-2.0, -3.0), colour=colour, anchor="end", size=8.5)
+
+
+def _about(last: Mapping[str, Any], wanted: Mapping[str, float]) -> str:
+    parts = [
+        f"{meaning_of_goal(name)} {last['now'][name]:.3g} px, wanted {goal:g} px"
+        for name, goal in wanted.items()
+    ]
+    return f"After {last['poses']} poses: {'; '.join(parts)}."
+
+
+# Diagram of a run's states: a box for each state in order of first entry, an arrow for each transition.
+#
+# Uses the names and times of the states alone. Transitions to the right are drawn above the boxes,
+# transitions back below them. A number beside an arrow is the number of times that the transition happened.
+
+_STEP, _WIDE, _TALL = 92.0, 76.0, 26.0
+_MARGIN = 10.0
+_TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
+    """Draw the states of a run in the order in which they were entered, and the transitions between them."""
+    names = [str(entry["state"]) for entry in states]
+    places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}
+    edges = Counter(pairwise(names))
+    rise = max((_reach(a, b, places) for a, b in edges if places[b] > places[a]), default=0.0)
+    fall = max((_reach(a, b, places) for a, b in edges if places[b] <= places[a]), default=0.0)
+    middle = _MARGIN + rise + _TALL / 2 + 12
+    width = 2 * _MARGIN + _STEP * len(places) - (_STEP - _WIDE)
+    height = middle + _TALL / 2 + 20 + max(fall + 14, 14) + _MARGIN
+    parts = [_arc(a, b, count, places, middle) for (a, b), count in edges.items()]
+    parts += [
+        _box(name, x, middle, names.count(name), _seconds_in(name, states)) for name, x in places.items()
+    ]
+    return (
+        f'<svg class="walk" role="img" aria-label="States of the run" viewBox="0 0 {width:g} {height:g}" '
+        f'style="max-width:{1.15 * width:.0f}px" xmlns="http://www.w3.org/2000/svg">'
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" '
+        'orient="auto-start-reverse"><path d="M0 0 8 4 0 8z"/></marker></defs>' + "".join(parts) + "</svg>"
+    )
+
+
+def _seconds_in(name: str, states: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the time spent in a state, s; None if the run ended in it."""
+    moments = [datetime.fromisoformat(str(entry["utc"])) for entry in states]
+    spans = [
+        (later - earlier).total_seconds()
+        for entry, earlier, later in zip(states, moments, moments[1:], strict=False)
+        if entry["state"] == name
+    ]
+    return sum(spans) if spans else None
+
+
+def _reach(a: str, b: str, places: Mapping[str, float]) -> float:
+    """Return the height of an arrow: larger if it passes more boxes, 0 from a box to its right neighbour."""
+    boxes = round((places[b] - places[a]) / _STEP)
+    return 0.0 if boxes == 1 else 16.0 + 9.0 * abs(boxes)
+
+
+def _arc(a: str, b: str, count: int, places: Mapping[str, float], middle: float) -> str:
+    reach = _reach(a, b, places)
+    label = f"{_TIMES}{count}" if count > 1 else ""
+    if reach == 0.0:
+        x0, x1 = places[a] + _WIDE, places[b]
+        text = f'<text class="count" x="{(x0 + x1) / 2:g}" y="{middle - _TALL / 2 - 4:g}">{label}</text>'
+        return f'<path class="edge" marker-end="url(#tip)" d="M{x0:g} {middle:g}H{x1:g}"/>{text}'
+    forward = places[b] > places[a]
+    side = -1.0 if forward else 1.0
+    y = middle + side * _TALL / 2 + (0.0 if forward else 20.0)
+    x0 = places[a] + _WIDE / 2 + (8 if forward else -8)
+    x1 = places[b] + _WIDE / 2 + (-8 if forward else 8)
+    top = y + side * reach * 4 / 3
+    beyond = y + side * reach + (-4 if forward else 11)
+    text = f'<text class="count" x="{(x0 + x1) / 2:g}" y="{beyond:g}">{label}</text>'
+    curve = f"M{x0:g} {y:g}C{x0:g} {top:g} {x1:g} {top:g} {x1:g} {y:g}"
+    return f'<path class="edge" marker-end="url(#tip)" d="{curve}"/>{text}'
+
+
+def _box(name: str, x: float, middle: float, entered: int, seconds: float | None) -> str:
+    notes = [f"{_TIMES}{entered}"] if entered > 1 else []
+    notes += [duration(seconds)] if seconds is not None else []
+    centre = x + _WIDE / 2
+    return (
+        f'<rect class="state" x="{x:g}" y="{middle - _TALL / 2:g}" width="{_WIDE:g}" height="{_TALL:g}" rx="5"/>'
+        f'<text class="name" x="{centre:g}" y="{middle + 4:g}">{escape(name)}</text>'
+        f'<text class="note" x="{centre:g}" y="{middle + _TALL / 2 + 14:g}">{", ".join(notes)}</text>'
+    )
+
+
+_ENDS = {
+    "met": "The goals are met",
+    "unreachable": "A goal cannot be reached",
+    "at_most": "The goals are not met",
+    "minutes": "The goals are not met",
+    "failures": "The goals are not met",
+    "no_pose": "The goals are not met",
+}
+
+
+@dataclass(frozen=True)
+class CourseRow:
+    """One decision, as printed."""
+
+    poses: str
+    model: str
+    reached: tuple[str, ...]  # Expanded uncertainty for each goal, px
+    chosen: str
+    angles: str
+    expected: tuple[str, ...]  # Expanded uncertainty that the choice expected for each goal, px
+    why: str  # Why there is no calibration yet, why this pose was chosen, or how the step ended
+
+
+@dataclass(frozen=True)
+class Course:
+    """The course of one ``until``, as printed."""
+
+    goals: str
+    columns: tuple[str, ...]
+    rows: tuple[CourseRow, ...]  # The decisions, in order
+    met: bool  # Whether the goals are met
+    end: str
+    minutes: str
+    plot: str  # SVG; empty if nothing is drawn or no uncertainty was reached
+    factors: str
+
+
+def courses(decisions: Sequence[UntilDecided], *, draw: bool = True) -> list[Course]:
+    """Return the course of each ``until`` of a run, in order, from ``untils`` of results.json."""
+    by_until: dict[int, list[UntilDecided]] = {}
+    for decided in decisions:
+        by_until.setdefault(decided["until"], []).append(decided)
+    return [_course(own, draw=draw) for own in by_until.values()]
+
+
+def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> Course:
+    last = decisions[-1]
+    wanted = last["wanted"]
+    end = last.get("ended")
+    plot = ""
+    if draw and any(decided["now"] for decided in decisions):
+        plot = course_plot(decisions)
+    return Course(
+        goals_text(wanted),
+        tuple(meaning_of_goal(name) for name in wanted),
+        tuple(_row(decided) for decided in decisions),
+        end == "met",
+        _end_text(end, last.get("why", "")),
+        fixed(last["worked_s"] / 60.0, 1),
+        plot,
+        _factors(decisions),
+    )
+
+
+def _factors(decisions: Sequence[UntilDecided]) -> str:
+    """Return the range of the coverage factors."""
+    found = [k for decided in decisions if (k := decided.get("coverage_factor"))]
+    if not found:
+        return NOTHING
+    least, most = number(min(found), 3), number(max(found), 3)
+    return least if least == most else f"{least} to {most}"
+
+
+def _end_text(end: str | None, why: str) -> str:
+    if end == "met":
+        return f"{_ENDS[end]}."
+    return f"{_ENDS[end]}. {why}" if end in _ENDS else "The step did not end."
+
+
+def _row(decided: UntilDecided) -> CourseRow:
+    chosen: Mapping[str, Any] = decided.get("chosen") or {}
+    expected: Mapping[str, float] = chosen.get("expected", {})
+    goals = decided["wanted"]
+    angles = ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in chosen.get("angles_deg", {}).items())
+    return CourseRow(
+        number(decided["poses"]),
+        decided["model"] or NOTHING,
+        tuple(number(decided["now"].get(name), 3) for name in goals),
+        chosen.get("pose_name", NOTHING),
+        angles or NOTHING,
+        tuple(number(expected.get(name), 3) for name in goals),
+        decided.get("problem") or chosen.get("why") or _ENDS.get(decided.get("ended", ""), NOTHING).lower(),
+    )

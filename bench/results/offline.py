@@ -11,15 +11,15 @@ from typing import Any, cast
 from bench.base.errors import BenchError, UsageError
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
-from bench.records.conformity import conformity
 from bench.records.results import CalibrationData, ConformityData
+from bench.records.run_facts import conformity
 from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
 from bench.results.solution import errors_in, planar_calibration
 from bench.results.solve_options import readings_result, require_enough_views
 from bench.results.view_sources import ViewSource, view_sources
 from bench.stations.station_budget import CollimatorConfig
-from bench.views.kept_views import KeptViews
+from bench.views.views_file import KeptViews
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate

@@ -39,9 +39,8 @@ from bench.results.results_content import results_content, run_software
 from bench.results.solution import Solution, main_numbers, solve_run
 from bench.results.view_sources import decided_by_run
 from bench.views.camera_kinds import EventKind, FrameKind
-from bench.views.kept_views import KeptViews, view_key
 from bench.views.measure import Measurement
-from bench.views.views_file import VIEWS, views_file
+from bench.views.views_file import VIEWS, KeptViews, view_key, views_file
 from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.model.lens import is_fisheye

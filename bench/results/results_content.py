@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from bench import __version__
 from bench.base.home import forms
 from bench.plan.job import Job
-from bench.records.conformity import conformity
 from bench.records.events import GateData
 from bench.records.history import Attempt, History
 from bench.records.results import CalibrationData, Results
+from bench.records.run_facts import conformity
 from bench.report.maps import reach_px, star_distance
 from bench.results.solution import Solution, compare_with_truth
 from bench.stations.sections import GROUPS, Plugin, plugins

@@ -57,7 +57,7 @@ class ViewSource:
     job: Job | None = None
     attempt: Attempt | None = None
     # What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose
-    # views are not kept (`bench.views.kept_views`).
+    # views are not kept (`bench.views.views_file`).
     decided_by: Mapping[str, Any] | None = None
     view_name: str = ""  # Name of its view, if the file gives several; else empty
 

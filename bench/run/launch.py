@@ -16,15 +16,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO, cast
 
-from bench.base.clock import BenchClock
+from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.base.home import home_folder
 from bench.evidence.keys import NAMESPACE, BenchKey, key_to_seal, usable_key
 from bench.evidence.ledger_check import sealed_strangers
 from bench.evidence.seal import seal
 from bench.evidence.sshsig import sign
-from bench.messaging.messages import Courier
-from bench.messaging.outbox import Outbox
+from bench.messaging.messages import Courier, Outbox
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
 from bench.records.events import Event, LedgerPlace
@@ -54,7 +53,6 @@ from bench.run.steps import intentions
 from bench.stations.devices import Devices
 from bench.stations.station import PictureFolderConfig
 from bench.terminal.progress import Progress
-from bench.terminal.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
 from sequences.reader import OptionSettings
 

@@ -1,7 +1,7 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
-The sections of devices are in `stages_and_lights` and `station_cameras`, others beside them. docs/stations.md describes
-every key.
+The sections of stage and light are in `stages_and_lights`, that of the camera is here. docs/stations.md describes every
+key.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ FocalLength = Annotated[float, Within(1, 100_000, "mm")]
 
 # The target section of a station file: the printed star pattern, and the drawing of its reticle.
 #
-# The module holds keys, ranges and defaults. `bench.stations.target` draws the reticle; docs/target.md
+# The module holds keys, ranges and defaults. `bench.stations.target_files` draws the reticle; docs/target.md
 # shows every key.
 
 # The messages section of a station file: on which occasions messages are sent, and by mail, webhook or

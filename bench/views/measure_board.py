@@ -15,8 +15,7 @@ from bench.base.bounded_json import without_nan
 from bench.base.errors import UsageError
 from bench.records.events import MeasuredFacts
 from bench.records.history import Attempt, History
-from bench.views.event_window import EventData, read_events, whole_image
-from bench.views.measure import Measurement, StoredImage, mean_frames
+from bench.views.measure import EventData, Measurement, StoredImage, mean_frames, read_events, whole_image
 from calib.boards.blinking_dots import detect_blinking_dots
 from calib.boards.board import Board
 from calib.boards.detect import detect_board, relocate_board

@@ -35,7 +35,7 @@ from bench.results.offline import OfflineResult, calibrate_sources
 from bench.results.offline_folder import offline_files
 from bench.results.offline_options import OfflineOptions
 from bench.results.view_sources import view_sources
-from bench.views.kept_views import pack_view
+from bench.views.views_file import pack_view
 from drivers.camera.raw_file import RawFile
 
 POSES_OF_A_NIGHT, RUNS_OF_A_NIGHT = 540, 60

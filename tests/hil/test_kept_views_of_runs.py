@@ -7,7 +7,7 @@ from quick_runs import THREE, write_sequence, write_station
 from bench.commands.cli import cli
 from bench.results.offline_options import OfflineOptions
 from bench.results.view_sources import view_sources
-from bench.views.kept_views import FOLDER, KeptViews, pack_view, view_key
+from bench.views.views_file import FOLDER, KeptViews, pack_view, view_key
 
 pytestmark = pytest.mark.slow
 

@@ -8,8 +8,7 @@ from running import results, starbench
 from servers import MailServer, WebServer, serving
 from station_texts import PLAIN
 
-from bench.messaging.messages import channels_of, send
-from bench.messaging.outbox import DeliveryFailed, Message
+from bench.messaging.messages import DeliveryFailed, Message, channels_of, send
 from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(

@@ -24,8 +24,6 @@ PLUGIN_API = {
     " EventCameraSection FrameCameraConfig FrameCameraSection",
     "bench/plugin_tests/__init__.py": "*",
     "bench/plugin_tests/cameras.py": "*",
-    "bench/plugin_tests/frame_cameras.py": "*",
-    "bench/plugin_tests/lights.py": "*",
     "bench/plugin_tests/rig.py": "*",
     "bench/plugin_tests/stages.py": "*",
     "drivers/stage/__init__.py": "*",

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bench.stations.station_fields import TargetConfig
-from bench.stations.target.draw import (
+from bench.stations.target_files import (
     GDS_CELL,
     GDS_OPAQUE,
     GDS_OUTLINE,
@@ -18,7 +18,7 @@ from bench.stations.target.draw import (
     OUTLINE_LAYER,
     drawing_file,
 )
-from bench.stations.target.shapes import draw_target
+from bench.stations.target_shapes import draw_target
 from calib.stars.detect import detect_stars
 from simulators.optics.outlines import black_polygons
 

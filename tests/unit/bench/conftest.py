@@ -13,7 +13,7 @@ from bench.evidence.keys import create_key, load_key, read_signers
 from bench.evidence.seal import seal
 from bench.records.journal import CAPTURE_STORED, Journal
 from bench.records.run_folder import RunFolder
-from bench.views.kept_views import KeptViews
+from bench.views.views_file import KeptViews
 from tests.unit.bench.evidence.resealed import copied
 
 
@@ -118,5 +118,5 @@ def sealed(sealed_once, tmp_path):
 def own_kept_views(tmp_path, monkeypatch):
     """No test keeps views in the folder of this computer's bench, or takes them from there."""
     monkeypatch.setattr(
-        "bench.views.kept_views.KeptViews.of_bench", lambda: KeptViews(tmp_path / "kept-views")
+        "bench.views.views_file.KeptViews.of_bench", lambda: KeptViews(tmp_path / "kept-views")
     )

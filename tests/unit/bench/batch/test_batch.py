@@ -12,7 +12,7 @@ from bench.base.clock import Aborted
 from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
-from bench.batch.schedule import by_priority, items_of
+from bench.batch.batch_record import by_priority, items_of
 from bench.batch.supervisor import WorkerEnd
 from bench.records.events import Event
 from bench.records.journal import Journal, read_journal

@@ -12,8 +12,7 @@ from bench.batch.batch import BatchMessages
 from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
-from bench.messaging.messages import channels_of
-from bench.messaging.outbox import Message, Outbox
+from bench.messaging.messages import Message, Outbox, channels_of
 from bench.records.journal import Journal
 from bench.records.run_facts import Estimate
 from bench.results.trends import Trend, agreement

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.batch.batch_plan import Pace, paces, plan_batch, planned_duration_s
-from bench.batch.schedule import Bounds, Item, bounds_of, choose_next, items_of, look_ahead, next_time
+from bench.batch.batch_record import Bounds, Item, bounds_of, choose_next, items_of, look_ahead, next_time
 from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.ledger_marks import LedgerRun

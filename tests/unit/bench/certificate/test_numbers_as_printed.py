@@ -19,7 +19,7 @@ from bench.certificate.certificate_data import Certificate
 from bench.certificate.compose import compose
 from bench.certificate.dcc import render_dcc
 from bench.certificate.pdf import draw_plots, pictures
-from bench.records.conformity import conformity, verdict_of
+from bench.records.run_facts import conformity, verdict_of
 from bench.report.text import BOARD, STARS
 from sequences.schema import ResultLimitConfig
 

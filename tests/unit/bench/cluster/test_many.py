@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from bench.base.errors import UsageError
 from bench.base.home import forms
-from bench.cluster import many_calibrations, verifications
-from bench.cluster.many_calibrations import STUDY, plan_study, run_blocks
+from bench.cluster import recalculation, verifications
+from bench.cluster.recalculation import STUDY, plan_study, run_blocks
 from bench.cluster.verifications import Check, check_one, convert_many, plan_targets
 from bench.cluster.work import KeptRows, Serial
 from bench.commands.cli import cli
@@ -68,7 +68,7 @@ def same(first, second):
 
 
 def test_an_interrupted_study_goes_on_and_ends_as_one_without_workers(planned, tmp_path, monkeypatch):
-    monkeypatch.setattr(many_calibrations, "BLOCK", 2)
+    monkeypatch.setattr(recalculation, "BLOCK", 2)
     alone = study_of(planned.bench, planned.calibrate(range(5)))
 
     def interrupt(_more):
@@ -77,9 +77,9 @@ def test_an_interrupted_study_goes_on_and_ends_as_one_without_workers(planned, t
     with KeptRows(tmp_path / "out", STUDY) as kept, pytest.raises(KeyboardInterrupt):
         run_blocks(planned, 5, Serial(), kept, interrupt)
     made = []
-    block = many_calibrations.calibrate_block
+    block = recalculation.calibrate_block
     monkeypatch.setattr(
-        many_calibrations, "calibrate_block", lambda *words: made.append(words[1]) or block(*words)
+        recalculation, "calibrate_block", lambda *words: made.append(words[1]) or block(*words)
     )
     with KeptRows(tmp_path / "out", STUDY) as kept:
         same(run_blocks(planned, 5, Serial(), kept), alone)

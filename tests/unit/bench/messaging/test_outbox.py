@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
-from bench.messaging.messages import Courier
-from bench.messaging.outbox import LONGEST_PAUSE_S, DeliveryFailed, Message, Outbox
+from bench.messaging.messages import LONGEST_PAUSE_S, Courier, DeliveryFailed, Message, Outbox
 from bench.stations.station_fields import MessagesConfig, WebhookConfig
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
@@ -102,7 +101,7 @@ def test_one_channel_that_is_down_holds_up_no_other(outbox):
 
 
 def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypatch):
-    monkeypatch.setattr("bench.messaging.outbox.DEADLINE_S", 0.3)
+    monkeypatch.setattr("bench.messaging.messages.DEADLINE_S", 0.3)
     for key in ("k1", "k2"):
         outbox.put(message(key), ["hangs", "up"])
     receiver, tried, over, order = Receiver(), [], threading.Event(), []
@@ -157,7 +156,7 @@ def test_where_the_process_died_while_sending_it_is_sent_again_and_said_to_be(ou
 def test_a_process_killed_while_sending_loses_nothing(outbox):
     outbox.put(message(), ["mail"])
     code = (
-        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.messaging.outbox import Outbox\n"
+        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.messaging.messages import Outbox\n"
         "Outbox(Path(sys.argv[1])).deliver(lambda *_: os.kill(os.getpid(), 9), datetime.now(UTC), all_waiting=True)"
     )
     assert subprocess.run([sys.executable, "-c", code, outbox.path.parent], check=False).returncode == -9

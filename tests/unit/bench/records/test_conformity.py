@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.records.conformity import conformity
+from bench.records.run_facts import conformity
 from bench.report.text import conformity_headline, conformity_sentences
 from sequences.schema import ResultLimitConfig
 

@@ -9,7 +9,7 @@ from bench.base.errors import JournalBroken
 from bench.records.events import Event
 from bench.records.history import Attempt, History, RunLog, replay
 from bench.records.journal import Journal
-from bench.views.kept_views import KeptEntries
+from bench.views.views_file import KeptEntries
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 

@@ -3,8 +3,8 @@
 import pytest
 from report_sample import SMALL, sample
 
-from bench.report.course import courses
 from bench.report.html import ReportData, render_report
+from bench.report.pose_tables import courses
 from bench.report.run_tables import alerts
 from bench.report.text import MINUS, NOTHING, decision_text, goals_text, reached_text
 from tests.support.printed_text import printed_text

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL
 
-from bench.report.course import state_diagram
 from bench.report.plots import residual_vectors
+from bench.report.pose_tables import state_diagram
 from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 

@@ -7,8 +7,7 @@ from typing import get_args
 import pytest
 from filled_stations import filled
 
-from bench.commands.devices import show_devices
-from bench.commands.station import station_new
+from bench.commands.station import show_devices, station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import station_draft
 from bench.stations.stages_and_lights import LightConfig

@@ -14,8 +14,8 @@ from bench.base.errors import UsageError
 from bench.commands.cli import cli
 from bench.stations.station import load_station
 from bench.stations.station_fields import TargetConfig
-from bench.stations.target.draw import WRITERS, drawing_file
-from bench.stations.target.shapes import (
+from bench.stations.target_files import WRITERS, drawing_file, optics_of, use_of
+from bench.stations.target_shapes import (
     COLUMNS,
     GLYPHS,
     ROWS,
@@ -24,7 +24,6 @@ from bench.stations.target.shapes import (
     text_rectangles,
     text_width,
 )
-from bench.stations.target.use import optics_of, use_of
 
 SMALL = {"squares": (16, 18), "pitch_mm": 3.0, "tag_square": (6, 7), "serial": "a-7"}
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.clock import Aborted, BenchClock, Interrupted
-from bench.terminal.signals import reliable_interrupts, stop_on_signals
+from bench.base.clock import Aborted, BenchClock, Interrupted, reliable_interrupts, stop_on_signals
 
 MANY_SIGNALS = """
 import os

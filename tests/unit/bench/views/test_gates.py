@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from bench.views import measure as measuring
-from bench.views.event_window import WholeImage
 from bench.views.gates import recording_gates, rejection_reasons
-from bench.views.measure import StoredImage, aligned_poses, measure
+from bench.views.measure import StoredImage, WholeImage, aligned_poses, measure
 from calib.events.grey_image import to_uint8
 from calib.target import StarTarget
 from drivers.camera import RecordingFacts

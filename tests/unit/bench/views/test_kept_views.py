@@ -16,10 +16,16 @@ from bench.results.offline import with_kept_views
 from bench.results.offline_options import OfflineOptions
 from bench.results.result import keep_views_of_run
 from bench.results.view_sources import view_sources
-from bench.views import kept_views
-from bench.views.kept_views import DETECTOR_SOURCES, KeptViews, detector_version, pack_view, view_key
+from bench.views import views_file
 from bench.views.measure import Measurement
-from bench.views.views_file import read_views
+from bench.views.views_file import (
+    DETECTOR_SOURCES,
+    KeptViews,
+    detector_version,
+    pack_view,
+    read_views,
+    view_key,
+)
 from calib.view import RimPoints, View
 
 OPTIONS = {"kind": "recording", "name": "left", "image": "auto"}
@@ -89,7 +95,7 @@ def test_other_bytes_other_options_and_another_detector_are_found_again(kept, re
     recording.write_bytes(b"Events")
     kept.view(recording, OPTIONS, find)
     assert find.calls == 3
-    monkeypatch.setattr(kept_views, "detector_version", lambda: "another")
+    monkeypatch.setattr(views_file, "detector_version", lambda: "another")
     kept.view(recording, OPTIONS, find)
     assert find.calls == 4
 
@@ -102,7 +108,7 @@ def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
     data = bytearray(entry.read_bytes())
     data[len(data) // 2] ^= 1
     broken = {"flip": bytes(data), "cut": bytes(data[:-10]), "empty": b""}
-    broken["of another"] = kept_views.pack_view(a_view(2), "0" * 64)
+    broken["of another"] = views_file.pack_view(a_view(2), "0" * 64)
     entry.write_bytes(broken[damage])
     assert same(kept.view(recording, OPTIONS, find), find.view)
     assert find.calls == 2
@@ -123,7 +129,7 @@ def test_a_recording_that_is_replaced_meanwhile_is_not_kept(kept, recording):
 
 
 def test_the_size_is_bounded_and_what_was_used_last_stays(tmp_path):
-    size = len(kept_views.pack_view(a_view(), "0" * 64))
+    size = len(views_file.pack_view(a_view(), "0" * 64))
     kept = KeptViews(tmp_path / "views", most_bytes=256 * (3 * size + 10))
     keys = [f"ab{number:062x}" for number in range(5)]
     for age, key in enumerate(keys[:3]):
@@ -201,7 +207,7 @@ def test_several_writers_of_one_entry_leave_it_whole(kept):
 def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
     with recording.open("r+b") as file:
         file.truncate(10 << 30)
-    monkeypatch.setattr("bench.views.kept_views.sha256_of", lambda _: pytest.fail("it was hashed"))
+    monkeypatch.setattr("bench.views.views_file.sha256_of", lambda _: pytest.fail("it was hashed"))
 
     def find():
         raise ValueError("holes")
@@ -252,7 +258,7 @@ def test_the_version_changes_with_a_source(monkeypatch, tmp_path):
     changed = tmp_path / "calib" / "errors.py"
     changed.parent.mkdir()
     changed.write_text("")
-    monkeypatch.setattr(kept_views, "source_files", lambda _root: [])
+    monkeypatch.setattr(views_file, "source_files", lambda _root: [])
     assert detector_version.__wrapped__() != before
 
 
