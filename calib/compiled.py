@@ -23,6 +23,8 @@ INNER: Final[dict[str, Any]] = {**INNER_WITH_ARRAYS, "_nrt": False}
 """The same of one that makes no arrays: references to its arguments need not be counted."""
 
 
+# Linear algebra on one thread: the engine's matrices are small, and a second thread waits longer than it works.
+
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -19,6 +19,8 @@ from sequences.errors import DocumentFaults
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, DocumentPath, Fault, Spot, Tree, parse, path_text
 
+# Replace values in a YAML document: settings of a job or of the command line take the place of the file's values.
+
 
 class OptionSettings(dict[str, str]):
     """Settings given by an option of a command; messages then name the option."""
@@ -117,6 +119,8 @@ def _mapping(here: Any) -> dict[str, Any]:
         raise TypeError
     return here
 
+
+# From a file to a checked document: strict text, then a pydantic model, every fault at its line and column.
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import yaml
 
+# A YAML document as it was read: values as text, the place of each value, and the faults found on the way.
+
 DocumentPath = tuple[str | int, ...]
 """Keys and list indices from the top of a document."""
 
@@ -92,6 +94,8 @@ def path_text(path: DocumentPath) -> str:
     parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return "".join(parts).removeprefix(".")
 
+
+# Strict YAML reader: from bytes to mappings, lists and plain text, each with its place.
 
 MOST_BYTES = 1_000_000
 """Bytes that a document may have at most."""

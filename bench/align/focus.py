@@ -81,7 +81,10 @@ def measure_focus(
     before: FocusFigures | None = None,
     again: Sequence[str] = (),
 ) -> FocusFigures:
-    """Measure how sharp a picture, (H, W) float32, is, in the regions of ``before`` if given; alone without stars."""
+    """Measure how sharp a picture, (H, W) float32 grey values, is; ``stars`` None if they were not searched.
+
+    The regions of ``before``, a picture shortly before, are kept; None to measure all regions.
+    """
     detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
     coarse = coarse_detail(image, beam.lit) if beam.share > 0.0 else None
     if stars is None:

@@ -20,6 +20,8 @@ from bench.base.errors import JournalBroken
 from bench.records.journal import Entry
 from sequences.queue import JobConfig, Queue
 
+# Schedule of a batch: which run is next, when it begins, and for which runs no time is left.
+
 NEVER_S = math.inf
 
 
@@ -179,6 +181,9 @@ def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of
 
 
 # The events of a batch's journal, and the type of what each carries. Types only.
+
+
+# State of a batch, computed from its journal alone: its runs, their attempts and ends, and the requests.
 
 
 class BatchEvent(StrEnum):

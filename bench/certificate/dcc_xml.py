@@ -299,6 +299,8 @@ def _plain(message: str) -> str:
     return short(re.sub(r"\.$", "", message.strip()), 300)
 
 
+# Units of the Digital System of Units (D-SI), as its XML writes them: ``\milli\metre``, ``\metre\per\second``.
+
 PREFIXES = {
     "quecto": -30, "ronto": -27, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9,
     "micro": -6, "milli": -3, "centi": -2, "deci": -1, "deca": 1, "hecto": 2, "kilo": 3, "mega": 6, "giga": 9,

@@ -34,6 +34,9 @@ from bench.records.storage import (
 # Refuses work of another program. Loads no mathematics.
 
 
+# Results of pieces of work on the disk, by the hash of all that decides them: lines of JSON in one file.
+
+
 def require_program_of(program: str) -> None:
     """Refuse work of another program, because its results would differ."""
     if (here := forms()["program"]) != program:
@@ -132,6 +135,8 @@ class KeptRows(Table):
     def _known(self, row: Any) -> tuple[str, Any]:
         return row["key"], row["value"]
 
+
+# Pieces of work for one process, for the processes of this computer, or for a Dask scheduler: one interface for all.
 
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""

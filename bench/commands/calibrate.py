@@ -301,6 +301,9 @@ def _calibrate_together(
     return NOT_KEPT if (judged := result.conformity) and not judged["passed"] else 0
 
 
+# The command `check`: whether a calibration is still right, by new views of the camera.
+
+
 @click.command(
     epilog=epilog(
         "starbench check runs/today --calibration runs/last-year",

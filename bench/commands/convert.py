@@ -158,6 +158,9 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
     return 1 if failed else 0
 
 
+# The command `undistort`: tables that take the distortion out of events and images, with a preview.
+
+
 @click.command(
     epilog=epilog(
         "starbench undistort runs/cam7 -o cam7-tables",

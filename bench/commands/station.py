@@ -260,6 +260,9 @@ def schema(document: str) -> int:
     return 0
 
 
+# The command `devices`: what is connected, and with ``--wiring`` a test of the trigger cable.
+
+
 @click.command(epilog=epilog("starbench devices"))
 @click.option(
     "--wiring",

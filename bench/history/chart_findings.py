@@ -450,6 +450,9 @@ def needs_attention(group: Mapping[str, Any]) -> bool:
     return group["state"] == "out of control" or any(drifts(chart) for chart in group["parameters"])
 
 
+# The check standard of a station: one camera that is measured again and again, so that its chart watches the bench.
+
+
 def standard_problem(station: Station, home: Path, now: datetime) -> str:
     """Return why the bench must be looked at: the standard's newest run is out of control or too old; or empty."""
     standard = station.check_standard

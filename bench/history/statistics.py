@@ -24,6 +24,8 @@ from bench.base.errors import UsageError
 # Control charts of one parameter: individuals with moving ranges (Shewhart), and EWMA. Numbers in, limits
 # out.
 
+# A gauge study: how much of the scatter of many runs is the bench's, by analysis of variance. Numbers in, numbers out.
+
 Array = NDArray[np.float64]
 
 D2 = 2.0 / math.sqrt(math.pi)

@@ -82,7 +82,11 @@ class Event(StrEnum):
 
 
 class LedgerPlace(TypedDict):
-    """Where a run stands in the ledger: number, head, its camera's runs by end; ``faults`` are unexplained breaks."""
+    """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end.
+
+    ``faults`` states breaks that nobody had explained when the run began, ``warnings`` second places that could not be
+    used.
+    """
 
     number: int
     head: str

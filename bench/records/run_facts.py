@@ -270,6 +270,8 @@ def _total(accepted: Sequence[Attempt], name: str) -> int | None:
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
 
 
+# Whether results keep limits, by guarded acceptance and rejection: of a run (PASS or FAIL), and of a certificate.
+
 RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
 NO_CONVERGENCE = "The optimisation did not converge."
 

@@ -331,6 +331,8 @@ def _text(x: float, y: float, text: str, paint: str, anchor: str, size: float, m
     return f"<text {place} {paint}{middle}{larger}{more and ' ' + more}>{escape(text)}</text>"
 
 
+# The frame of a plot: its place in the picture, title, legend, axes, ticks and labels. Pure.
+
 _LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
 _BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0
 _RIGHT = 7.0

@@ -37,7 +37,10 @@ _FOOT = 22.0
 
 
 def study_plot(names: Sequence[str], z: Array, rms: Mapping[str, float]) -> str:
-    """Draw errors over stated standard uncertainty, (N, K), as histograms beside a normal one; outermost bins: > 4."""
+    """Draw the errors of each parameter as a histogram beside the normal distribution, as SVG.
+
+    ``z``, (N, K), is the error over its stated standard uncertainty; beyond four, errors count in the outermost bins.
+    """
     rows = -(-len(names) // _ACROSS)
     about = "; ".join(f"{name}: rms {rms[name]:.2f}" for name in names) + "."
     label = "Errors over their stated standard uncertainties, beside the normal distribution"

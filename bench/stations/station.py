@@ -49,6 +49,8 @@ from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name, ResultLimits
 from sequences.strict_model import StrictModel, Within
 
+# The camera section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them.
+
 
 class SimulatedEvk4Config(EventCameraConfig):
     """A simulated EVK4, connected through a local socket."""
@@ -159,6 +161,8 @@ CameraConfig = _Cameras
 
 # The ledger section of a station file: the second place for the head of the ledger, and what a break of it
 # does.
+
+# The station file: the devices of a bench, their ports, and their limits.
 
 _STRICT = "strict"
 

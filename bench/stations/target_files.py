@@ -26,6 +26,8 @@ from bench.stations.station_fields import TargetConfig
 from bench.stations.target_shapes import Drawing, Shapes, draw_target
 from calib.target import StarTarget
 
+# What a target is good for with a lens and a collimator: stars in view, their size in px, and warnings.
+
 IMX636_PIXEL_UM = 4.86
 """Side of a pixel of the Prophesee IMX636 (EVK4), by its data sheet."""
 
@@ -188,6 +190,8 @@ def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str
 # Every file is a function of the drawing: it has no date, no name of a computer and no random identifier.
 # Coordinates have six decimals of a millimetre. The polygons of one star, of the tag and of the margin are
 # one path each, so that a viewer shows no seams between areas that touch.
+
+# Writes the reticle of a station to a file; the ending of its name tells the kind.
 
 MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
 _POINTS_PER_MM = 72.0 / 25.4

@@ -49,6 +49,8 @@ from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 from sequences.script import Gates
 
+# From one recording of events to the event image of whole flicker periods. It knows no target.
+
 
 class EventData(NamedTuple):
     """Content of a recording."""
@@ -223,6 +225,8 @@ def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> Me
 #
 # A dark lamp and a closed lens cap are no fault of the camera's direction. `bench.align.advice` tells the
 # same cases apart on the live picture.
+
+# From one recording to one view: RAW file, whole flicker periods, event image, stars.
 
 LEAST_LIT = 0.005
 """Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot

@@ -188,6 +188,8 @@ def _stored_view(group: h5py.Group) -> StoredView:
 # Entries are no evidence, and their folder may be deleted at any time. It belongs to one user, and has a
 # largest size. An entry that cannot be read or written is told, and never an error.
 
+# Views kept from earlier calculations, so that the stars of a recording are found once only.
+
 _BUCKETS = 256
 _STALE_S = 3600.0
 

@@ -262,6 +262,8 @@ def _touches_frame(points: Array, shape: tuple[int, ...], rows: int, columns: in
     return bool((low < 0).any() or high[0] > shape[1] - 1 or high[1] > shape[0] - 1)
 
 
+# Corners of a checkerboard as OpenCV locates them, for comparison with `calib.boards.detect`.
+
 Finder = Literal["sectors", "subpixel"]
 
 _WINDOW_PX = 11

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from calib.compiled import KERNEL
 from calib.errors import FlickerNotFound, TooFewEvents
 
+# Events by their time: hundreds share a microsecond, and what depends on it is computed once; no pixel positions.
+
 
 class EventTimes(NamedTuple):
     """The K different times of N events."""
@@ -66,6 +68,8 @@ def _gathered(t: Any, p: Any) -> tuple[Any, Any, Any]:
     first[k] = n
     return times[:k], first[: k + 1], on[:k]
 
+
+# Period and phase of the flicker, from times and polarities of trigger edges or events; no pixel positions.
 
 #: Largest distance of an edge from its place in the train, as a share of the period.
 EDGE_TOLERANCE = 0.15

@@ -30,6 +30,8 @@ __all__ = [
     "undistort",
 ]
 
+# An image without distortion: the ray of each pixel, its place in the rectified image, and the map back.
+
 Array = NDArray[np.float64]
 
 PINHOLE = ("fx", "fy", "cx", "cy")
@@ -292,6 +294,8 @@ class CameraModel:
         """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
 
+
+# The camera with fewer lens coefficients that projects most like another one over its sensor.
 
 _STEPS = 20
 _POINTS_ACROSS = 33

@@ -195,6 +195,8 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     )
 
 
+# What the rims of the views say about their discs, linearised: information and right sides of normal equations.
+
 Array = NDArray[np.float64]
 
 #: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each

@@ -40,6 +40,8 @@ from numpy.typing import NDArray
 from calib.compiled import INNER, KERNEL
 from calib.stars.grid_map import LocalMap
 
+# Compiled loops of the symmetry of a star: the image as a spline, and the normal equations of a star's unknowns.
+
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
 #: Least share of the used samples of a cell that must lie in the image.
@@ -257,6 +259,8 @@ def _sums_inside(
     return float(squares)
 
 
+# Centre of a star by point symmetry: half a turn about the centre leaves the printed star unchanged.
+
 #: Half the side of the square in which symmetry is measured, pitches: the star's own cell and no more, so that
 #: neighbours share no pixels.
 SYMMETRY_REACH = 0.49
@@ -379,6 +383,8 @@ def refine_by_symmetry(
         stars, centres, slopes = stars[going], centres[going], slopes[going]
     return fit
 
+
+# How well stars are located: the scatter of neighbouring stars scales their covariances.
 
 #: Neighbours of a star in the stencil, and their weights.
 _STENCIL = {

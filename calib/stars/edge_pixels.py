@@ -17,6 +17,8 @@ from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import OVERSAMPLING, EdgeMap, cell_reach
 
+# Pixels near the edges of stars, collected from a quantised image star by star, and in each star edge by edge.
+
 #: Products may be added without rounding in between; for loops that meet no nan.
 _WITHOUT_NAN = {"contract", "nsz", "nnan", "ninf"}
 
@@ -284,6 +286,8 @@ def _store(space: _Space, i: Any, edge: Any, pixels: Any, counts: Any, found: Ed
     found.tau[at], found.along_x[at], found.along_y[at] = space.tau[i], space.along_x[i], space.along_y[i]
     found.u[at], found.v[at], found.level[at] = space.u[i], space.v[i], pixels[np.uint64(space.place[i])]
 
+
+# Pixels near the edges of stars: their levels of brightness, counted, and the scores of each star's unknowns.
 
 #: Width of the bins of tau, px.
 TAU_BIN_PX = 0.03

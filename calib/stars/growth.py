@@ -21,6 +21,8 @@ from calib.stars.tag import TagDetection
 from calib.stars.template import MIN_COVERED, SEARCH_RADII, SHARP_CORRELATION, StarTemplate
 from calib.target import StarTarget
 
+# Search of a star around a guess: the place, in steps of one pixel, that correlates best with its pattern.
+
 #: Standard deviation, as a share of the brightness, up to which an image counts as flat: single precision is right to
 #: 6e-8.
 FLAT = 2e-6
@@ -183,6 +185,8 @@ def _search_star(
                 score, best[0], best[1] = found, guess[0] + j, guess[1] + i
     return score
 
+
+# From the first stars to all: growth over the grid, where the stars found predict their neighbours.
 
 #: Least correlation with its pattern of a star during growth.
 MIN_CORRELATION = 0.45

@@ -232,6 +232,8 @@ def _last_bright(
     return np.asarray(order[ends])
 
 
+# The place of the rim in each of many sections of a circle, from samples of white print.
+
 Array = NDArray[np.float64]
 
 #: Nodes farther than this from all stars, pitches, are outside of the beam.
@@ -433,6 +435,8 @@ def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
         centre = 2.0 * reach * normal
     return origin + centre, float(np.sqrt(np.mean(((away - centre) ** 2).sum(axis=1))))
 
+
+# Vignetted stars: the outermost stars of the beam, and their larger uncertainty.
 
 #: Standard uncertainty per axis that is added to a vignetted star's own, px. In simulated beams the outermost stars
 #: are all shifted outwards by 0.03 px, which changes f by 2 sigma. With this uncertainty they have little weight.

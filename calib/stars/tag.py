@@ -191,6 +191,8 @@ def _values(picture: NDArray[np.float32], scale: float, at: NDArray[np.float64])
     ).ravel()
 
 
+# A dark square on light in a live picture: a tag that cannot be read, because it is blurred or cut by the frame.
+
 Border = Literal["left", "right", "upper", "lower"]
 
 #: Long side of the reduced image, cells. A module of a tag is then some cells wide.

@@ -38,6 +38,8 @@ from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_sha
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
+# Choice of poses: what each possible pose would add to the poses that are recorded or planned.
+
 Array = NDArray[np.float64]
 
 #: Rows of the uncertainty budget that further poses lower; all others stay about as they are.

@@ -36,6 +36,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+# The state of the EVT3 decoder, and the words that change nothing else: rows, clock, triggers, the rate controller.
+
 _DECODER: Final[dict[str, Any]] = {"nogil": True, "_nrt": False, "no_cfunc_wrapper": True}
 JIT: Final[dict[str, Any]] = {"cache": True, **_DECODER}
 """How the decoder's loops are compiled: without reference counts of arrays (``_nrt``). The loops allocate no arrays,
@@ -258,6 +260,8 @@ def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any
         return StopReason.RESERVED
     return StopReason.NONE
 
+
+# Decode EVT3 words in one compiled loop.
 
 MARGIN: Final = 32
 """Room that the arrays need beyond the last event: three vectors are written at once."""

@@ -38,6 +38,8 @@ from simulators.pixels.sensor_state import (
     update_minima,
 )
 
+# A square light in double precision, for the few events that float32 would misplace by microseconds.
+
 STEEP: Final = 3e-5
 """Smallest change of ln u per microsecond at which float32 is good to some hundredths of a microsecond."""
 LEAST_Q_US: Final = 1.0
@@ -140,6 +142,8 @@ def join_digits(u32: Any, digits: Any) -> float:
     steps = np.int64(digits >> np.uint8(1))
     return np.float64(u32) * (1.0 + ((steps - 64) / (63.0 * 16777216.0) if steps else 0.0))
 
+
+# Next requests of the pixels: after a read, at the start, and under a new light or a new picture. Compiled functions.
 
 FEW: Final = 9
 """With fewer events, the pixels of a row are processed one by one, not as a batch."""
