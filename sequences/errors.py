@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from sequences.yaml_text import Fault, Tree
+from sequences.tree import Fault, Tree
 
 
 class SequencesError(Exception):

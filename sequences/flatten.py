@@ -44,8 +44,8 @@ from sequences.script import (
 )
 from sequences.solve_schema import DISTORTION_SETS, LENS_FAMILIES, DistortionSet, DistortionTerm, SolveConfig
 from sequences.strict_model import StrictModel
+from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
-from sequences.yaml_text import DocumentPath, Fault
 
 # Settings of a step from the sequence: its own, the defaults, the lens coefficients; and the axes that poses
 # name.

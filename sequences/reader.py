@@ -16,8 +16,9 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from sequences.errors import DocumentFaults
+from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
-from sequences.yaml_text import MOST_BYTES, DocumentPath, Fault, Spot, Tree, parse, path_text
+from sequences.yaml_text import MOST_BYTES, parse
 
 # Replace values in a YAML document: settings of a job or of the command line take the place of the file's values.
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from sequences.schema import Answer, GateConfig, ImageKind, OnFailure, Waveform
 from sequences.solve_schema import CalibrationModel, DistortionTerm, Loss, Readings
-from sequences.yaml_text import DocumentPath
+from sequences.tree import DocumentPath
 
 WAVEFORM_LIMITS: Mapping[Waveform, Mapping[str, float]] = {
     "square": {"max_event_rate_mev_s": 200.0, "max_flicker_disagreement_percent": 0.5},

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from sequences.yaml_text import DocumentPath, Fault, Tree, path_text
+from sequences.tree import DocumentPath, Fault, Tree, path_text
 
 LONGEST_QUOTE = 60
 """Characters of a wrong value that a message quotes at most."""

@@ -32,7 +32,8 @@ from bench.stations.station_text import TextLightConfig
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence as SequenceFile
-from sequences.yaml_text import DocumentPath, parse
+from sequences.tree import DocumentPath
+from sequences.yaml_text import parse
 
 Text = str | tuple[str, ...]
 """YAML text of a value, or of each entry of a list."""

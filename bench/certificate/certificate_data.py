@@ -16,7 +16,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError
 from bench.records.results import Verdict
-from sequences.yaml_text import path_text
+from sequences.tree import path_text
 
 PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 

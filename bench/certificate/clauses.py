@@ -16,8 +16,8 @@ from bench.certificate.run_facts import is_unnamed
 from bench.records.results import Results
 from calib.model.result_parts import PASSPORT
 from sequences.reader import Located
+from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
-from sequences.yaml_text import DocumentPath, Fault
 
 Path = tuple[str, ...]
 RUN = "the sealed run"

@@ -49,7 +49,7 @@ from bench.records.storage import (
 )
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
-from sequences.yaml_text import path_text
+from sequences.tree import path_text
 
 # The folder of a certificate: its files from the data, written as a whole and sealed under its final name.
 #

@@ -31,7 +31,7 @@ from bench.certificate.certificate_data import Certificate
 from bench.records.results import Results
 from bench.records.run_facts import coverage_factor
 from bench.report.text import MINUS, NOTHING, STARS, TargetWords, exact, moment, number, words_of
-from sequences.yaml_text import path_text
+from sequences.tree import path_text
 
 if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate, Covariance

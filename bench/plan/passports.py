@@ -31,7 +31,7 @@ from calib.model.passport import Passport
 from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
-from sequences.yaml_text import DocumentPath, Fault
+from sequences.tree import DocumentPath, Fault
 
 
 def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:

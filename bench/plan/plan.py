@@ -42,7 +42,7 @@ from sequences.script import (
     WaitStep,
 )
 from sequences.solve_schema import CalibrationModel
-from sequences.yaml_text import Fault
+from sequences.tree import Fault
 
 # Expected duration and disk space of the steps of a plan, by the station's speeds and by the allowances
 # below.

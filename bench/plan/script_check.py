@@ -30,7 +30,7 @@ from sequences.script import (
     WaitStep,
 )
 from sequences.solve_schema import LENS_FAMILIES
-from sequences.yaml_text import DocumentPath, Fault, Tree, path_text
+from sequences.tree import DocumentPath, Fault, Tree, path_text
 
 # No credential in a URL of a sequence, a station or a queue: these files are copied into sealed folders.
 #

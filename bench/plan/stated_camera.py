@@ -15,7 +15,7 @@ from bench.stations.station import ExpectedConfig
 from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
-from sequences.yaml_text import Fault
+from sequences.tree import Fault
 
 if TYPE_CHECKING:  # it loads OpenCV, which plans without a check do not need
     from bench.plan.camera_files import CameraFile

@@ -12,7 +12,7 @@ from calib.errors import InputMismatch
 from calib.target import StarTarget
 from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
 from sequences.strict_model import StrictModel, Within
-from sequences.yaml_text import Fault, Tree, path_text
+from sequences.tree import Fault, Tree, path_text
 
 # Placeholders in a drafted or example station file for values that a person must fill in.
 #

@@ -32,7 +32,7 @@ from sequences.errors import DocumentFaults
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Axis
 from sequences.strict_model import Within
-from sequences.yaml_text import Fault
+from sequences.tree import Fault
 
 # Descriptions of devices: YAML files that say how a stage or a light is talked to, without code.
 

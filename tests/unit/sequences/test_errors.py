@@ -1,7 +1,7 @@
 """The errors of the script language: one shape, and every fault of a document with its place."""
 
 from sequences.errors import DocumentFaults, SequencesError
-from sequences.yaml_text import Fault, Tree
+from sequences.tree import Fault, Tree
 
 FIRST = Fault("a.yaml", 4, 13, "run.light_hz", "not a number (got 'sixty').")
 SECOND = Fault("a.yaml", 9, 2, "", "a second document.")

@@ -5,7 +5,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sequences.yaml_text import MOST_BYTES, MOST_DEPTH, MOST_NODES, Spot, parse
+from sequences.tree import Spot
+from sequences.yaml_text import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse
 
 
 def faults(text: str | bytes) -> list[str]:
