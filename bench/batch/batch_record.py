@@ -180,10 +180,8 @@ def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of
     return slots + [Slot(item, None, None) for item in left]
 
 
-# The events of a batch's journal, and the type of what each carries. Types only.
-
-
 # State of a batch, computed from its journal alone: its runs, their attempts and ends, and the requests.
+# The events of a batch's journal, and the type of what each carries. Types only.
 
 
 class BatchEvent(StrEnum):

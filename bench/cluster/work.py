@@ -31,10 +31,8 @@ from bench.records.storage import (
     write_all,
 )
 
-# Refuses work of another program. Loads no mathematics.
-
-
 # Results of pieces of work on the disk, by the hash of all that decides them: lines of JSON in one file.
+# Refuses work of another program. Loads no mathematics.
 
 
 def require_program_of(program: str) -> None:

@@ -21,10 +21,9 @@ from scipy import optimize, stats
 
 from bench.base.errors import UsageError
 
+# A gauge study: how much of the scatter of many runs is the bench's, by analysis of variance. Numbers in, numbers out.
 # Control charts of one parameter: individuals with moving ranges (Shewhart), and EWMA. Numbers in, limits
 # out.
-
-# A gauge study: how much of the scatter of many runs is the bench's, by analysis of variance. Numbers in, numbers out.
 
 Array = NDArray[np.float64]
 

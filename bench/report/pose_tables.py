@@ -191,9 +191,8 @@ def _image(image: ImageFacts) -> str:
     return ", ".join(details) or NOTHING
 
 
-# Plot of the course of an ``until``: the expanded uncertainty against the number of poses, with its goals.
-
 # The course of an ``until``: the expanded uncertainty after each pose, as table and plot, and how the step ended.
+# Plot of the course of an ``until``: the expanded uncertainty against the number of poses, with its goals.
 
 _COLOURS = ("#0072b2", "#d55e00")
 _HEIGHT, _GAP = 195.0, 12.0

@@ -159,10 +159,9 @@ else:
 CameraConfig = _Cameras
 
 
+# The station file: the devices of a bench, their ports, and their limits.
 # The ledger section of a station file: the second place for the head of the ledger, and what a break of it
 # does.
-
-# The station file: the devices of a bench, their ports, and their limits.
 
 _STRICT = "strict"
 

@@ -185,13 +185,12 @@ def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str
     return said
 
 
+# Writes the reticle of a station to a file; the ending of its name tells the kind.
 # Drawings as SVG and PDF: vector files with exact millimetres, written without another program.
 #
 # Every file is a function of the drawing: it has no date, no name of a computer and no random identifier.
 # Coordinates have six decimals of a millimetre. The polygons of one star, of the tag and of the margin are
 # one path each, so that a viewer shows no seams between areas that touch.
-
-# Writes the reticle of a station to a file; the ending of its name tells the kind.
 
 MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
 _POINTS_PER_MM = 72.0 / 25.4

@@ -221,12 +221,11 @@ def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> Me
     }
 
 
+# From one recording to one view: RAW file, whole flicker periods, event image, stars.
 # A recording without a tag and without stars: whether it shows light at all.
 #
 # A dark lamp and a closed lens cap are no fault of the camera's direction. `bench.align.advice` tells the
 # same cases apart on the live picture.
-
-# From one recording to one view: RAW file, whole flicker periods, event image, stars.
 
 LEAST_LIT = 0.005
 """Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot

@@ -183,12 +183,11 @@ def _stored_view(group: h5py.Group) -> StoredView:
     return StoredView(view, residuals_px)
 
 
+# Views kept from earlier calculations, so that the stars of a recording are found once only.
 # Entries kept from earlier calculations: a file each, named by the hash of all that decides its content.
 #
 # Entries are no evidence, and their folder may be deleted at any time. It belongs to one user, and has a
 # largest size. An entry that cannot be read or written is told, and never an error.
-
-# Views kept from earlier calculations, so that the stars of a recording are found once only.
 
 _BUCKETS = 256
 _STALE_S = 3600.0
