@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+from bench.base.home import remove_stale_kernels
 from drivers.lateness import Lateness
 
 # A shell starts background jobs (`make test &`) with SIGINT ignored, and so would every process that a test starts.
@@ -21,6 +22,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
 settings.register_profile("starbench", deadline=None)
 settings.load_profile("starbench")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Kernels that name a module of an earlier version cannot be loaded: they go, as when a command begins."""
+    if not hasattr(config, "workerinput"):
+        remove_stale_kernels()
 
 
 @pytest.fixture
