@@ -25,7 +25,7 @@ from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
 if TYPE_CHECKING:
     from bench.cluster.verifications import Converted
     from bench.cluster.work import Workers
-    from bench.results.undistorted import Straightness
+    from bench.results.exports import Straightness
     from calib.model.camera import Undistortion
 
 
@@ -196,9 +196,9 @@ def undistort(file: Path, output: Path, keep: float, preview: Path | None, board
     from bench.base.errors import UsageError
     from bench.plan.camera_files import read_camera_file
     from bench.records.storage import make_folder, write_atomic
+    from bench.results.exports import board_straightness, read_picture_for, undistorted_files
     from bench.results.offline_folder import require_new
     from bench.results.offline_options import parse_board
-    from bench.results.undistorted import board_straightness, read_picture_for, undistorted_files
     from calib.model.camera import undistort as tables_of
 
     if board is not None and preview is None:
