@@ -1,18 +1,14 @@
 """Commands about batches, as an operator types them: a night planned, rehearsed, looked at, asked."""
 
-import contextlib
-import io
 import json
-import os
 from pathlib import Path
 from shutil import copyfile
-from types import SimpleNamespace
 
 import pytest
+from running import called
 
 from bench.base.clock import BenchClock
 from bench.batch.batch_record import BatchEvent
-from bench.commands.cli import main
 from bench.records.journal import Journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
@@ -30,31 +26,13 @@ jobs:
 JOB = "format: starbench/job/1\nname: more\nsequence: three_pose\nstation: simulated\n"
 
 
-def starbench(*words, home):
-    """Call a command in this process, which saves the seconds that a process of its own takes to begin."""
-    out, err, kept = io.StringIO(), io.StringIO(), os.environ.get("STARBENCH_HOME")
-    os.environ["STARBENCH_HOME"] = str(home)
-    try:
-        with (
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(err),
-            pytest.raises(SystemExit) as end,
-        ):
-            main([str(word) for word in words])
-    finally:
-        os.environ.pop("STARBENCH_HOME")
-        if kept is not None:
-            os.environ["STARBENCH_HOME"] = kept
-    return SimpleNamespace(returncode=end.value.code, stdout=out.getvalue(), stderr=err.getvalue())
-
-
 @pytest.fixture(scope="module")
 def night(tmp_path_factory):
     """A rehearsed night, and where."""
     folder = tmp_path_factory.mktemp("night")
     (folder / "queue.yaml").write_text(QUEUE)
     (folder / "job.yaml").write_text(JOB)
-    said = starbench(
+    said = called(
         "rehearse", folder / "queue.yaml", "-o", folder / "out", "--begin", "2026-03-01T20:30", "--json",
         home=folder / "home",
     )  # fmt: skip
@@ -64,12 +42,12 @@ def night(tmp_path_factory):
 def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
     folder, _ = night
     words = ("plan", folder / "queue.yaml", "--begin", "2026-03-01T20:30")
-    said = starbench(*words, home=folder / "home")
+    said = called(*words, home=folder / "home")
     assert said.returncode == 0, said.stderr
     assert "Sun 21:30" in said.stdout
     assert "No time for 1: a-003" in said.stdout
     assert "2 runs, until Sun 21:30 CET" in said.stdout
-    told = json.loads(starbench(*words, "--json", home=folder / "home").stdout)
+    told = json.loads(called(*words, "--json", home=folder / "home").stdout)
     assert (told["opens_utc"], told["runs"], told["no_time_for"]) == (
         "2026-03-01T20:00:00+00:00",
         2,
@@ -80,10 +58,10 @@ def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
 
 def test_a_queue_names_its_stations_itself_and_a_sequence_needs_one(night):
     folder, _ = night
-    both = starbench("plan", folder / "queue.yaml", "-s", "simulated", home=folder / "home")
+    both = called("plan", folder / "queue.yaml", "-s", "simulated", home=folder / "home")
     assert both.returncode == 2
     assert "names its stations itself" in both.stderr
-    none = starbench("plan", "three_pose", home=folder / "home")
+    none = called("plan", "three_pose", home=folder / "home")
     assert none.returncode == 2
     assert "--station" in none.stderr
 
@@ -100,14 +78,14 @@ def test_a_rehearsal_ends_as_its_night_would(night):
 
 def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
     folder, _ = night
-    status = starbench("status", folder / "out", home=folder / "home")
+    status = called("status", folder / "out", home=folder / "home")
     assert "Batch Night  REHEARSAL: stopped" in status.stdout
     assert "2 runs with a result, 0 runs without" in status.stdout
     before = (folder / "out" / "summary.json").read_bytes()
-    again = starbench("status", folder / "out", "--summary", home=folder / "home")
+    again = called("status", folder / "out", "--summary", home=folder / "home")
     assert "Camera 00050423, joint model, 2 results" in again.stdout
     assert (folder / "out" / "summary.json").read_bytes() == before
-    runs = starbench("runs", folder / "out", home=folder / "home")
+    runs = called("runs", folder / "out", home=folder / "home")
     assert runs.stdout.count("REHEARSAL") == 2
     assert runs.returncode == 0, runs.stderr
 
@@ -118,7 +96,7 @@ def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
     clock = BenchClock()
     with Journal.create(tmp_path / JOURNAL, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
         journal.append(BatchEvent.BEGUN, queue="Night", files={})
-    said = starbench("tell", tmp_path, "add", folder / "job.yaml", home=folder / "home")
+    said = called("tell", tmp_path, "add", folder / "job.yaml", home=folder / "home")
     assert said.returncode == 0, said.stderr
     assert "when it continues" in said.stdout
     assert len(list((tmp_path / "requests").iterdir())) == 1
@@ -126,10 +104,10 @@ def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
 
 def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
     folder, _ = night
-    said = starbench("tell", folder / "out", "add", folder / "job.yaml", home=folder / "home")
+    said = called("tell", folder / "out", "add", folder / "job.yaml", home=folder / "home")
     assert said.returncode == 1
     assert "is a rehearsal" in said.stderr
-    nowhere = starbench("tell", folder, "withdraw", "a", home=folder / "home")
+    nowhere = called("tell", folder, "withdraw", "a", home=folder / "home")
     assert nowhere.returncode == 1
     assert "There is no batch in this folder" in nowhere.stderr
 
@@ -137,7 +115,7 @@ def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
 def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
     folder, _ = night
     words = ("plan", ROOT / "sequences" / "night" / "queue.yaml", "--begin", "2026-03-01T19:30", "--json")
-    told = json.loads(starbench(*words, home=folder / "home").stdout)
+    told = json.loads(called(*words, home=folder / "home").stdout)
     assert (told["runs"], told["no_time_for"]) == (60, [])
     assert told["end_utc"] > "2026-03-02T04:00"
 
@@ -145,5 +123,5 @@ def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
 @pytest.mark.parametrize("document", ["queue", "job"])
 def test_editors_get_the_shape_of_a_queue_and_of_a_job(night, document):
     folder, _ = night
-    schema = json.loads(starbench("schema", document, home=folder / "home").stdout)
+    schema = json.loads(called("schema", document, home=folder / "home").stdout)
     assert "start_at" in json.dumps(schema)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from running import end_when, entering, journal, numbers, results, starbench, start
+from running import called, end_when, entering, journal, numbers, results, starbench, start
 
 from bench.batch.batch_plan import read_queue
 from bench.batch.rehearsed_night import rehearse_batch
@@ -48,7 +48,7 @@ def home(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory, home):
     folder = tmp_path_factory.mktemp("runs") / "frames"
-    said = starbench(
+    said = called(
         "run", "three_pose", "-s", "simulated_frames", "--seed", SEED, "-o", folder, "--json", home=home
     )
     assert said.returncode == 0, said.stderr
@@ -101,13 +101,13 @@ def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(fini
 
 
 def test_the_seal_of_a_frame_cameras_run_holds(finished, home):
-    verified = starbench("verify", finished, home=home)
+    verified = called("verify", finished, home=home)
     assert verified.returncode == 0, verified.stdout + verified.stderr
 
 
 @pytest.mark.slow
 def test_its_results_follow_from_its_pictures(finished, home):
-    verified = starbench("verify", finished, "--again", home=home)
+    verified = called("verify", finished, "--again", home=home)
     assert verified.returncode == 0, verified.stdout + verified.stderr
     again = starbench("calibrate", finished, "--json", home=home)
     assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]

@@ -5,7 +5,7 @@ import re
 
 import pytest
 from quick_runs import THREE, write_sequence, write_station
-from running import results, starbench
+from running import called, results
 
 KEPT, MISSED = "{result: fx, lower: 1600, upper: 1750}", "{result: cx, upper: 300, specification: drawing 7}"
 
@@ -20,7 +20,7 @@ def run(home, folder, station_limits, sequence_limits):
     sequence = write_sequence(folder / "s.yaml", THREE)
     sequence.write_text(sequence.read_text() + f"limits: [{sequence_limits}]\n")
     station = write_station(folder / "b.yaml", more=f"limits: [{station_limits}]\n" if station_limits else "")
-    return starbench(
+    return called(
         "run", sequence, "-s", station, "--seed", 3, "-o", folder / "run", home=home
     ), folder / "run"
 
@@ -30,7 +30,7 @@ def test_a_run_that_keeps_its_limits_passes(home, tmp_path):
     assert said.returncode == 0, said.stderr
     assert said.stdout.startswith("PASS: 1 of 1 limits kept.\n")
     assert results(folder)["conformity"]["passed"]
-    again = starbench("calibrate", folder, home=home)
+    again = called("calibrate", folder, home=home)
     assert again.returncode == 0, again.stderr
     assert again.stdout.startswith("PASS: 1 of 1 limits kept.\n")
 
@@ -44,12 +44,12 @@ def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_pa
     page = (folder / "report.html").read_text()
     assert page.index("FAIL: 1 of 2 limits kept.") < page.index("<h2>Result</h2>")
     assert 'class="verdict fail"' in page
-    assert starbench("verify", folder, "--again", home=home).returncode == 0
-    again = starbench("calibrate", folder, "-o", tmp_path / "again", home=home)
+    assert called("verify", folder, "--again", home=home).returncode == 0
+    again = called("calibrate", folder, "-o", tmp_path / "again", home=home)
     assert again.returncode == 4, again.stderr
     assert again.stdout.startswith("FAIL: 1 of 2 limits kept.\n")
     assert results(tmp_path / "again")["conformity"] == results(folder)["conformity"]
-    assert starbench("verify", tmp_path / "again", "--again", home=home).returncode == 0
+    assert called("verify", tmp_path / "again", "--again", home=home).returncode == 0
 
 
 def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):
@@ -60,7 +60,7 @@ def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):
     queue.write_text(
         "format: starbench/queue/1\nname: Q\njobs:\n  - {name: one, sequence: s.yaml, station: b.yaml}\n"
     )
-    said = starbench("batch", queue, "-o", tmp_path / "night", "--json", home=home)
+    said = called("batch", queue, "-o", tmp_path / "night", "--json", home=home)
     assert said.returncode == 4, said.stderr
     summary = json.loads(said.stdout)
     assert [(item["how"], item["conformity"], item["attempts"]) for item in summary["items"]] == [

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import httpx
@@ -14,7 +12,7 @@ import pytest
 from align_browser import CHROMIUM, running_chromium
 from pages import served
 from quick_runs import THREE, TWELVE, write_sequence, write_station
-from running import journal
+from running import called, journal
 
 from bench.base.errors import UsageError
 from bench.panel.line import Line
@@ -164,20 +162,7 @@ def test_a_line_without_limits_does_not_begin(tmp_path, home):
 def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_written(
     tmp_path, home, words, said
 ):
-    command = [
-        sys.executable,
-        "-m",
-        "bench",
-        "run",
-        "three_pose",
-        "-s",
-        "simulated",
-        "-o",
-        str(tmp_path / "run"),
-    ]
-    found = subprocess.run(
-        [*command, *words], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
+    found = called("run", "three_pose", "-s", "simulated", "-o", tmp_path / "run", *words, home=home)
     assert (found.returncode, found.stdout) == (2, "")
     assert said in found.stderr
     assert len(found.stderr.strip().splitlines()) == 1

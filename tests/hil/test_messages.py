@@ -4,9 +4,9 @@ import json
 import sys
 
 import pytest
-from running import results, starbench
+from quick_runs import THREE, write_sequence, write_station
+from running import called, results
 from servers import MailServer, WebServer, serving
-from station_texts import PLAIN
 
 from bench.messaging.messages import DeliveryFailed, Message, channels_of, send
 from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
@@ -136,17 +136,18 @@ def test_another_service_that_does_not_take_it_is_a_failed_delivery(monkeypatch,
 
 
 def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path):
-    home, folder, station = tmp_path / "home", tmp_path / "run", tmp_path / "station.yaml"
+    home, folder = tmp_path / "home", tmp_path / "run"
+    sequence = write_sequence(tmp_path / "sequence.yaml", THREE)
     with serving(WebServer()) as server:
         port, url = server.server_port, server.url
-    station.write_text(PLAIN + f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n")
-    said = starbench("run", "three_pose", "-s", station, "--seed", 7, "-o", folder, home=home)
+    station = write_station(tmp_path / "station.yaml", f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n")
+    said = called("run", sequence, "-s", station, "--seed", 7, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr
     assert "Messages not delivered yet: 1" in said.stderr
     assert results(folder)["run"]["simulated"]
     with serving(WebServer(port)) as server:
         for _ in range(2):
-            assert starbench("messages", "--send", home=home).returncode == 0
+            assert called("messages", "--send", home=home).returncode == 0
     ((_, told),) = server.posts
     assert told["occasion"] == "end"
     assert told["subject"] == "Starbench: run run (SIMULATED) finished"
@@ -154,5 +155,5 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     place = results(folder)["run"]["ledger"]
     assert (told["ledger_number"], told["ledger_head"]) == (1, place["head"])
     assert f"Ledger: run 1 of this bench, line {place['head']}" in told["text"]
-    (kept,) = json.loads(starbench("messages", "--json", home=home).stdout)["messages"]
+    (kept,) = json.loads(called("messages", "--json", home=home).stdout)["messages"]
     assert (kept["state"], kept["perhaps_twice"]) == ("sent", False)

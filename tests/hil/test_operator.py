@@ -6,7 +6,7 @@ import signal
 
 import pytest
 from quick_runs import write_sequence, write_station
-from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start, wait_for
+from running import PATIENCE_S, called, end_when, entering, journal, numbers, results, start, wait_for
 
 from bench.run.control import Command, send
 
@@ -27,7 +27,7 @@ def process(home, tmp_path):
     """A run under way, which a test commands; it stands still long enough before each recording to be met there."""
     quick = write_sequence(tmp_path / "quick.yaml", NAMED)
     sequence = tmp_path / "sequence.yaml"
-    sequence.write_text(quick.read_text().replace("settle: {duration_s: 0.3}", "settle: {duration_s: 4}"))
+    sequence.write_text(quick.read_text().replace("settle: {duration_s: 0.3}", "settle: {duration_s: 1.5}"))
     station = write_station(tmp_path / "station.yaml")
     process = start("run", sequence, "-s", station, "--seed", SEED, "-o", tmp_path / "run", home=home)
     yield process
@@ -51,13 +51,13 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     wait_for(process, folder, entering("settling"))
     assert send(folder, Command(word="hold", by="ada"))["taken"]
     wait_for(process, folder, entering("holding"))
-    refused = starbench("tell", folder, "release", "--operator", "ben", home=home)
+    refused = called("tell", folder, "release", "--operator", "ben", home=home)
     assert refused.returncode == 1
     assert "held by ada" in refused.stderr
     assert light_outputs(folder)[-1] is False
-    status = json.loads(starbench("status", folder, "--json", home=home).stdout)
+    status = json.loads(called("status", folder, "--json", home=home).stdout)
     assert (status["running"], status["state"], status["held_by"]) == (True, "holding", "ada")
-    taken = starbench("tell", folder, "release", "--operator", "ben", "--take-over", "--json", home=home)
+    taken = called("tell", folder, "release", "--operator", "ben", "--take-over", "--json", home=home)
     assert json.loads(taken.stdout)["taken"]
     assert process.wait(PATIENCE_S) == 0
     held = states(folder).index("holding")
@@ -68,10 +68,10 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     assert not (folder / "control").exists()
     undisturbed = tmp_path / "undisturbed"
     quick, station = tmp_path / "quick.yaml", tmp_path / "station.yaml"
-    said = starbench("run", quick, "-s", station, "--seed", SEED, "-o", undisturbed, home=home)
+    said = called("run", quick, "-s", station, "--seed", SEED, "-o", undisturbed, home=home)
     assert said.returncode == 0, said.stderr
     assert numbers(folder) == numbers(undisturbed)
-    assert starbench("verify", folder, home=home).returncode == 0
+    assert called("verify", folder, home=home).returncode == 0
 
 
 def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tmp_path, process):
@@ -80,18 +80,18 @@ def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tm
     assert send(folder, Command(word="hold", by="ada"))[
         "taken"
     ]  # so that it is there, however slow a command starts
-    assert starbench("tell", folder, "abort", "--operator", "ben", home=home).returncode == 0
+    assert called("tell", folder, "abort", "--operator", "ben", home=home).returncode == 0
     assert process.wait(PATIENCE_S) == 3
     assert states(folder)[-2:] == ["aborting", "aborted"]
     assert "abort by ben" in journal(folder)[-1]["why"]
-    late = starbench("tell", folder, "hold", home=home)
+    late = called("tell", folder, "hold", home=home)
     assert late.returncode == 1
     assert "No process works on this run" in late.stderr
     before = (folder / "journal.jsonl").read_bytes()
-    planned = starbench("resume", folder, "--dry-run", home=home)
+    planned = called("resume", folder, "--dry-run", home=home)
     assert "Record pose 2 (right)." in planned.stdout
     assert (folder / "journal.jsonl").read_bytes() == before
-    resumed = starbench("resume", folder, home=home)
+    resumed = called("resume", folder, home=home)
     assert resumed.returncode == 0, resumed.stderr
     assert "Record pose 2 (right)." in resumed.stderr
 
@@ -108,8 +108,8 @@ def test_a_pose_that_crashes_the_process_twice_is_skipped_and_marked(home, tmp_p
         lambda line: line["seq"] >= crashed_at and entering("recording", 2)(line),
         signal.SIGSEGV,
     )
-    assert "crashed 2 times" in starbench("resume", folder, "--dry-run", home=home).stdout
-    third = starbench("resume", folder, home=home)
+    assert "crashed 2 times" in called("resume", folder, "--dry-run", home=home).stdout
+    third = called("resume", folder, home=home)
     assert third.returncode == 0, third.stderr
     told = results(folder)
     (deviation,) = [what for what in told["deviations"] if what.startswith("Pose 2")]
@@ -118,7 +118,7 @@ def test_a_pose_that_crashes_the_process_twice_is_skipped_and_marked(home, tmp_p
     crashes = [line["crash"] for line in journal(folder) if line["event"] == "run_resumed"]
     assert crashes == ["Fatal Python error: Segmentation fault"] * 2
     assert len(list((folder / "quarantine").glob("crash.txt.*"))) == 2
-    assert starbench("verify", folder, home=home).returncode == 0
+    assert called("verify", folder, home=home).returncode == 0
 
 
 def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
@@ -132,10 +132,10 @@ def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
     process = start("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
     try:
         wait_for(process, folder, lambda line: line["event"] == "asked")
-        status = json.loads(starbench("status", folder, "--json", home=home).stdout)
+        status = json.loads(called("status", folder, "--json", home=home).stdout)
         assert status["question"] == "Is the cap off?"
         assert "starbench tell" in status["advice"]
-        said = starbench("tell", folder, "yes", "--operator", "ada", home=home)
+        said = called("tell", folder, "yes", "--operator", "ada", home=home)
         assert said.returncode == 0, said.stderr
         assert said.stdout == "Accepted: continue.\n"
         wait_for(process, folder, lambda line: line["event"] == "answered")

@@ -3,7 +3,7 @@
 import pytest
 import quick_runs
 from quick_runs import write_sequence
-from running import results, starbench
+from running import called, results
 from station_texts import PLAIN
 
 from drivers.camera.raw_file import RawFile
@@ -23,13 +23,15 @@ def station(path, width, height, fx):
     return path
 
 
-@pytest.mark.parametrize(("width", "height", "fx"), [(320, 320, 1290), (640, 480, 1672)])
+@pytest.mark.parametrize(
+    ("width", "height", "fx"), [(320, 320, 1290), pytest.param(640, 480, 1672, marks=pytest.mark.slow)]
+)
 def test_a_run_takes_the_size_of_the_sensor_from_the_camera(tmp_path, width, height, fx):
     sequence, bench = (
         write_sequence(tmp_path / "s.yaml", POSES, end=END),
         station(tmp_path / "b.yaml", width, height, fx),
     )
-    said = starbench("run", sequence, "-s", bench, "--seed", 3, "-o", tmp_path / "run", home=tmp_path)
+    said = called("run", sequence, "-s", bench, "--seed", 3, "-o", tmp_path / "run", home=tmp_path)
     assert said.returncode == 0, said.stderr
     found = results(tmp_path / "run")
     assert found["calibration"]["image_size"] == [width, height]

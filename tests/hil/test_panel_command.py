@@ -13,7 +13,7 @@ import httpx
 import pytest
 from click.testing import CliRunner
 from journals import MadeRun
-from running import STARBENCH, environment, starbench, start
+from running import STARBENCH, called, environment, start
 
 from bench.base.clock import BenchClock
 from bench.commands.cli import cli
@@ -31,7 +31,7 @@ def root(tmp_path):
     return run.folder.parent
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path, number):
     process = start("panel", root, "--no-browser", home=tmp_path)
     try:
@@ -57,14 +57,14 @@ def test_a_port_in_use_is_named(root, tmp_path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        found = starbench("panel", root, "--no-browser", "--port", port, home=tmp_path)
+        found = called("panel", root, "--no-browser", "--port", port, home=tmp_path)
     assert (found.returncode, found.stdout) == (2, "")
     assert f"Port {port} is in use by another program." in found.stderr
     assert found.stderr.count("\n") == 1
 
 
 def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, monkeypatch):
-    refused = starbench("panel", root, "--no-browser", "--no-token", "--host", "0.0.0.0", home=tmp_path)
+    refused = called("panel", root, "--no-browser", "--no-token", "--host", "0.0.0.0", home=tmp_path)
     assert refused.returncode == 2
     assert "need a token" in refused.stderr
     monkeypatch.setenv("STARBENCH_PAGE_TOKEN", TOKEN)
@@ -101,7 +101,7 @@ def test_without_a_token_only_if_that_is_said(root, tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    found = starbench("panel", tmp_path / "nowhere", "--no-browser", home=tmp_path)
+    found = called("panel", tmp_path / "nowhere", "--no-browser", home=tmp_path)
     assert found.returncode == 2
     assert "There is no such folder." in found.stderr
 

@@ -126,13 +126,10 @@ BLOCKS = "os.read(os.pipe()[0], 1)"
 """A driver that never returns, while all threads go on."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "hang",
-    [
-        BLOCKS,
-        pytest.param("while True: pass", marks=pytest.mark.slow),
-        pytest.param("import re; re.match('(a+)+$', 'a' * 60 + 'b')", marks=pytest.mark.slow),
-    ],
+    [BLOCKS, "while True: pass", "import re; re.match('(a+)+$', 'a' * 60 + 'b')"],
     ids=["blocks", "computes", "keeps the interpreter's lock"],
 )
 def test_a_driver_that_never_returns_is_noticed_within_ten_seconds(tmp_path, hang):

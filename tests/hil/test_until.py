@@ -4,7 +4,7 @@ import re
 
 import pytest
 from quick_runs import THREE, write_station, write_until
-from running import journal, results, starbench
+from running import called, journal, results
 
 SEED = 3
 UNTIL = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
@@ -21,7 +21,7 @@ def files(tmp_path_factory):
 def undisturbed(files, tmp_path_factory):
     home, sequence, station = files
     folder = tmp_path_factory.mktemp("runs") / "undisturbed"
-    said = starbench("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
+    said = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr
     assert re.search(r"3 poses \(k = [\d.]+\): U\(fx\)", said.stderr)
     return folder
@@ -49,9 +49,9 @@ def test_it_measures_until_its_bound_and_the_report_shows_the_course(undisturbed
     assert "Until the goal: U(fx) is at most 0.001 px" in page
     assert "course-2-" in page
     assert "The goal of a step was not met." in page
-    again = starbench("status", undisturbed, home=files[0])
+    again = called("status", undisturbed, home=files[0])
     assert "5 of 5 poses recorded" in again.stdout
-    assert starbench("verify", undisturbed, "--again", home=files[0]).returncode == 0
+    assert called("verify", undisturbed, "--again", home=files[0]).returncode == 0
 
 
 def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
@@ -66,7 +66,7 @@ def test_a_goal_is_met_and_nothing_further_is_recorded(files, tmp_path):
     home, _, station = files
     sequence = write_until(tmp_path / "good.yaml", f"{{worst_corner_px: 0.9, at_most: 9, start: {THREE}}}")
     folder = tmp_path / "good"
-    said = starbench("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
+    said = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr
     last = decisions(folder)[-1]
     assert last["ended"] == "met"

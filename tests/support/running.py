@@ -1,5 +1,6 @@
-"""Runs the command line as an operator does, in processes of its own; kills it where a test says."""
+"""Runs the command line as an operator does, in this process or in one of its own; kills it where a test says."""
 
+import io
 import json
 import os
 import signal
@@ -7,6 +8,9 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
+
+from bench.commands.cli import main
 
 STARBENCH = [sys.executable, "-m", "bench"]
 PATIENCE_S = 600.0
@@ -27,6 +31,21 @@ def starbench(*words, home: Path, cwd: Path | None = None) -> subprocess.Complet
         stdin=subprocess.DEVNULL,
         check=False,
     )
+
+
+def called(*words, home: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process: all that a process of its own would add is its start, of 3 s."""
+    out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
+    with (
+        mock.patch.dict(os.environ, environment(home)),
+        mock.patch.multiple(sys, stdin=io.StringIO(), stdout=out, stderr=err),
+    ):
+        try:
+            main([str(word) for word in words])
+        except SystemExit as end:
+            status = int(end.code or 0)
+    told = [stream.buffer.getvalue().decode() for stream in (out, err)]
+    return subprocess.CompletedProcess(words, status, *told)
 
 
 def start(*words, home: Path) -> subprocess.Popen[str]:
