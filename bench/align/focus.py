@@ -266,7 +266,7 @@ class FocusCourse:
         self.best_sharpness = self.best_coarse_detail = None
 
     def trend(self) -> str:
-        """Return what the last turn did to edge width or coarse detail: ``better``, ``worse``, empty before a turn."""
+        """Return what the last turn did to the edge width: ``better``, ``worse``, or empty before the first turn."""
         if len(self._rests) < 2:
             return ""
         return "worse" if self._rests[-1].worse_than(self._rests[-2]) > 0.0 else "better"
@@ -315,7 +315,7 @@ class FocusCourse:
         return here / (before - here) if before != here else _LARGEST_TURN
 
     def _follow(self, kind: Literal["width", "detail"], column: int) -> None:
-        """Tell from two like figures whether the ring stands, turns, or has been turned."""
+        """Tell whether the ring stands, turns or has been turned; two figures that differ tell nothing."""
         pair = self._values(column, 2)
         value, noise = sum(pair) / 2.0, self._noise(column)
         if len(pair) < 2 or abs(pair[1] - pair[0]) > max(_CLEARLY * noise, _A_TURN * value):

@@ -166,7 +166,7 @@ class StarWatch:
         beam: Beam,
         watch: StopWatch,
     ) -> Found | None:
-        """Return what was found last, measured again; None to search at once: stars are never shown after a motion."""
+        """Return what was found last, measured again if possible; None if stars must be searched at once."""
         stars = last.stars
         if stars is not None and stars.tag is not None and not stars.blurred:
             stars = follow_stars(image.values, stars, setting.target)

@@ -106,7 +106,7 @@ def signal_of_counts(
 
 
 def shows_flicker(signal: SignalFigures | None) -> bool:
-    """Return whether events show their frequency: one period could be two of twice the frequency."""
+    """Return whether events can show their frequency: one period could be two of twice the frequency."""
     if signal is None or signal.flicker is None or not signal.events_per_s:
         return False
     return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS
@@ -246,7 +246,7 @@ class LiveSetting:
         level_percent: float | None = None,
         waveform: Waveform = "square",
     ) -> LiveSetting:
-        """Take what the figures need from a station, at a flicker frequency as set, with a sequence's default gates."""
+        """Take what the figures need from a station, with a sequence's default gates; ``frequency_hz`` is as set."""
         expected, collimator = station.expected, station.collimator
         r_mm = collimator.nominal_r_mm or (expected.r_mm if expected else None)
         if isinstance(collimator.certificate, CertificateConfig):

@@ -167,7 +167,7 @@ class _Slice:
 
 
 class LiveLoop:
-    """Records and measures slices until closed, alone with the camera; any thread calls ``on_picture`` with news."""
+    """Records and measures slices until it is closed; ``on_picture`` is called from any thread."""
 
     def __init__(
         self,

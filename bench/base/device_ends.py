@@ -68,6 +68,6 @@ def lost_ends(why: str) -> list[DeviceEnd]:
 
 
 def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
-    """Return a sentence for stage and light each, if not confirmed safe; a camera neither moves nor shines."""
+    """Return a sentence each for stage and light if it did not confirm that it is safe; a camera needs none."""
     unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
     return list(dict.fromkeys(unsure))

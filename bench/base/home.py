@@ -177,7 +177,7 @@ _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 
 def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
-    """Compile the missing parts in processes of their own, and tell; what fails is compiled when it is used."""
+    """Compile what no process has compiled, each part in its own process; a part that fails is compiled when used."""
     missing = missing_parts(parts, os.environ)
     if not missing:
         return

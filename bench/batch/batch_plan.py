@@ -256,7 +256,7 @@ def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
 
 
 def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
-    """Predict when each run begins and ends; ``paces`` are earlier runs' times over their plans, by station."""
+    """Predict when each run begins and ends; ``paces`` are what earlier runs took over their plans, by station."""
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
     plans = {job.name: plan_of(job) for job in queue.jobs}

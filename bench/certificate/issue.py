@@ -85,7 +85,7 @@ def certificate_files(
     plots: Mapping[str, str],
     sign: Callable[[bytes], bytes] | None = None,
 ) -> dict[str, bytes]:
-    """Return the files of the folder but the seal's; same input, same bytes. ``sign`` signs the DCC; None: unsigned."""
+    """Return the files of a certificate's folder but its seal's; ``sign`` signs the DCC, None leaves it unsigned."""
     from bench.certificate.dcc import render_dcc
     from bench.certificate.pdf import render_pdf
 

@@ -201,7 +201,7 @@ _REMEDY = "Start it, check the address, then repeat the command: what was done i
 
 
 class DaskWorkers(Workers):
-    """Workers of a Dask scheduler, ``tcp://host:8786`` or ``tls://...``; waits ``without_worker_s`` if it has none."""
+    """Workers of a Dask scheduler, ``tcp://host:8786`` or ``tls://...``; waits some time if it has no worker."""
 
     most_deaths = 3  # how often Dask may give a piece of work up, each time after several deaths
 

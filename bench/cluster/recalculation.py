@@ -348,7 +348,7 @@ class Recalculation:
 
 
 def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, None]:
-    """List the next runs' recordings behind URLs in threads; yield number from 0, run, and what gives the list."""
+    """List the recordings of the next runs ahead, in threads if they are behind URLs; yield the run and its list."""
     pool = ThreadPoolExecutor(_AHEAD)
     waiting: deque[_Next] = deque()
     try:

@@ -305,7 +305,7 @@ def calibrate_found(
     task: Task,
     files: bool,
 ) -> Recalculated:
-    """Calibrate from a place's views; ``sealed_by`` will seal the results; ``files`` are made too, if asked."""
+    """Calibrate from the views of a place; ``files``: the files of the results are made too, which takes longer."""
     require_program_of(task.program)
     with place.folder() as folder, _named(place, folder):
         listed = list(view_sources(folder, task.choices))

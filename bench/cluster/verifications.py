@@ -94,7 +94,7 @@ def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Convert
 def convert_one(
     source: Path, target: Path, kind: str, known: Mapping[str, Any] | None, program: str
 ) -> tuple[dict[str, Any], bool]:
-    """Convert one file, unless ``known``, the row of an earlier conversion, is it; also return whether it was."""
+    """Convert one file, unless ``known`` is the row of an earlier conversion of it; also return whether it is."""
     # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
     from drivers.camera.formats.event_conversion import convert
 

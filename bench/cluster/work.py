@@ -192,7 +192,7 @@ class Workers:
         """Cancel what is in progress, and end the workers that were started here."""
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
-        """Wait for any piece to end; empty after the time or a worker's death. `WorkersLost` if no worker is left."""
+        """Wait for any piece of work to end; empty if none does in time. `WorkersLost` if no worker is left."""
         done = wait(self._busy, timeout_s, FIRST_COMPLETED).done
         return [end for one in done if (end := self._end(self._busy.pop(one), one)) is not None]
 

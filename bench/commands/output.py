@@ -59,7 +59,7 @@ def wants_json() -> bool:
 def show(
     data: Mapping[str, Any] | Callable[[], Mapping[str, Any]], text: str | Iterable[str], *, err: bool = False
 ) -> None:
-    """Print ``data`` as JSON if wanted, else the lines of ``text``; only a function that is printed does its work."""
+    """Print ``data`` as JSON if wanted, else the lines of ``text``; a function works only if it is printed."""
     if wants_json():
         print_json(data() if callable(data) else data)
         return

@@ -160,7 +160,7 @@ def _valid_lines(found: Verification) -> Iterator[str]:
 
 
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
-    """Check folders by workers, a line each, exit status as for one; ``output`` keeps what was derived, or None."""
+    """Check folders by workers, a line each; the exit status is as for one; ``output`` keeps what was made again."""
     from bench.base.clock import reliable_interrupts
     from bench.cluster.verifications import VERIFIED, check_one
     from bench.cluster.work import KeptRows, map_work

@@ -85,7 +85,7 @@ def _signing_key(private: object, path: Path, passphrase: bytes) -> SigningKey:
 
 
 def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
-    """Find a key by its file, its public key's, or its ``SHA256:...`` in ssh-agent; None is the only key there."""
+    """Find a key by its file, by its public key's, or by ``SHA256:...`` in ssh-agent; None is the only key there."""
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)
     path = Path(name)

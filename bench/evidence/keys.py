@@ -75,7 +75,7 @@ def load_public_key(folder: Path) -> Signer:
 
 
 def public_of_private(text: bytes) -> bytes:
-    """Return the public key of an OpenSSH Ed25519 key file (PROTOCOL.key of OpenSSH, 1); `ValueError` for any other."""
+    """Return the public key of an OpenSSH Ed25519 key file (PROTOCOL.key of OpenSSH, 1); else raise `ValueError`."""
     body, begins, _ = text.strip().removeprefix(_BEGIN).partition(_END)
     if not (text.strip().startswith(_BEGIN) and begins):
         raise ValueError("it is not in OpenSSH's format")
@@ -236,7 +236,7 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 
 
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
-    """Refuse, before a run, a key whose seals nobody would accept: not trusted now, revoked, or lists not safe."""
+    """Refuse a key before a run if nobody would accept its seals: not trusted now, revoked, or lists not safe."""
     public = key.public_key
     path = folder / SIGNERS_FILE
     known = [one for one in (read_signers(path) if path.exists() else []) if one.public_key == public]
@@ -267,7 +267,7 @@ def usable_key(
 def key_to_seal(
     folder: Path, key: BenchKey, when: datetime, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
-    """Return the key to seal a run with, another one if it was replaced; after an error ``resume`` can seal later."""
+    """Return the key to seal a run with, also if it was replaced; after an error ``resume`` can seal the run later."""
     _finish_locked(folder)
     public = folder / f"{KEY_FILE}.pub"
     with storage_errors(public):

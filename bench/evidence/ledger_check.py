@@ -64,7 +64,7 @@ def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
 
 
 def sealed_strangers(home: Path) -> Strangers:
-    """Return what finds this bench's sealed runs that its ledger lacks; the index spares the folders of the others."""
+    """Return a function that finds the sealed runs of this bench that its ledger does not have."""
 
     def find(heads: Collection[str]) -> Sequence[KnownRun]:
         known = set(heads)

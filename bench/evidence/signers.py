@@ -221,7 +221,7 @@ def trust(folder: Path, line: str) -> Signer:
 
 
 def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added: Sequence[str]) -> None:
-    """Put ``valid-before`` on the lines of a key, unless one ends earlier, and add lines, in one step."""
+    """Put ``valid-before`` on the lines of a key that do not end earlier, and add lines, in one step."""
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
     lines = []

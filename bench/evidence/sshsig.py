@@ -297,7 +297,7 @@ def read_signature(armoured: bytes) -> SshSignature:
 
 
 def is_valid(signature: SshSignature, message: bytes) -> bool:
-    """Return whether a signature fits a message and its own key; a security token's only if a person touched it."""
+    """Return whether a signature is valid for its own key; a security token's only if a person touched the token."""
     key_type = key_type_of(signature.public_key)
     if key_type.encode() != KEY_TYPE:
         if key_type.startswith("sk-") and not signature.signature[-_FLAGS_AND_COUNTER] & _TOUCHED:

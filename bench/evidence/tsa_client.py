@@ -59,7 +59,7 @@ def check_url(url: str) -> None:
 
 
 def ask_authority(url: str, request: Request) -> bytes:
-    """Send a request; return the reply, with its nonce, not verified yet; `EvidenceError` without one in 20 s."""
+    """Send a request; return the reply, which is not verified yet; `EvidenceError` if none comes in 20 s."""
     check_url(url)
     try:
         reply = _post(url, request.data)

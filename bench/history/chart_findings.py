@@ -75,7 +75,7 @@ class Grouped:
 def group_runs(
     found: Iterable[tuple[IndexedRun, Mapping[str, Any], RunPlace]], by: Level | None = None
 ) -> Grouped:
-    """Put runs into groups for one chart, by ``camera`` or ``type`` (of several cameras); both where None."""
+    """Put runs into groups that can be in one chart, by ``camera`` or ``type``; by both where None."""
     by_key: dict[ChartKey, ChartGroup] = {}
     without: dict[str, list[str]] = {}
     for run, details, place in found:
@@ -400,7 +400,7 @@ def _judge_drift(charts: Sequence[Json]) -> None:
 
 
 def _state(chart: Json, judged: int) -> str:
-    """Judge a chart: ``too few``, ``in control``, ``out of control``, or ``check``: no more beyond than by chance."""
+    """Judge a chart: ``too few``, ``in control``, ``out of control``, or ``check``, which chance can explain."""
     if chart["lower"] is None:
         return "too few"
     if not chart["beyond"] and not chart["ewma"]["beyond"]:
@@ -454,7 +454,7 @@ def needs_attention(group: Mapping[str, Any]) -> bool:
 
 
 def standard_problem(station: Station, home: Path, now: datetime) -> str:
-    """Return why the bench must be looked at: the standard's newest run is out of control or too old; or empty."""
+    """Return why the check standard says that the bench must be looked at; empty if it does not."""
     standard = station.check_standard
     if standard is None:
         return ""

@@ -199,7 +199,7 @@ def find_drift(
     values: Sequence[float],
     sigmas: Sequence[float],
 ) -> Drift:
-    """Fit a parameter's drift, degrees Celsius None where unknown; return slopes with their tests; sigmas above 0."""
+    """Fit the drift of a parameter; return the slopes with their tests. Unknown temperatures are None."""
     t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
     warm = np.array([math.nan if c is None else c for c in degrees_c], float)
     known = np.isfinite(warm)
@@ -395,7 +395,7 @@ def _indicators(levels: Sequence[str]) -> Array:
 
 
 def _analysis(y: Array, columns: Mapping[str, Array]) -> tuple[tuple[Term, ...], dict[str, float]]:
-    """Return the table, no row for what earlier terms hold, and each term's standard deviation by mean squares."""
+    """Return the table, and the standard deviation of each term from the expected mean squares."""
     spaces = _spaces(columns, len(y))
     free = len(y) - 1 - sum(space.shape[1] for space in spaces.values())
     if free < 1:

@@ -395,7 +395,7 @@ def _secret(variable: str, environ: Mapping[str, str]) -> str:
 
 
 class Courier:
-    """Writes and delivers one run's messages, in a thread; ``say`` shows one that could not be kept."""
+    """Writes the messages of one run, and delivers them in a thread; ``say`` shows one that could not be kept."""
 
     def __init__(
         self, messages: MessagesConfig, outbox: Outbox, clock: BenchClock, say: Callable[[str], None]

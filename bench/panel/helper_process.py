@@ -71,7 +71,7 @@ def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
 def picture_answer(
     size: tuple[int, int], points_px: Array, residuals_px: Array | None = None, residuals_of: str = ""
 ) -> Json:
-    """Return stars and residuals, (N, 2) px or None, as JSON: ``size stars residuals residuals_of rms_px fault``."""
+    """Return stars and residuals, (N, 2) px or None, with size, rms and fault, as JSON holds them."""
     answer: Json = {
         "size": list(size),
         "stars": np.round(points_px, _DIGITS).tolist(),
@@ -138,7 +138,7 @@ def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int
 
 
 def make_forecast(request: Mapping[str, Any]) -> Answer:
-    """Forecast the uncertainty that the first ``poses`` of a run's plan give: ``now``, expanded px, may be empty."""
+    """Forecast the expanded uncertainties, px, that the first ``poses`` of a run's plan give; ``now`` may be empty."""
     from bench.base.errors import UsageError
     from bench.results.forecasts import forecast_bench
     from calib.errors import CalibrationError

@@ -221,7 +221,7 @@ class Job:
         return {step.number: index_of for index_of, step in enumerate(self.steps)}
 
     def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
-        """Return a step with the stage's angles: 0 for axes not named, if a chosen pose may have turned them."""
+        """Return a step with the angles that the stage takes: 0 for axes not named, if the run chooses poses."""
         if step.pose.chosen_in_run:
             angles = chosen[step.pose.index]
         elif self._chooses_poses:

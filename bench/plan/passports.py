@@ -340,7 +340,7 @@ def choose_passport(
     copy: Path | None,
     today: date,
 ) -> PassportChoice:
-    """Find, read and check the solve steps' passport; ``copy`` in the run folder goes first, None for a new run."""
+    """Find, read and check the passport of the solve steps; ``copy``, of a run that has begun, goes first."""
     named = {step.number: _named(sequence, station, step) for step in steps if isinstance(step, SolveStep)}
     used = {number: one for number, one in named.items() if one is not None}
     if not used:

@@ -314,7 +314,7 @@ class Plan:
 def load_documents(
     sequence: str, station: str, settings: Mapping[str, str] | None = None
 ) -> tuple[Located[Sequence], Located[Station]]:
-    """Read sequence and station; ``settings`` are YAML texts by path: ``sequence.defaults.record.window_ms``."""
+    """Read sequence and station; ``settings`` are YAML texts by path, ``sequence.defaults.record.window_ms``."""
     of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
     read_sequence = read_station = None

@@ -110,7 +110,7 @@ _MOST_UNSYNCED_BYTES = 64 * 1024
 
 
 class Journal:
-    """A journal that is open for appending, by several threads; ``torn`` is an incomplete last line, removed."""
+    """A journal that is open for appending, by several threads; ``torn`` is the incomplete last line it removed."""
 
     def __init__(
         self,

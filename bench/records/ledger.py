@@ -260,7 +260,7 @@ class Ledger(LedgerFile):
     def breaks(
         self, anchor: str | None = None, strangers: Strangers = no_strangers
     ) -> tuple[list[str], list[Break]]:
-        """Return a sentence for each unexplained break, by all second places, with ``anchor``; nothing is written."""
+        """Return a sentence for each break that nobody explained, by all places that know of the ledger."""
         own, witnesses = self._own_mark(), self._ask_anchors(anchor)
         try:
             entries = self.entries()

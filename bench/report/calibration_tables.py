@@ -86,7 +86,7 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
 
 
 def overlap(calibration: CalibrationData) -> str:
-    """Return what to know if stated wavefront and common residuals can be of the same glass; else empty."""
+    """Return what to know if the stated wavefront and common residuals can be of the same glass; else empty."""
     rows = calibration.get("budget_rows") or []
     stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
     if not stated or _SHARED not in {row["name"] for row in rows}:

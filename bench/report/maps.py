@@ -170,7 +170,7 @@ def sensor_axes(
     width: float = PANEL[0],
     keys: Sequence[Key] = (),
 ) -> Axes:
-    """Return the axes of a sensor, px, rows downwards, centres at integers, as high as the sensor's shape asks."""
+    """Return the axes of a sensor, px, in a picture as high as its shape asks; pixel centres at integers."""
     words = Words(title, "column, px", "row, px", keys)
     picture = Picture(width, height_for(image_size, width, words), identifier, label, about)
     across, down = Scale(-0.5, image_size[0] - 0.5), Scale(image_size[1] - 0.5, -0.5)

@@ -88,7 +88,7 @@ def _seal_rows(passport: PassportData) -> Rows:
 
 
 def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
-    """List whether the gimbal's readings entered, with what statement, or why not; ``estimate`` None: no part."""
+    """List whether the gimbal's readings entered the calibration, with what statement, or why they did not."""
     if not readings:
         return []
     rows: Rows = []

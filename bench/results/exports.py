@@ -228,7 +228,7 @@ def camera_info(
 
 
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a Kalibr camchain; `FormatCannotCarry` if no k1 k2 p1 p2 project alike within `_MOST_CHANGE_PX`."""
+    """Write a Kalibr camchain; `FormatCannotCarry` if its coefficients do not project as the lens does."""
     told, content = kalibr_camera(calibration.camera, camera_name)
     return told + yaml_bytes({"cam0": content})
 

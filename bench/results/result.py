@@ -131,7 +131,7 @@ def shown_files(
     pictures: Sequence[ViewPicture],
     head: str = "",
 ) -> dict[str, bytes]:
-    """Return exports and, last, the report by name; ``head`` is the journal line printed in it, empty without one."""
+    """Return the exports and, last, the report by name; ``head``, empty without a journal, is printed in it."""
     written = exports(calibration, camera_name=camera_name, target=target)
     files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}

@@ -62,7 +62,7 @@ class Agreement:
 
 
 def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
-    """Compare every parameter that all of two or more alike runs of one camera estimated, as in the first one."""
+    """Compare every parameter that all runs estimated: two or more runs, of one camera and one model."""
     if len(runs) < 2:
         raise UsageError(
             f"Cannot compare {len(runs)} runs with a result: at least two are needed.",

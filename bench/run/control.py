@@ -144,7 +144,7 @@ class CommandInbox:
         self._inbox.drain(lambda command, name: self.decide(command, name, why_not))
 
     def decide(self, command: Command | None, name: str, why_not: str = "") -> None:
-        """Decide on a command (None: a bad file) and journal it; ``why_not``, if not empty, refuses any."""
+        """Decide on a command (None: the file holds none) and journal it; ``why_not`` refuses any command."""
         if command is None:
             self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is not a command")
             return

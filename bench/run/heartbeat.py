@@ -43,7 +43,7 @@ _WAITS_FOR_DISK = "D"
 
 
 def start_ticks(pid: int, proc: Path = PROC) -> int:
-    """Return when a process started, kernel clock ticks since boot; 0 if it is gone. Numbers are used again."""
+    """Return when a process started, in kernel clock ticks since boot, as its number is used again; 0 if it is gone."""
     try:
         return int(_stat(proc / str(pid) / "stat")[_START_TIME])
     except (OSError, IndexError, ValueError):

@@ -105,7 +105,7 @@ def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
 
 
 def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
-    """Enter a run in the ledger, unless it is there at ``known``: it may have begun on another bench or without one."""
+    """Enter a run in the ledger if it is not there at ``known``, as where it began on another bench."""
     station = job.station
     anchor, strict = station.ledger.anchor, station.ledger.strict
     strangers = sealed_strangers(ledger.home)

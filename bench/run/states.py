@@ -76,7 +76,7 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 
 
 def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
-    """Return in words what camera and light answer about their cables; the wiring test measures what they do not."""
+    """Return in words what camera and light answer about the cables between them and to the computer."""
     link = camera.link_mbit_s
     built = f", built {camera.firmware_built}" if camera.firmware_built else ""
     return {

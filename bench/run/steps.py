@@ -67,7 +67,7 @@ def pose_names(job: Job, history: History) -> dict[int, str]:
 
 
 def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
-    """Return move and settling before ``step``, if the next recording depends on them and no move comes before it."""
+    """Return move and settling before ``step`` if the next recording needs them and no move comes before it."""
     here = next(i for i, candidate in enumerate(steps) if candidate.number == step.number)
     coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
     if not isinstance(next(coming, None), RecordStep):
@@ -273,7 +273,7 @@ class Steps:
     # ------------------------------------------------------------------ attempts at a recording
 
     def record(self, step: RecordStep) -> None:
-        """Record until accepted; after the last attempt do as the step says: go on, `PoseFailed`, `Aborted`, or ask."""
+        """Record until accepted; after the last attempt do as the step says, or as the operator decides."""
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
             what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {_joined(reasons)}."

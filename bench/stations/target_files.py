@@ -76,7 +76,7 @@ class TargetUse:
 def optics_of(
     station: Station, *, focal_length_mm: float | None, r_mm: float | None, pixel_um: float | None
 ) -> Optics:
-    """Return optics as given, or else of ``expected`` and ``collimator``; `UsageError` if a value is stated nowhere."""
+    """Return the optics as given, else as the station states them; `UsageError` if a value is stated nowhere."""
     expected, collimator = station.expected, station.collimator
     certificate = collimator.certificate
     stated = certificate.r_mm if certificate is not None and not isinstance(certificate, str) else None

@@ -94,7 +94,7 @@ def text_width(text: str, height: float) -> float:
 
 
 def text_rectangles(text: str, height: float) -> NDArray[np.float64]:
-    """Return a text's rectangles, (N, 4) left, top, right, bottom, in its height, Y down from its upper left corner."""
+    """Return the rectangles of a text, (N, 4): left, top, right, bottom, in units of its height, Y down."""
     cells = [
         (left + place * (COLUMNS + 1), row, right + place * (COLUMNS + 1), row + 1)
         for place, letter in enumerate(text)
@@ -152,7 +152,7 @@ class Drawing:
 
 
 def draw_target(target: TargetConfig) -> Drawing:
-    """Draw a station's reticle; letters, marks or numbers of parts that cannot be drawn are refused."""
+    """Draw the reticle of a station; letters, marks or numbers of parts that do not fit are refused."""
     pattern, negative = target.pattern(), target.polarity == "negative"
     if len(pattern.ids) * pattern.segments > 2 * _MOST_POLYGONS:
         raise UsageError(

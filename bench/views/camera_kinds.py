@@ -85,7 +85,7 @@ class CameraKind(Protocol):
         *,
         motion: bool = True,
     ) -> Measurement:
-        """Find a recording's stars, by the grid if the tag does not label them; ``motion`` takes twice as long."""
+        """Find the stars of a recording; ``expected_grid`` is for where the tag does not label them."""
         ...
 
     def judge(

@@ -166,7 +166,7 @@ def _flicker(
 
 
 def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
-    """Subtract the first time from all, in place: the sensor's clock goes on, and must not change the last digits."""
+    """Subtract the first time from all times, in place: the sensor's clock continues from recording to recording."""
     origin_us = int(_span_us(t, triggers)[0])
     t -= origin_us
     triggers.t[:] -= origin_us
@@ -404,7 +404,7 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
 
 
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
-    """Return the stars' shift between a recording's halves, (H, W), labelled by tag or ``grid``; None if not shown."""
+    """Return how far the stars moved between the halves of a recording, (H, W) each, px; None if not shown."""
     grid = np.array(facts["grid"])
     try:
         first, second = (detect_view(half, target, name="half", expected=grid) for half in halves)

@@ -45,7 +45,7 @@ _LEAST_APART_S = 0.1
 
 
 class MovingRecording:
-    """Pictures of a recording by a filter's cutoff, at times after the first event (None: 40 at most, evenly)."""
+    """Pictures of one recording, by a filter with a cutoff frequency, at times after its first event, s."""
 
     def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
         self._path, self._cutoff_hz = path, cutoff_hz

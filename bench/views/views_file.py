@@ -262,7 +262,7 @@ class KeptEntries:
         return self.folder / key[:2] / f"{key}{self.ending}"
 
     def _make_room(self, bucket: Path, size: int) -> None:
-        """Delete a bucket's entries used least recently, each an equal share of the size, and dead processes' parts."""
+        """Delete the entries of a bucket that were used least recently, and parts that dead processes left."""
         entries = []
         for entry in os.scandir(bucket):
             with suppress(FileNotFoundError):

@@ -62,7 +62,7 @@ class PageToken:
 def page_token(
     token_file: Path | None, *, none: bool = False, environ: Mapping[str, str] = os.environ
 ) -> PageToken | None:
-    """Return the pages' token, made now if nobody gives one, None if none is needed; a bad file is refused."""
+    """Return the token of the pages, made now if nobody gives one; None if they need none."""
     if none:
         if token_file is not None:
             raise UsageError(

@@ -125,7 +125,7 @@ class SimulatedEvk4:
         self._listener.close()
 
     def unplug(self) -> None:
-        """Break the connection and reset the sensor's clock, as pulling the cable, which also powers it, does."""
+        """Break the connection and reset the sensor's clock, as pulling the USB cable does: it powers the camera."""
         connection = self._connection
         if connection is not None:
             connection.hang_up()

@@ -39,7 +39,7 @@ POLL_S: Final = 0.1
 
 
 class PictureMaker:
-    """Exposes pictures of a world: shot noise (as Gaussian), dark current and read noise by EMVA Standard 1288."""
+    """Exposes pictures of a world, with noise by EMVA Standard 1288: shot noise, dark current, read noise."""
 
     def __init__(self, world: World) -> None:
         self._world = world

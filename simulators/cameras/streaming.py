@@ -188,7 +188,7 @@ class TimeBase:
             self._sent_us.append(until_us)
 
     def stop(self, frames: int) -> bool:
-        """Set the clock to the end of the last frame that the host kept; False, and as it is, if fewer were sent."""
+        """Set the clock to the end of the last frame that the host kept; False if fewer frames were sent."""
         if frames >= len(self._sent_us):
             return False
         self.now_us = self._sent_us[frames]

@@ -255,13 +255,13 @@ def print_answer(content: Mapping[str, Any]) -> None:
 
 
 def allow_background() -> None:
-    """Let a background process run on without orders, which a terminal stops when it reads; call it before that."""
+    """Let a process run on in the background of a terminal, which stops it when it reads. Call this before reading."""
     if hasattr(signal, "SIGTTIN"):
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
 
 
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
-    """Read orders until input ends; ``carry_out`` returns what was done, or raises what becomes the answer."""
+    """Read orders until the input ends; the answer is what ``carry_out`` returns, or the error that it raises."""
     waiting = b""
     while heard := _read():
         *lines, waiting = (waiting + heard).split(b"\n")

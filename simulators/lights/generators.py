@@ -84,7 +84,7 @@ class Settings:
 
 
 class Generator(LightDriver):
-    """A function generator with one output, without its language; ``most_v`` into an open circuit, V."""
+    """A function generator with one output, without its command language; ``most_v`` is the largest level, V."""
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None], baud: int) -> None:
         super().__init__(clock, drive, baud=baud, longest=_MAX_MESSAGE)

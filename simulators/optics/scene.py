@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 
 
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Return each pixel's share of the light; a screen not wholly in front raises `SimulationMisuse`."""
+    """Return each pixel's share of the light; a screen not wholly before the camera raises `SimulationMisuse`."""
     if truth.board.present:
         image = board_scene.picture(truth, angles_deg, subsamples=subsamples)
     elif truth.screen.columns:

@@ -81,7 +81,7 @@ def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
 
 @njit(**INNER)
 def _bisected_crossing(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
-    """Return the phase of a crossing on a branch by bisection: with edges, Newton's method finds no slope."""
+    """Return the phase of a crossing on a branch, by bisection: a curve with edges has no slope at them."""
     bins = np.int64(ATLAS_BINS)
     period = np.float32(d.period_us)
     low = np.int64(_bin_at(d, first - (period if first >= period else _ZERO), True))

@@ -171,7 +171,7 @@ def _write_ticks(
     first: np.int64,
     end: np.int64,
 ) -> tuple[int, int]:
-    """Write each TIME_HIGH from ``first`` to before ``end`` and counters due; ``entered`` is returned with n."""
+    """Write each TIME_HIGH from ``first`` to before ``end``, with the counters that are due."""
     while state[_TICK] <= first and state[_TICK] < end:
         tick = state[_TICK]
         words[n] = TIME_HIGH | ((tick >> 12) & 0xFFF)

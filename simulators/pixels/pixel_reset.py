@@ -262,7 +262,7 @@ def reset_at_once(
 def reset_row(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
-    """Set the listed pixels' references after the dead time of a read at t, us after the epoch, and next crossings."""
+    """Set the listed pixels' references and next crossings after a read at t, us after the epoch."""
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
     phase = t_live - start

@@ -227,7 +227,7 @@ def read_rows(
     width: int,
     out: EventArrays,
 ) -> int:
-    """Run the loop to before ``until``, us after the epoch, or full output: ``out`` is t (int64), x, y, p."""
+    """Run the sensor's loop to before ``until``, us after the epoch, or until the output is nearly full."""
     room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])
     n = int(np.int64(0))

@@ -320,7 +320,7 @@ def simulate(
     seed: int = 0,
     link: Link | None = None,
 ) -> Events:
-    """Return a still picture's events from 0 to before ``duration_us``; ``phase`` at 0 is in periods."""
+    """Return a still picture's events under a flicker, from 0 to before ``duration_us``; ``phase`` in periods."""
     height, width = picture.shape
     sensor = Sensor(
         width, height, noise=noise, settings=settings, camera_seed=camera_seed, seed=seed, link=link

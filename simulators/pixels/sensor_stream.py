@@ -97,7 +97,7 @@ class ManyLightsSensor:
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
     ) -> None:
-        """Start as `Sensor.begin`; the whole board's light drives a screen's lines, dots have lights of their own."""
+        """Start as `Sensor.begin`; the board's whole light drives a screen's lines, dots have their own."""
         self._now_us = at_us
         self._whole.begin(np.zeros_like(picture), _STEADY, 0.0, at_us=at_us)
         self._find_lights()

@@ -181,7 +181,7 @@ class Axis:
     def home(
         self, t_s: float, speed: float, slow: float, acceleration: float, *, set_counter: bool = True
     ) -> None:
-        """Run past the reference sensor, then return slowly from below, counts/s; ``set_counter`` zeroes there."""
+        """Find the reference sensor: run past it, then return slowly from below (both counts/s)."""
         self._finish_homing(t_s)
         self._referenced = False
         self._homing = True

@@ -211,7 +211,7 @@ class Motion(NamedTuple):
 
 
 class Planner:
-    """The axes X, Y and Z and their motions; ``settings`` may change while all rest; ``held``: a feed hold."""
+    """The axes X, Y and Z and their queue of motions; ``settings`` may change while all rest."""
 
     def __init__(
         self,

@@ -150,7 +150,7 @@ class ZaberController(Unit):
 
     # ------------------------------------------------------------------ commands
     def execute(self, axis: int, words: list[str], t_s: float) -> str:
-        """Execute an axis's command (0: all); without words read the status. `CommandRejected` is a rejection."""
+        """Execute a command of an axis (0: all axes), or read the status without words; else `CommandRejected`."""
         if axis > 1:
             raise CommandRejected("BADAXIS")
         if not words:

@@ -140,7 +140,7 @@ class OpticsTruth(Section):
 
 @dataclass(frozen=True)
 class NoiseTruth(Section):
-    """Fixed pattern and temporal noise of pixels; origins: Hu, Liu and Delbruck (2021), v2e."""
+    """Fixed pattern and temporal noise of the pixels; what causes them: Hu, Liu and Delbruck (2021), v2e."""
 
     mismatch: NotNegative = (
         0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)

@@ -179,7 +179,7 @@ def _target(given: object) -> StarTarget:
 
 
 def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
-    """Read the collimator's profile and differing keys; its axis is as far from the tag as on the standard target."""
+    """Read the collimator: a profile and the keys that differ; its axis is as far from the tag as by default."""
     if isinstance(given, str):
         given = {"profile": given}
     name, rest = "ideal", given

@@ -232,7 +232,7 @@ class History(Generic[_State]):
 
 
 class World:
-    """The bench's physical state; ``clock`` s, the machine's by default; ``camera_seed`` fixes the pixel pattern."""
+    """Physical state of the simulated bench; ``clock`` is its time, s, by default the machine's."""
 
     HISTORY_S = 120.0
     """How long past states are kept, s."""
