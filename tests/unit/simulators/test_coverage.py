@@ -139,7 +139,7 @@ def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(together, r
     gains = px.gains[0, :, GAINS]
     on_gain, off_gain = (gains & 0xFFFF) / 65536.0, (gains >> 16) / 65536.0
     worst, flat = 0.0, 0
-    for t in np.linspace(100.0, drive.period_us - 100.0, 24):
+    for t in np.linspace(100.0, drive.period_us - 100.0, 8):
         for first in range(0, WIDTH, together):
             px.column[:together] = np.arange(first, first + together)
             drawn = random.copy()

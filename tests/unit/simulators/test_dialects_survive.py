@@ -102,7 +102,7 @@ def build(kind: str, clock: Callable[[], float]) -> Dialect:
 
 
 @pytest.mark.parametrize("kind", [*STAGE_KINDS, *LIGHT_KINDS])
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_a_device_survives_everything(kind, data):
     now_s = 0.0

@@ -57,9 +57,8 @@ def test_a_signature_of_ssh_keygen_is_valid_here_and_ours_there(tmp_path, kind):
 
 
 @needs_ssh_keygen
-@pytest.mark.parametrize("kind", ["ed25519", "nistp256", "rsa"])
-def test_a_protected_key_needs_its_passphrase(tmp_path, kind):
-    path = make_key(tmp_path, kind=kind, passphrase="a secret")
+def test_a_protected_key_needs_its_passphrase(tmp_path):
+    path = make_key(tmp_path, kind="ed25519", passphrase="a secret")
     key = load_file_key(path, lambda _: b"a secret")
     assert is_valid(read_signature(key.sign(b"message", "a@v1")), b"message")
     assert "a secret" not in repr(key)

@@ -266,7 +266,7 @@ def _one_folder_for_all(tmp_path_factory):
 
 
 RANDOM_RUNS = settings(
-    max_examples=25,
+    max_examples=15,
     derandomize=True,  # so that these runs end in every way today and tomorrow
     stateful_step_count=8,
     deadline=None,

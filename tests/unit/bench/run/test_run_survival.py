@@ -37,7 +37,8 @@ def test_every_prefix_of_a_journal_is_read_as_its_complete_lines(lived):
     path, ends = scene.folder / "journal.jsonl", [i + 1 for i, byte in enumerate(data) if byte == ord("\n")]
     entries, _ = read_journal(path)
     said = set()
-    for size in range(len(data) + 1):
+    near = {end + step for end in (0, *ends) for step in (-1, 0, 1)} & set(range(len(data) + 1))
+    for size in sorted(near | set(range(0, len(data), 7))):
         path.write_bytes(data[:size])
         whole = sum(end <= size for end in ends)
         found, torn = read_journal(path)

@@ -52,8 +52,10 @@ def error_px(view, board, h=PLACED):
     )
 
 
-@pytest.mark.parametrize("kind", ["checkerboard", "circles", "asymmetric-circles"])
-@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "inverted"),
+    [("checkerboard", False), ("circles", False), ("circles", True), ("asymmetric-circles", False)],
+)
 def test_points_lie_within_a_twentieth_of_a_pixel_of_the_truth(kind, inverted):
     board = Board(kind, 4, 7, 10.0) if kind == "asymmetric-circles" else Board(kind, 7, 5, 20.0)
     image = picture(board)

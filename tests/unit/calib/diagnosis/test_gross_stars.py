@@ -73,12 +73,12 @@ def test_a_view_of_mostly_wrong_stars_is_refused_by_name():
         find_gross_stars(views)
 
 
-@pytest.mark.parametrize("size", [(30.0, 31.0), (300.0, 301.0), (30.0, 300.0)])
-def test_a_calibration_survives_five_per_cent_of_gross_errors(size):
+def test_a_calibration_survives_five_per_cent_of_gross_errors():
     rng = np.random.default_rng(4)
     clean = Bench().views(rng, 0.05)
     views = [
-        spoilt(view, rng.choice(len(view), len(view) // 20, replace=False), rng, *size)[0] for view in clean
+        spoilt(view, rng.choice(len(view), len(view) // 20, replace=False), rng, 30.0, 300.0)[0]
+        for view in clean
     ]
     expected = calibrate(clean, CalibrationOptions())
     result = calibrate(without_gross_stars(views, find_gross_stars(views)), CalibrationOptions())

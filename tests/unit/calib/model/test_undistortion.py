@@ -50,8 +50,9 @@ def opencvs_points(one, matrix):
     return found.reshape(EVERY_PIXEL.shape)
 
 
-@pytest.mark.parametrize("keep", [0.0, 1.0])
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize(
+    ("lens", "keep"), [("brown", 0.0), ("rational", 1.0), ("fisheye", 0.0), ("fisheye", 1.0)]
+)
 def test_the_tables_are_those_of_opencv(lens, keep):
     one = camera(lens)
     found = undistort(one, keep)

@@ -64,7 +64,7 @@ def test_a_slip_is_seen_through_the_errors_of_a_collimator():
 @pytest.mark.parametrize("birge_ratio", [1.0, 7.0])
 @pytest.mark.parametrize("poses", [3, 9])
 def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
-    for seed in range(20, 24):
+    for seed in (20, 21):
         found = judged(draw_gimbal(seed, **(NINE | {"poses": poses}), **BIASED), birge_ratio=birge_ratio)
         assert not found.faults
         assert found.verdict.kind in ("focal_length", "views_biased", "scatter"), seed

@@ -64,11 +64,9 @@ def view_of(name, look, disc, waves, sigma, rng):
     ("errors", "largest_sigma"),
     [
         ({"common": 0.03}, 1.5),  # one stop, not round, as on a bench with a gimbal
-        ({"common": 0.03, "wander": 0.05}, 1.5),
-        ({"uneven": 0.03}, 15.0),  # rims that differ from view to view
-        ({"uneven": 0.03, "wander": 5.0}, 20.0),
+        ({"uneven": 0.03, "wander": 5.0}, 20.0),  # rims that differ from view to view
     ],
-    ids=["stop", "steady", "uneven", "wandering"],
+    ids=["stop", "wandering"],
 )
 def test_the_stated_sigma_holds(errors, largest_sigma):
     scores, sigmas = [], []

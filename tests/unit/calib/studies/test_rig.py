@@ -85,21 +85,24 @@ def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):
         through_collimator(first, replace(second, views=renamed))
 
 
-def test_drawn_rigs_lie_within_their_uncertainty_in_19_of_20_cases():
+@pytest.mark.parametrize(
+    ("count", "least", "off_by"), [(12, 0.88, 3.0), pytest.param(40, 0.92, 1.5, marks=pytest.mark.slow)]
+)
+def test_drawn_rigs_lie_within_their_uncertainty_in_19_of_20_cases(count, least, off_by):
     inside, squares = [], []
-    for seed in range(40):
+    for seed in range(count):
         drawn = Drawn(seed)
         rig = with_boards(stated_cameras(*drawn.stated, [np.diag(SIGMA**2)] * 2), *drawn.views)
         off = drawn.off(rig)
         inside.append(np.abs(off) < 1.96 * np.sqrt(np.diag(rig.pose_covariance)))
         squares.append(off @ np.linalg.solve(rig.pose_covariance, off))
-    assert 0.92 <= np.mean(inside) <= 0.98
-    assert np.mean(squares) == pytest.approx(6.0, abs=1.5)
+    assert least <= np.mean(inside) <= 0.98
+    assert np.mean(squares) == pytest.approx(6.0, abs=off_by)
 
 
 def test_intrinsics_may_be_adjusted_with_the_rig():
     inside = []
-    for seed in range(12):
+    for seed in range(6):
         drawn = Drawn(seed, boards=14)
         rig = with_boards(stated_cameras(*drawn.stated), *drawn.views, free=True)
         inside.append(np.abs(drawn.off(rig)) < 1.96 * np.sqrt(np.diag(rig.pose_covariance)))
