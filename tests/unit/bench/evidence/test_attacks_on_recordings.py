@@ -35,7 +35,7 @@ def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, tr
     assert any("equal to the last bit" in remark for remark in found.remarks)
 
 
-QUICK = ("focal length in every file", "image painted over")
+QUICK = ("focal length in every file", "image painted over", "gate of a recording in journal and results")
 AGAIN = {
     "focal length in every file": (forged_focal_length, "results.json"),
     "stars moved in the views": (lambda f, job: [in_views(move_star)(f), rederive(f, job)], "views.h5"),
