@@ -48,11 +48,11 @@ class SteppedClock(SystemClock):
     def sleep(self, seconds):
         self.rounds += 1
 
-    def let_pass(self, seconds, peer):
+    def let_pass(self, seconds, peer, patience_s=10.0):
         """Let time pass in which the peer says that it computes, as long as somebody waits for it."""
         for _ in range(round(seconds / 20)):
             peer.send(b"N", b'{"event": "computing"}')
-            heard, deadline = self.rounds + 2, time.monotonic() + 10
+            heard, deadline = self.rounds + 2, time.monotonic() + patience_s
             while self.rounds < heard:
                 if time.monotonic() > deadline:
                     return

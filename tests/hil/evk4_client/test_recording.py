@@ -165,7 +165,7 @@ def test_a_camera_that_computes_is_not_waited_for_for_ever(peer, connect, tmp_pa
     monkeypatch.setattr("drivers.camera.simulated_evk4.STOP_S", 0.1)
     clock = SteppedClock()
     camera = connect(clock=clock)
-    peer.before_frame[2] = lambda: clock.let_pass(700, peer)
+    peer.before_frame[2] = lambda: clock.let_pass(700, peer, patience_s=2.0)
     with pytest.raises(CameraLost, match="clock has stood still for 600 s"):
         camera.record(tmp_path / "pose.raw", 1.0)
 
