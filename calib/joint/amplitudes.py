@@ -19,13 +19,14 @@ from calib.joint.fields import DEGREE
 Array = NDArray[np.float64]
 
 #: Highest degrees of the fields of a pose, by turn and by turn squared.
-POSE_DEGREE, TURN_DEGREE, TURN_2_DEGREE = 4, 4, 1
+POSE_DEGREE, TURN_DEGREE, TURN_2_DEGREE = 4, 4, 3
 STAR, READING = "star noise", "readings"
 POSE = tuple(f"pose field, degree {d}" for d in range(1, POSE_DEGREE + 1))
 COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
 TURN = tuple(f"field by turn, degree {d}" for d in range(1, TURN_DEGREE + 1))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(TURN_2_DEGREE + 1))
-RADIAL, SHIFTED, SHIFTED_TURN = "radial", "shifted axis", "shifted axis by turn"
+RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
+SCALE_TURN_2 = "scale by turn squared"
 PARALLAX, TANGENTIAL, PRISM, RIM = "parallax", "tangential", "prism", "rim"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
@@ -69,7 +70,9 @@ FAMILIES = (
     Family(COMMON, _smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN, _smooth(3e-6, TURN_DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN_2, _smooth(1e-6, TURN_2_DEGREE + 1), 1.0, 0.5, 0.0, 0.9),
-    Family((RADIAL, PARALLAX, SHIFTED, SHIFTED_TURN), (0.05, 0.5, 1e-3, 2e-4), 1.3, 0.7),
+    Family(
+        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 0.5, 1e-3, 4e-4, 4e-6), 1.3, 0.7
+    ),
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 0.3, 0.0),
     Family((RIM,), (2e-3,), 1.3, 0.0),

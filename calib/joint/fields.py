@@ -81,16 +81,19 @@ class FieldBasis:
             [self.shape(lambda h: _square(h) * h), self.shape(lambda h: _square(h) ** 2 * h)]
         )
 
-    def shifted(self, direction: Sequence[float]) -> Array:
-        """Return (2 K, 4) what the radial terms become about an axis that is shifted along a direction."""
+    def shifted(self, direction: Sequence[float], sizes: Sequence[float]) -> Array:
+        """Return (2 K, n) what radial terms become about an axis that is shifted along a direction e, times n sizes.
+
+        In this order: |h|^2 e and (h e) h, of third order; |h|^4 e and |h|^2 (h e) h, of fifth.
+        """
         e = np.asarray(direction, float)
         along = [
             lambda h: _square(h) * e,
             lambda h: (h @ e)[:, None] * h,
-            lambda h: 20.0 * _square(h) ** 2 * e,
-            lambda h: 20.0 * _square(h) * (h @ e)[:, None] * h,
+            lambda h: _square(h) ** 2 * e,
+            lambda h: _square(h) * (h @ e)[:, None] * h,
         ]
-        return np.column_stack([self.shape(one) for one in along])
+        return np.column_stack([size * self.shape(one) for size, one in zip(sizes, along, strict=False)])
 
 
 def _square(h: Array) -> Array:

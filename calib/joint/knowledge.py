@@ -18,7 +18,7 @@ from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
-from calib.joint.layout import CENTRE, DRIFT, RADIAL, RADIAL_RATIO, Layout
+from calib.joint.layout import CENTRE, DRIFT, RADIAL, RADIAL_RATIO, SHIFTED_SIZES, Layout
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings
@@ -281,7 +281,7 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
 
     The errors of the glass are then those about a shifted axis, in proportion to its radial terms.
     """
-    shifted = np.column_stack([layout.basis.shifted(e) for e in ((1.0, 0.0), (0.0, 1.0))])
+    shifted = np.column_stack([layout.basis.shifted(e, SHIFTED_SIZES) for e in ((1.0, 0.0), (0.0, 1.0))])
     shapes = np.zeros((len(passport.names), shifted.shape[1]))
     for k, name in enumerate(passport.names):
         if name.startswith("common_"):

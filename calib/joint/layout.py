@@ -36,6 +36,10 @@ _RIM_RATIO = 0.3
 DRIFT = "drift"
 #: radial_4 is typically so many times radial.
 RADIAL_RATIO = 20.0
+#: Typical sizes of what radial terms become about a shifted axis (`FieldBasis.shifted`).
+SHIFTED_SIZES = (1.0, 1.0, RADIAL_RATIO, RADIAL_RATIO)
+#: The same for a pupil that moves aside, as 40 ray-traced collimators have it: field curvature, and less astigmatism.
+_CURVATURE_SIZES = (1.0, 0.25)
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
 _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
@@ -206,7 +210,9 @@ class Layout:
         Radial errors that are no polynomials of the third and fifth order leave a change of scale.
         """
         degrees = np.tile(DEGREES, 2)[self.common]
-        shifted = np.column_stack([self.basis.shifted(e) for e in ((1.0, 0.0), (0.0, 1.0))])[self.common]
+        shifted = np.column_stack([self.basis.shifted(e, SHIFTED_SIZES) for e in ((1.0, 0.0), (0.0, 1.0))])[
+            self.common
+        ]
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.COMMON, start=1)]
         edge = (self.basis.radius_mm / self.basis.reference[2]) ** 2
         scale = _RADIAL_SCALE * edge * self.basis.shape(np.asarray)[self.common, None]
@@ -234,21 +240,33 @@ class Layout:
         return self.places([f"{turn}_{k}" for turn in _TURNS for k in (0, half)])
 
     def _turn(self, hyper: amp.Hyperprior) -> RandomBlock:
-        """Return the fields by turn of degree 1 and above: the axis of the radial terms moves along the turn too."""
+        """Return the fields by turn of degree 1 and above.
+
+        Field curvature and astigmatism, seen by a pupil that moves aside, have an amplitude of their own: they are
+        30 times larger than the others, and can be exchanged against fx.
+        """
         places = both((DEGREES > 0) & (DEGREES <= amp.TURN_DEGREE))
         degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
-        shifted = np.concatenate([self.basis.shifted(e)[places] for e in ((1.0, 0.0), (0.0, 1.0))])
+        shifted = np.concatenate(
+            [self.basis.shifted(e, _CURVATURE_SIZES)[places] for e in ((1.0, 0.0), (0.0, 1.0))]
+        )
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN, start=1)]
         names = [f"{turn}_{k}" for turn in _TURNS for k in places]
         return RandomBlock(
-            rows.TURN_FIELDS, self.places(names), (*parts, (hyper.at(amp.SHIFTED_TURN), shifted))
+            rows.TURN_FIELDS, self.places(names), (*parts, (hyper.at(amp.CURVATURE_TURN), shifted))
         )
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
+        """Return the fields by turn squared; those of round glass have an amplitude of their own, as in `_turn`."""
         places = both(amp.TURN_2_DEGREE >= DEGREES)
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN_2)]
         names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
+        round_glass = [
+            np.concatenate([self.basis.shape(partial(shape, powers))[places] for powers in _TURNS_2.values()])
+            for shape in (_turn_squared, _along_turn)
+        ]
+        parts.append((hyper.at(amp.SCALE_TURN_2), np.column_stack(round_glass)))
         return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))
 
 
@@ -261,6 +279,16 @@ PARALLAX_SHAPES = np.column_stack(
         0.2 * np.array([0.0, 1.0, -1.0, 0.0]),
     ]
 )
+
+
+def _turn_squared(powers: tuple[int, int], h: Array) -> Array:
+    """Return the part of the field |t|^2 h that belongs to a product of turns t. h: (N, 2)."""
+    return h * float(powers != (1, 1))
+
+
+def _along_turn(powers: tuple[int, int], h: Array) -> Array:
+    """Return the part of the field (t h) t that belongs to a product of turns t. h: (N, 2)."""
+    return h[:, ::-1] if powers == (1, 1) else h * (np.array(powers) > 0)
 
 
 def _prism(turn: Array, axis: Array, h: Array) -> Array:

@@ -184,7 +184,7 @@ def _others(optimum: Optimum, curvature: Array) -> list[Mode]:
     marginal, hyper = optimum.marginal, optimum.marginal.problem.hyper
     start = _usual(optimum)
     start[hyper.places(amp.POSE)] = hyper.mean[hyper.places(amp.POSE)] - _LOWER
-    start[hyper.at(amp.SHIFTED_TURN)] += _HIGHER
+    start[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
     try:
         eta, found = best_amplitudes(marginal, start, _FAULT_STEPS, enough=ROUGH)
     except np.linalg.LinAlgError:

