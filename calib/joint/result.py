@@ -15,12 +15,14 @@ from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
-from calib.joint.equations import ViewStars, robust_weights
+from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import READINGS
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
+from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior, posterior
+from calib.joint.solve import Optimum
 from calib.joint.words import MOST_SCATTER, contradiction, notes, require_determined
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
@@ -75,16 +77,22 @@ def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Post
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:
-    """Return camera, collimator, rotations and gimbal of the posterior's mean."""
-    state, bench = found.optimum.state, found.optimum.marginal.problem.bench
+    """Return camera, collimator, rotations and gimbal of the posterior's mean; rotations and fields follow it."""
+    optimum, bench = found.optimum, found.optimum.marginal.problem.bench
     named = dict(zip(bench.layout.names, found.mean.tolist(), strict=True))
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
-    turns = found.optimum.marginal.rotation_steps(found.optimum.eta, found.optimum.solution)
-    last = bench.moved(state, found.optimum.solution.step, found.optimum.solution.fields, turns)
+    best, step = optimum.solution, found.mean - optimum.state.shared
+    last = _reached(optimum, replace(best, step=step, fields=best.fields - best.follow @ (step - best.step)))
     return AdjustmentParameters(
-        bench.camera(found.mean), centre, last.rotations, np.zeros((len(turns), 3)), last.gimbal
+        bench.camera(found.mean), centre, last.rotations, np.zeros((len(last.rotations), 3)), last.gimbal
     )
+
+
+def _reached(optimum: Optimum, solution: Solution) -> State:
+    """Return the state at the end of the steps of a solution."""
+    turns = optimum.marginal.rotation_steps(optimum.eta, solution)
+    return optimum.marginal.problem.bench.moved(optimum.state, solution.step, solution.fields, turns)
 
 
 def _calibration(
@@ -103,7 +111,7 @@ def _calibration(
     sigmas = np.sqrt(np.diag(covariance))
     factors = [float(found.expanded(row) / sigma) for row, sigma in zip(unit, sigmas, strict=True)]
     star = float(np.exp(found.optimum.eta[hyper.at(amp.STAR)]))
-    residuals, weights = _residuals(found, views, used, parameters, star)
+    residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     together = np.concatenate(lengths)
     size = len(bench.layout.camera)
@@ -163,21 +171,14 @@ def _residuals(
     found: Posterior,
     views: Sequence[View],
     used: Sequence[NDArray[np.bool_]],
-    parameters: AdjustmentParameters,
     star: float,
 ) -> tuple[list[Array], list[Array]]:
-    """Return the residuals of all stars at the mean, and their weights; 0 for stars that were not used."""
-    optimum = found.optimum
-    bench, solution = optimum.marginal.problem.bench, optimum.solution
+    """Return the residuals of all stars at the mode, and their weights; 0 for stars that were not used."""
+    optimum, bench = found.optimum, found.optimum.marginal.problem.bench
     discs = bench.discs or [None] * len(views)
     stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
     whole = replace(bench, stars=stars, readings=None)
-    state = replace(
-        optimum.state,
-        shared=optimum.state.shared + solution.step,
-        fields=optimum.state.fields + solution.fields,
-        rotations=parameters.rotations,
-    )
+    state = _reached(optimum, optimum.solution)
     lengths = whole.whitened(state)
     weights = []
     for one, length, own in zip(stars, lengths, used, strict=True):

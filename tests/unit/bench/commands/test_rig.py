@@ -86,7 +86,7 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     assert max(held["sigma_arcsec"]) < 0.5 * max(turned["sigma_arcsec"])
     assert held["cameras"][0]["fx"] == pytest.approx(rig.cameras[0].fx, abs=0.01)
     off = 206265 * log_map(np.array(held["rotation"]) @ rig.rotation.T)
-    assert (np.abs(off) < 4.0 * np.array(held["sigma_arcsec"])).all()
+    assert (np.abs(off) < 2.5 * np.array(held["sigma_arcsec"])).all()
     assert "contradicts its views" in refusal(capsys, *words, *files[::-1])
     off = 206265 * log_map(np.array(both["rotation"]) @ rig.rotation.T)
     assert (np.abs(off) < 4.0 * np.array(both["sigma_arcsec"])).all()

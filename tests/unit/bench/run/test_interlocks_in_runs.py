@@ -187,7 +187,7 @@ def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
         return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.rehearsal.rehearsal.VirtualCamera.temperature_c", celsius)
+        patch.setattr("bench.rehearsal.virtual_devices.VirtualCamera.temperature_c", celsius)
         end = scene.run()
     assert end.how == "finished", end.why
     (released,) = scene.told(Event.INTERLOCK_RELEASED)
