@@ -153,7 +153,7 @@ def locks_folder() -> Path:
 class DeviceHold:
     """A device reserved for this process, until ``release`` or the end of the process.
 
-    ``device`` is a unique name: family and serial number, or its real path; ``folder`` None stands for
+    ``device`` is a unique name: family and serial number, or its real path. The default of ``folder`` is
     ``locks_folder()``. Raises `PortDenied` if the lock file cannot be made.
     """
 

@@ -89,7 +89,7 @@ class Port(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; empty when nothing came in time. ``timeout_s`` is for the first byte."""
+        """Wait up to ``timeout_s`` for the first byte; return all that have arrived, empty if there are none."""
         ...
 
     def write(self, data: bytes) -> None:

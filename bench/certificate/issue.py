@@ -1,7 +1,7 @@
 """Issue a certificate: verify the run, take a number, render, seal, and enter it in the ledger; or amend one.
 
-A person authorises it later. What can be refused is refused before a number is taken. An amendment has a new number and
-the results of the old certificate, which it names by hash; the old one stays as it is.
+A person authorises it later. All refusals come before a number is taken. An amendment has a new number and the results
+of the old certificate, which it names by hash; the old one stays as it is.
 """
 
 from __future__ import annotations

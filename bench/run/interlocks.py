@@ -187,7 +187,7 @@ class Sensors(Protocol):
         ...
 
     def dark_mev_s(self, duration_s: float) -> float:
-        """Measure the event rate in the dark for some seconds: millions of events per second."""
+        """Record in the dark for ``duration_s``; return the event rate, millions of events per second."""
         ...
 
     def reopen(self) -> str:

@@ -212,7 +212,7 @@ def ask(
 ) -> Reply:
     """Ask the operator, and wait for an answer, or for the default, ``continue`` or ``abort``, at the deadline.
 
-    ``terminal`` None is standard input; where it is none, or closed, only ``elsewhere`` answers (`starbench tell`).
+    ``terminal`` None means standard input. If that is no terminal, only ``elsewhere`` answers (`starbench tell`).
     """
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input

@@ -24,7 +24,7 @@ _UNDETERMINED = 0.05
 def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> Boresight | None:
     """Return the mounting with its uncertainty.
 
-    None if no readings determine it, or if by them the camera looks backwards, as by the wrong sign of an axis.
+    None if no readings determine it, or if the camera would look backwards: an axis has the wrong sign.
     """
     if gimbal is None:
         return None

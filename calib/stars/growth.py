@@ -223,7 +223,7 @@ class StarGrid:
         return np.array(list(self.points), np.int64).reshape(-1, 2)
 
     def places(self) -> NDArray[np.float64]:
-        """Return the (N, 2) image points, px, of the stars found, in the order of `nodes`."""
+        """Return the stars found as (N, 2) image points, px, in the order of `nodes`."""
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 

@@ -97,7 +97,7 @@ class NeuromorphicEvk4:
     ) -> NeuromorphicEvk4:
         """Open a camera; ``serial`` None opens the first one found.
 
-        Raises `CameraNotFound` if there is no such camera, or this user may not use it; `CameraBusy` if another process
+        Raises `CameraNotFound` if there is no such camera, or no permission to use it; `CameraBusy` if another process
         of this bench has locked it (with a serial number given, the camera has not been touched); `WrongDevice` if
         another camera answers; `CameraSettingRefused` if the camera is connected by USB 2.
         """

@@ -63,7 +63,7 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 
 @njit(**INNER)
 def stored_light(drive: Drive, light: float) -> float:
-    """Return how a pixel's light is stored: its share if square, else its level on the atlas, -1 if too dark."""
+    """Return what is stored for a pixel: its share under a square light, else its place in the atlas; -1: too dark."""
     if drive.kind == SQUARE:
         return light
     if light < drive.lowest:

@@ -290,7 +290,7 @@ def reset_row(
 
 @njit(**JIT)
 def set_picture(px: Pixels, drive: Drive, picture: NDArray[np.float32]) -> None:
-    """Store a picture, (rows, width) float32 shares of the light's drive, as the light of the pixels."""
+    """Take the light of the pixels from a picture: (rows, width) float32, as shares of the light's drive."""
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
             px.cell[r, c, STORED_LIGHT] = pr.stored_light(drive, picture[r, c])
