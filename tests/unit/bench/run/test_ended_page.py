@@ -5,9 +5,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import EvidenceError
-from bench.evidence.keys import NAMESPACE, create_key
+from bench.evidence.keys import create_key
 from bench.evidence.signers import read_signers
-from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.verify import verify_folder
 from bench.records.events import Event
 from bench.records.journal import Journal
@@ -55,15 +54,6 @@ def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
     assert "0 of 1 recordings accepted" in page
     assert "The picture is dark; stars 0, needed &gt;= 40" in page
     assert "SIMULATED" in page
-
-
-def test_the_bench_has_signed_the_page(folder, key):
-    write_ended_page(folder, lambda: key, pytest.fail)
-    page, signature = ((folder.path / name).read_bytes() for name in (REPORT, PAGE_SIGNATURE))
-    found = read_signature(signature)
-    assert is_valid(found, page)
-    assert (found.public_key, found.namespace) == (key.public_key, NAMESPACE)
-    assert not is_valid(found, page.replace(b"failed", b"passed"))
 
 
 def verified(folder, tmp_path):

@@ -18,7 +18,6 @@ from bench.run.heartbeat import (
     CONTROL,
     HEARTBEAT,
     REPEAT_S,
-    SLOW_STATES,
     SUPERVISOR,
     WINDOW_S,
     BusyWatch,
@@ -29,7 +28,6 @@ from bench.run.heartbeat import (
     start_ticks,
     thread_waits_for_disk,
 )
-from bench.run.machine import STATES
 from bench.run.status import line_text
 
 
@@ -73,11 +71,6 @@ def moments(pulse, folder):
     time.sleep(0.001)
     pulse.beat()
     return read_heartbeat(folder) != before
-
-
-def test_heartbeats_are_written_while_the_work_waits_or_checks(pulse, tmp_path):
-    assert moments(pulse, tmp_path)
-    assert moments(pulse, tmp_path)
 
 
 @pytest.mark.parametrize("state", ["slewing", "recording", "homing", "aborting", "parking"])
@@ -142,22 +135,6 @@ def test_the_heartbeat_of_an_earlier_version_is_read(tmp_path):
     (tmp_path / CONTROL).mkdir()
     (tmp_path / CONTROL / HEARTBEAT).write_bytes(b"1 2 3 4 5")
     assert read_heartbeat(tmp_path) == Heartbeat(1, 2, 3)
-
-
-def test_states_that_compute_for_long_are_slow_states():
-    """A new state must be put on one side: work with devices uses its clock, or it computes."""
-    with_devices = {
-        "homing",
-        "lighting",
-        "slewing",
-        "settling",
-        "recording",
-        "backing_off",
-        "waiting",
-        "parking",
-    }
-    ends = {"aborting", "aborted", "failed"}
-    assert set(STATES) - SLOW_STATES == with_devices | ends
 
 
 def test_only_the_process_that_wrote_the_heartbeat_is_opened():

@@ -5,8 +5,6 @@ from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
 from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import read_journal
 from bench.run.interlocks import Interlocks
 from bench.run.runner import HoldNotifier
 from bench.run.status import read_status, status_text
@@ -101,33 +99,28 @@ def test_a_door_that_stays_open_ends_the_run_which_can_be_resumed(tmp_path, monk
     assert scene.run().how == "finished"
 
 
-def test_holds_are_added_up(tmp_path, monkeypatch):
-    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=100)
-    flapping = []
+def flapping(scene, sensor, monkeypatch, closed_after_s, times):
+    """The door opens at every move, so many times; it is closed after some seconds, by virtual time."""
+    sleep, opened_s = VirtualClock.sleep, []
+
+    def closing(clock, seconds):
+        sleep(clock, seconds)
+        if sensor.read_text() == "0" and clock.monotonic() > opened_s[-1] + closed_after_s(len(opened_s)):
+            sensor.write_text("1")
 
     def hook(name):
-        if name == "stage.move_to":
+        if name == "stage.move_to" and len(opened_s) < times:
+            opened_s.append(scene.clock.monotonic())
             sensor.write_text("0")
-        if sensor.read_text() == "0" and name == "light.off":
-            flapping.append(scene.clock.monotonic())
         scene.runner.context.interlocks.check_door()
 
-    wait = Interlocks.wait_until_clear
-
-    def watched(interlocks, trip):
-        begin_s, sleep = scene.clock.monotonic(), scene.clock.sleep
-        monkeypatch.setattr(
-            scene.clock,
-            "sleep",
-            lambda s: (sleep(s), sensor.write_text("1") if scene.clock.monotonic() - begin_s > 30 else None),
-        )
-        try:
-            return wait(interlocks, trip)
-        finally:
-            monkeypatch.setattr(scene.clock, "sleep", sleep)
-
     scene.hook = hook
-    monkeypatch.setattr(Interlocks, "wait_until_clear", watched)
+    monkeypatch.setattr(VirtualClock, "sleep", closing)
+
+
+def test_holds_are_added_up(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=100)
+    flapping(scene, sensor, monkeypatch, lambda _: 30, times=99)
     end = scene.run()
     assert end.how == "failed"
     assert "has held the run for 100 s" in end.why
@@ -136,23 +129,8 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
 
 def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=3600)
+    flapping(scene, sensor, monkeypatch, lambda nth: 601 if nth == 4 else 1, times=6)
     told = []
-    sleep = VirtualClock.sleep
-
-    def closing(clock, seconds):
-        sleep(clock, seconds)
-        if scene.runner.state == "holding":
-            sensor.write_text("1")
-            if len(scene.told(Event.INTERLOCK_RELEASED)) == 3:
-                sleep(clock, 601)
-
-    def hook(name):
-        if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
-            sensor.write_text("0")
-        scene.runner.context.interlocks.check_door()
-
-    scene.hook = hook
-    monkeypatch.setattr(VirtualClock, "sleep", closing)
     monkeypatch.setattr(
         "bench.run.runner.HoldNotifier",
         lambda clock, _notify: HoldNotifier(clock, lambda *words: told.append(words)),
@@ -176,6 +154,7 @@ def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
     assert scene.run().how == "finished"
     assert any("HELD by the door interlock: it is open" in text for text in texts)
     assert any("continues by itself" in text for text in texts)
+    assert "HELD" not in status_text(read_status(scene.folder))
 
 
 def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
@@ -220,15 +199,3 @@ def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch)
         "pose-001-attempt-1.raw",
         "pose-002-attempt-1.raw",
     ]
-
-
-def test_the_interlock_is_cleared_from_the_history_when_the_run_continues(tmp_path, monkeypatch):
-    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=10)
-    sensor.write_text("0")
-    scene.run()
-    entries, _ = read_journal(scene.folder / "journal.jsonl")
-    holding = next(
-        i for i, e in enumerate(entries) if e.event == Event.ENTERING and e.data["state"] == "holding"
-    )
-    assert replay(entries[: holding + 1]).interlock.startswith("door: it is open")
-    assert replay(entries).interlock == ""

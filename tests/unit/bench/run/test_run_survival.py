@@ -1,15 +1,13 @@
 """A run survives any truncation of its journal, any fault of the disk and any change of the clock, or reports why not."""
 
-import errno
-import os
 import shutil
 from datetime import timedelta
 
 import pytest
-from rehearsed import Journal, Scene
+from rehearsed import Scene
 
 from bench.base.clock import VirtualClock
-from bench.base.errors import BenchError, RunFolderError, StorageError
+from bench.base.errors import RunFolderError
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import CLOCK_JUMPED, read_journal
@@ -98,57 +96,3 @@ def test_a_changed_system_clock_is_reported_and_changes_nothing_else(tmp_path, m
     entries, _ = read_journal(scene.folder / "journal.jsonl")
     assert [e.mono_s for e in entries] == sorted(e.mono_s for e in entries)
     assert entries[-1].mono_s - entries[0].mono_s < 60
-
-
-# ---------------------------------------------------------------- the disk refuses in the midst
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("call", ["fsync", "write"])
-@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC], ids=errno.errorcode.get)
-def test_a_disk_that_fails_in_any_call_ends_the_run_safely_and_it_can_be_resumed(
-    tmp_path, monkeypatch, call, number
-):
-    ends = set()
-    for passing in range(1000):
-        (tmp_path / f"{passing}").mkdir()
-        scene = Scene(tmp_path / f"{passing}")
-        refused = []
-        with monkeypatch.context() as patch:
-            refuse_once(patch, call, passing, number, refused)
-            try:
-                ends.add(scene.run(journal_type=Journal).how)
-            except StorageError:  # before there was a run that could tell it
-                ends.add("told")
-        if not refused:
-            break
-        assert not scene.light_is_on()
-        see_that_it_goes_on(scene)
-    assert passing > 20
-    assert {"failed", "told"} <= ends
-
-
-def refuse_once(patch, call, passing, number, refused):
-    """Let so many calls pass and refuse one; syncs cost nothing here, no process dies."""
-    real = {"fsync": lambda _descriptor: None, "write": os.write}
-    calls = [0]
-
-    def refusing(*words):
-        calls[0] += 1
-        if calls[0] == passing + 1:
-            refused.append(words)
-            raise OSError(number, os.strerror(number))
-        return real[call](*words)
-
-    patch.setattr(os, "fsync", real["fsync"])
-    patch.setattr(os, call, refusing)
-
-
-def see_that_it_goes_on(scene):
-    begun = (scene.folder / "journal.jsonl").exists() and read_journal(scene.folder / "journal.jsonl")[0]
-    if begun and scene.told(Event.RUN_ENDED)[-1:] != [{"how": "finished", "why": ""}]:
-        assert scene.run().how == "finished"
-        assert accepted(scene) == [1, 2]
-    elif not begun:
-        with pytest.raises(BenchError):
-            read_intentions(scene.folder)

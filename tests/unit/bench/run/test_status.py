@@ -1,8 +1,6 @@
 """Status of a run, read from its folder alone; its last picture; commands at the last moment."""
 
 import json
-import os
-import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -11,7 +9,6 @@ import pytest
 from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
-from bench.commands.status import follow
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.journal import Journal
@@ -72,6 +69,7 @@ def test_a_running_run_shows_state_pose_and_time_left(run, planned):
     assert "running: recording, pose 2 of 3 (right)" in status_text(status)
     assert "SIMULATED" in status_text(status)
     assert status.advice.endswith("abort")
+    assert json.loads(json.dumps(status.to_dict(), allow_nan=False))["schema"] == "starbench/status/1"
 
 
 def test_steps_that_are_done_take_no_more_time(run, planned):
@@ -175,20 +173,6 @@ def test_the_end_is_shown_once(run, how, why, told):
     assert [line[14:] for line in run.status().last[-2:]] == ["reporting", told]
 
 
-def test_following_shows_each_change_and_ends_with_the_run(run):
-    def sleep(_):
-        run.tell(Event.RUN_ENDED, how="finished", why="")
-        run.die()
-
-    shown = list(follow(run.path, sleep))
-    assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
-
-
-def test_a_status_is_plain_json(run):
-    told = json.loads(json.dumps(run.status().to_dict(), allow_nan=False))
-    assert told["schema"] == "starbench/status/1"
-
-
 def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(RunFolderError, match="not a run folder"):
         read_status(tmp_path)
@@ -198,42 +182,6 @@ def test_a_plan_of_another_program_is_refused(run):
     (run.path / "plan.json").write_text("[]")
     with pytest.raises(RunFolderError, match=r"plan\.json cannot be read"):
         run.status()
-
-
-def until_decided(number, fx, **more):
-    return {
-        "step": number,
-        "until": 2,
-        "until_last": 147,
-        "recorded": 3,
-        "poses": 3,
-        "worked_s": 9.0,
-        "wanted": {"expanded_fx_px": 2.0},
-        "now": {"expanded_fx_px": fx},
-        "fixed": {},
-        "coverage_factor": 2.0,
-        "model": "spherical",
-        "lacks": "",
-    } | more
-
-
-def test_a_run_that_chooses_its_poses_shows_what_it_has_reached_and_wants(tmp_path):
-    run = Run(tmp_path / "run", make_plan(*load_documents("until_good", "simulated")).to_dict())
-    assert (run.status().poses, run.status().most_poses, run.status().uncertainty) == (3, 25, "")
-    pose = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.0}, "expected": {}, "why": ""}
-    run.tell(Event.UNTIL_DECIDED, **until_decided(11, 3.25, chosen=pose))
-    run.tell(Event.ENTERING, state="slewing", pose=4, step=12)
-    text = status_text(run.status())
-    assert "running: slewing, pose 4 of at most 25 (chosen 1)" in text
-    assert re.search(r"Uncertainty after 3 poses( \(k = [\d.]+\))?: U\(fx\) 3.25 px \(wanted 2\)", text)
-    assert "next: pose 4 at pan 1 deg" in text
-    left_s = run.status().left_s
-    run.tell(Event.UNTIL_DECIDED, **until_decided(15, 1.5, ended="met", why="The goals are met."))
-    status = run.status()
-    assert (status.poses, status.most_poses) == (4, 4)
-    assert status.left_s < 5 < left_s
-    assert "The goals are met." in status_text(status)
-    run.die()
 
 
 # ---------------------------------------------------------------- the picture of the last recording
@@ -275,13 +223,6 @@ def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
     leave_view(tmp_path, 1, 1, Measurement(None, None), StarTarget())
     assert read_last_view(tmp_path) is None
     assert not list((tmp_path / CONTROL).iterdir())
-
-
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="the administrator may write anywhere")
-def test_a_folder_that_cannot_be_written_does_not_disturb_the_run(tmp_path):
-    (tmp_path / CONTROL).mkdir(mode=0o500)
-    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    assert read_last_view(tmp_path) is None
 
 
 def test_a_full_disk_does_not_disturb_the_run(tmp_path, monkeypatch):

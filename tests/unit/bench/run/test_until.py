@@ -92,13 +92,6 @@ def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
     assert "chosen" not in told
 
 
-def test_the_same_seed_gives_the_same_poses(tmp_path):
-    first, second = until_scene(tmp_path / "one", NEVER), until_scene(tmp_path / "two", NEVER)
-    first.run()
-    second.run()
-    assert decisions(first) == decisions(second)
-
-
 def cut_and_go_on(folder, whole, cut):
     """The run of a copy whose journal ends after so many lines."""
     scene = until_scene(folder / f"cut-{cut}", NEVER)
@@ -126,14 +119,6 @@ def test_cut_off_before_and_after_its_decision_it_goes_on_with_the_same_poses(tm
     whole.run()
     begin = lines_of_a_round(whole)[0]
     for cut in (begin, begin + 1, begin + 4):  # no decision yet; decided; the stage moves
-        cut_and_go_on(tmp_path, whole, cut)
-
-
-@pytest.mark.slow
-def test_cut_off_after_any_line_of_a_round_it_goes_on_with_the_same_poses(tmp_path):
-    whole = until_scene(tmp_path / "whole", NEVER)
-    whole.run()
-    for cut in lines_of_a_round(whole):
         cut_and_go_on(tmp_path, whole, cut)
 
 
