@@ -20,13 +20,49 @@ from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
+KILLED = WorkerEnd("died", "by SIGKILL", outside=True)
+WITHOUT_A = "without a result: a-001"
 
-def test_higher_priorities_come_first_and_repetitions_follow_one_another(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", times: 2"), ("b", ", priority: 1")))
+
+@pytest.mark.parametrize(
+    ("jobs", "ends", "runs", "how", "why"),
+    [
+        ("a, times: 2; b, priority: 1", [], "run b-001, run a-001, run a-002", "finished", ""),
+        ("a; b", ["failed"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
+        ("a; b", ["died"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
+        ("a; b", ["hung"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
+        ("a, attempts: 1, on_failure: stop; b", ["failed"], "run a-001", "stopped", None),
+        ("a, attempts: 5", ["aborted"], "run a-001", "failed", WITHOUT_A),
+        (
+            "a, attempts: 2",
+            [KILLED, "failed", KILLED, KILLED],
+            "run a-001" + ", resume a-001" * 4,
+            "finished",
+            "",
+        ),
+        (
+            "a, attempts: 2; b",
+            [KILLED] * 50,
+            "run a-001" + ", resume a-001" * 9 + ", run b-001" + ", resume b-001" * 9,
+            "failed",
+            "without a result: a-001, b-001",
+        ),
+    ],
+)
+def test_what_is_begun_follows_priorities_and_how_earlier_tries_ended(tmp_path, jobs, ends, runs, how, why):
+    pairs = [re.fullmatch("(\\w+)(.*)", job).groups() for job in jobs.split("; ")]
+    batch, workers = night(tmp_path, queue(*pairs), *ends)
     summary = batch.run()
-    assert begun(workers) == ["run b-001", "run a-001", "run a-002"]
-    assert summary["how"] == "finished"
+    assert ", ".join(begun(workers)) == runs
+    assert summary["how"] == how
+    assert why is None or summary["why"] == why
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+
+def cut_off(folder, jobs, *ends):
+    """A batch that is killed after some of its runs have ended."""
+    with pytest.raises(KeyboardInterrupt):
+        night(folder, jobs, *ends, KeyboardInterrupt())[0].run()
 
 
 def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
@@ -59,32 +95,9 @@ def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path
         read_queue(path)
 
 
-@pytest.mark.parametrize("how", ["failed", "died", "hung"])
-def test_a_run_without_a_result_is_taken_up_again_and_then_given_up(tmp_path, how):
-    batch, workers = night(tmp_path, queue(("a", ""), ("b", "")), how, how)
-    summary = batch.run()
-    assert begun(workers) == ["run a-001", "resume a-001", "run b-001"]
-    assert hows(summary) == {"a-001": how, "b-001": "finished"}
-    assert (summary["how"], summary["why"]) == ("failed", "without a result: a-001")
-
-
-def test_a_failure_ends_the_batch_where_the_queue_says_so(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", attempts: 1, on_failure: stop"), ("b", "")), "failed")
-    summary = batch.run()
-    assert begun(workers) == ["run a-001"]
-    assert (summary["how"], hows(summary)["b-001"]) == ("stopped", "not begun")
-
-
-def test_no_run_is_begun_after_the_time_is_over(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", times: 100"), top="stop_after_h: 1\n"))
-    assert batch.run()["how"] == "stopped"
-    assert len(workers.begun) == 7
-
-
 def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
     jobs = queue(("a", ""), ("b", ""), ("c", ""))
-    with pytest.raises(KeyboardInterrupt):
-        night(tmp_path, jobs, "finished", KeyboardInterrupt())[0].run()
+    cut_off(tmp_path, jobs, "finished")
     batch, workers = night(tmp_path, jobs)
     summary = batch.run()
     assert begun(workers) == ["resume b-001", "run c-001"]
@@ -96,8 +109,7 @@ def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
 
 def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path):
     jobs = queue(("a", ""), ("b", ""), ("c", ", times: 10"))
-    with pytest.raises(KeyboardInterrupt):
-        night(tmp_path, jobs, "finished", KeyboardInterrupt())[0].run()
+    cut_off(tmp_path, jobs, "finished")
     said = []
     batch, workers = night(tmp_path, jobs, say=lambda line: said.append((line, len(workers.begun))))
     batch.run()
@@ -107,22 +119,34 @@ def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path):
     assert said[0][0].endswith(f" continues: {will_do}")
 
 
-def test_a_run_that_was_sealed_as_the_batch_was_cut_off_is_done(tmp_path):
+@pytest.mark.parametrize(
+    ("file", "text", "runs", "first"),
+    [
+        ("SHA256SUMS.sig", b"", ["run b-001"], "finished"),  # it was sealed as the batch was cut off
+        ("journal.jsonl", b"rotten\n", ["run b-001"], "failed"),
+        ("notes", b"", ["resume a-001", "run b-001"], "finished"),
+    ],
+)
+def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(tmp_path, file, text, runs, first):
     jobs = queue(("a", ""), ("b", ""))
-    with pytest.raises(KeyboardInterrupt):
-        night(tmp_path, jobs, KeyboardInterrupt())[0].run()
-    (tmp_path / "runs" / "a-001" / "SHA256SUMS.sig").write_bytes(b"")
+    cut_off(tmp_path, jobs)
+    (tmp_path / "runs" / "a-001" / file).write_bytes(text)
     batch, workers = night(tmp_path, jobs)
-    assert hows(batch.run()) == {"a-001": "finished", "b-001": "finished"}
-    assert begun(workers) == ["run b-001"]
+    summary = batch.run()
+    assert hows(summary) == {"a-001": first, "b-001": "finished"}
+    assert begun(workers) == runs
+    assert (first == "failed") == ("journal" in summary["items"][0]["why"])
 
 
-def test_a_stop_ends_the_batch_and_it_goes_on_later(tmp_path):
-    jobs = queue(("a", ""), ("b", ""))
-    assert night(tmp_path, jobs, Aborted("SIGTERM received"))[0].run()["how"] == "aborted"
-    batch, workers = night(tmp_path, jobs)
-    assert batch.run()["how"] == "finished"
-    assert begun(workers) == ["resume a-001", "run b-001"]
+def test_a_stop_ends_the_batch(tmp_path):
+    batch, _ = night(tmp_path, queue(("a", ""), ("b", "")), Aborted("SIGTERM received"))
+    assert batch.run()["how"] == "aborted"
+
+
+def test_no_run_is_begun_after_the_time_is_over(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 100"), top="stop_after_h: 1\n"))
+    assert batch.run()["how"] == "stopped"
+    assert len(workers.begun) == 7
 
 
 def test_what_was_cut_off_before_it_began_is_kept_aside_and_begun_anew(tmp_path):
@@ -191,59 +215,24 @@ def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, beg
     assert hows(summary) == {"a-001": how}
 
 
-KILLED = WorkerEnd("died", "by SIGKILL", outside=True)
-
-
-def test_a_kill_from_outside_is_no_failure_of_the_run(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", attempts: 2")), KILLED, "failed", KILLED, KILLED)
-    assert hows(batch.run()) == {"a-001": "finished"}
-    assert len(workers.begun) == 5
-
-
 def test_power_cuts_use_up_no_attempt(tmp_path, monkeypatch):
     """Two cuts before the first pose and one failure were three attempts once, and the run was given up."""
     monkeypatch.setattr("bench.batch.batch.make_safe_after", lambda *_: [])
     jobs = queue(("a", ", attempts: 3"))
     for _ in range(2):
-        with pytest.raises(KeyboardInterrupt):
-            night(tmp_path, jobs, KeyboardInterrupt())[0].run()
+        cut_off(tmp_path, jobs)
     batch, workers = night(tmp_path, jobs, "failed", "hung")
     assert hows(batch.run()) == {"a-001": "finished"}
     assert len(workers.begun) == 3
 
 
-def test_a_run_that_is_killed_again_and_again_is_given_up(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", attempts: 2"), ("b", "")), *[KILLED] * 50)
-    batch.run()
-    assert [name for _, name, _ in workers.begun] == ["a-001"] * 10 + ["b-001"] * 10
-
-
-def test_a_run_that_somebody_aborted_is_not_taken_up_again(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", attempts: 5")), "aborted")
-    assert hows(batch.run()) == {"a-001": "aborted"}
-    assert begun(workers) == ["run a-001"]
-
-
 # ---------------------------------------------------------------- what a batch finds that was cut off
-
-
-def test_a_run_whose_journal_cannot_be_read_fails_and_the_night_goes_on(tmp_path):
-    jobs = queue(("a", ""), ("b", ""))
-    with pytest.raises(KeyboardInterrupt):
-        night(tmp_path, jobs, KeyboardInterrupt())[0].run()
-    (tmp_path / "runs" / "a-001" / "journal.jsonl").write_bytes(b"rotten\n")
-    batch, workers = night(tmp_path, jobs)
-    summary = batch.run()
-    assert hows(summary) == {"a-001": "failed", "b-001": "finished"}
-    assert "journal" in summary["items"][0]["why"]
-    assert begun(workers) == ["run b-001"]
 
 
 def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, monkeypatch):
     jobs = queue(("a", ""), ("late", ', priority: 9, start_at: "20:05"'))
     top = check_document(jobs.text.replace(b"jobs:", b"zone: UTC\njobs:", 1), "queue.yaml", Queue)
-    with pytest.raises(KeyboardInterrupt):
-        night(tmp_path, top, KeyboardInterrupt())[0].run()
+    cut_off(tmp_path, top)
     clock, seen = NightClock(), []
     clock.now_s = 900.0  # 20:15: the other one is due, and comes first
     monkeypatch.setattr("bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}"))
@@ -257,16 +246,6 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     assert batch.run()["how"] == "finished"
     assert seen[:2] == ["wait for a-001", "make safe a-001"]
     assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
-
-
-def test_the_bench_is_made_safe_after_a_later_try_too(tmp_path, monkeypatch):
-    jobs = queue(("a", ", attempts: 5"))
-    with pytest.raises(KeyboardInterrupt):
-        night(tmp_path, jobs, "failed", KeyboardInterrupt())[0].run()
-    safe = []
-    monkeypatch.setattr("bench.batch.batch.make_safe_after", lambda run, *_: safe.append(run.name) or [])
-    assert night(tmp_path, jobs)[0].run()["how"] == "finished"
-    assert safe == ["a-001"]
 
 
 def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
