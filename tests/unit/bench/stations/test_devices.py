@@ -27,18 +27,16 @@ MOTION = "limits_deg: [-9, 8], speed_deg_s: 5, acceleration_deg_s2: 20, toleranc
 LIMITS = AxisLimits(-9, 8, 5, 20)
 
 
-def station_with(stage: str = "", light: str = "", camera: str = "") -> Station:
-    begin = {key: EXAMPLE.index(f"\n{key}:\n") for key in ("stage", "light", "camera", "target")}
-    written = {
-        "stage": stage or EXAMPLE[begin["stage"] : begin["light"]],
-        "light": light or EXAMPLE[begin["light"] : begin["camera"]],
-        "camera": camera or EXAMPLE[begin["camera"] : begin["target"]],
-    }
-    text = EXAMPLE[: begin["stage"]] + "\n".join(written.values()) + EXAMPLE[begin["target"] :]
+def station_with(section: str) -> Station:
+    """The example with another stage, light or camera."""
+    keys = ("stage", "light", "camera", "target")
+    begin = EXAMPLE.index(f"\n{section.partition(':')[0]}:\n")
+    after = EXAMPLE.index(f"\n{keys[keys.index(section.partition(':')[0]) + 1]}:\n")
+    text = f"{EXAMPLE[:begin]}\n{section}{EXAMPLE[after:]}"
     return check_document(text.encode(), "b.yaml", Station).value
 
 
-STAGES = [
+DEVICES = [
     (
         f"stage: {{driver: zaber_ascii, port: /dev/a, axes: {{pan: {{device: 2, axis: 1, serial: 07, microsteps_per_deg: -6400, {MOTION}}}}}}}",
         ZaberStage,
@@ -63,20 +61,27 @@ STAGES = [
         ("/dev/d", [GrblAxis(name="pan", letter="A", steps_per_deg=80, zero_deg=10, limits=LIMITS, tolerance_deg=0.01)]),
         {"serial": "gimbal", "baudrate": 115_200},
     ),
+    (
+        "light: {driver: scpi, port: /dev/e, dialect: siglent, load: 50-ohm, serial: 09}",
+        ScpiLight,
+        ("/dev/e",),
+        {"serial": "09", "baudrate": 9600, "load": "50-ohm", "dialect": "siglent"},
+    ),
+    (
+        "light: {driver: gardasoft, port: /dev/f, model: RT420F-20, channel: 3, sync_channel: 4, full_percent: 50}",
+        GardasoftLight,
+        ("/dev/f",),
+        {"model": "RT420F-20", "channel": 3, "sync_channel": 4, "full_percent": 50, "sync_percent": 100, "baudrate": 115_200},
+    ),
+    ("camera: {driver: neuromorphic_evk4, serial: 0005}", NeuromorphicEvk4, (), {"serial": "0005"}),
+    (
+        "camera: {driver: recorded, path: tapes/monday, serial: 0005}",
+        RecordedCamera,
+        (Path("tapes/monday"),),
+        {"serial": "0005"},
+    ),
 ]  # fmt: skip
-
-
-DRIVERS = (
-    ZaberStage,
-    XimcStage,
-    EspStage,
-    GrblStage,
-    ScpiLight,
-    GardasoftLight,
-    MetavisionEvk4,
-    NeuromorphicEvk4,
-    RecordedCamera,
-)
+DRIVERS = (MetavisionEvk4, *(driver for _, driver, _, _ in DEVICES))
 
 
 @pytest.fixture
@@ -99,46 +104,17 @@ def opened(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stage", "driver", "given", "options"), STAGES, ids=lambda value: getattr(value, "__name__", "")
+    ("section", "driver", "given", "options"), DEVICES, ids=lambda value: getattr(value, "__name__", "")
 )
-def test_each_stage_s_driver_gets_what_the_file_says(stage, driver, given, options, opened):
-    called, clock = opened(station_with(stage=stage))
-    called[driver].assert_called_once_with(*given, **options, clock=clock, wire_log=None)
+def test_each_driver_gets_what_the_file_says(section, driver, given, options, opened):
+    called, clock = opened(station_with(section))
+    if not section.startswith("camera"):
+        options = {**options, "wire_log": None}
+    elif driver is NeuromorphicEvk4:
+        options = {**options, "utc_now": clock.utc_now}
+    called[driver].assert_called_once_with(*given, **options, clock=clock)
 
 
-def test_the_light_s_driver_is_given_dialect_and_load(opened):
-    light = "light: {driver: scpi, port: /dev/e, dialect: siglent, load: 50-ohm, serial: 09}"
-    called, clock = opened(station_with(light=light))
-    called[ScpiLight].assert_called_once_with(
-        "/dev/e", serial="09", baudrate=9600, clock=clock, wire_log=None, load="50-ohm", dialect="siglent"
-    )
-
-
-def test_a_strobe_controller_is_given_its_channels(opened):
-    light = "light: {driver: gardasoft, port: /dev/f, model: RT420F-20, channel: 3, sync_channel: 4, full_percent: 50}"
-    station = station_with(light=light)
-    called, clock = opened(station)
-    called[GardasoftLight].assert_called_once_with(
-        "/dev/f",
-        model="RT420F-20",
-        channel=3,
-        sync_channel=4,
-        full_percent=50,
-        sync_percent=100,
-        baudrate=115_200,
-        clock=clock,
-        wire_log=None,
-    )
-    assert station.light.settings(Flicker("square", 60.0, 50.0, 40.0)).high_v == 2.0
-
-
-def test_an_evk4_may_be_reached_through_neuromorphic_drivers(opened):
-    called, clock = opened(station_with(camera="camera: {driver: neuromorphic_evk4, serial: 0005}"))
-    called[NeuromorphicEvk4].assert_called_once_with(serial="0005", clock=clock, utc_now=clock.utc_now)
-
-
-def test_recordings_may_stand_for_a_camera(opened):
-    called, clock = opened(
-        station_with(camera="camera: {driver: recorded, path: tapes/monday, serial: 0005}")
-    )
-    called[RecordedCamera].assert_called_once_with(Path("tapes/monday"), serial="0005", clock=clock)
+def test_the_level_of_a_strobe_controller_is_a_share_of_its_full_percent():
+    light = station_with("light: {driver: gardasoft, port: /dev/f, model: RT420F-20, full_percent: 50}").light
+    assert light.settings(Flicker("square", 60.0, 50.0, 40.0)).high_v == 2.0

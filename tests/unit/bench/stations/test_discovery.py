@@ -100,14 +100,6 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
         assert camera.source == (WEBCAM.source if cameras else "/dev/v4l/by-id/CHOOSE-A-CAMERA")
 
 
-def test_every_family_of_cameras_can_be_drafted():
-    assert set(CAMERA_SECTIONS) == set(next(p for p in station_new.params if p.name == "camera").type.choices)
-    families = {
-        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(CameraConfig)[0])
-    }
-    assert set(CAMERA_SECTIONS) == families - {"simulated_evk4"}
-
-
 def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
     show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
     said = capsys.readouterr().out
@@ -142,8 +134,16 @@ def test_a_draft_and_each_example_have_every_section(section):
         assert section in {"operator", "simulation"} or re.search(rf"^(# )?{section}:", text, re.MULTILINE)
 
 
-def test_every_family_of_lights_can_be_drafted():
-    assert set(LIGHT_SECTIONS) == set(next(p for p in station_new.params if p.name == "light").type.choices)
-    assert set(LIGHT_SECTIONS) == {
-        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(LightConfig)[0])
+@pytest.mark.parametrize(
+    ("name", "sections", "config", "simulated"),
+    [
+        ("camera", CAMERA_SECTIONS, CameraConfig, {"simulated_evk4"}),
+        ("light", LIGHT_SECTIONS, LightConfig, set()),
+    ],
+)
+def test_every_family_of_devices_can_be_drafted(name, sections, config, simulated):
+    assert set(sections) == set(next(p for p in station_new.params if p.name == name).type.choices)
+    families = {
+        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(config)[0])
     }
+    assert set(sections) == families - simulated

@@ -9,9 +9,7 @@ from station_texts import PLAIN
 
 from bench.stations.stages_and_lights import ScpiLightConfig
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
-from calib.target import StarTarget
 from drivers.light import LightSettings
-from drivers.stage import AxisLimits
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.script import Flicker
@@ -33,18 +31,6 @@ def with_stage(stage: str) -> str:
     return PLAIN[:begin] + f"stage: {stage}\n" + PLAIN[end:]
 
 
-def test_the_simulated_station_has_the_simulated_bench_s_devices():
-    station = load_station("simulated").value
-    assert station.is_simulated
-    assert {name: (axis.device, axis.serial) for name, axis in station.stage.axes.items()} == {
-        "pan": (1, "100101"),
-        "tilt": (2, "100102"),
-    }
-    assert station.stage.axes["pan"].limits == AxisLimits(-15, 15, 40, 200)
-    assert station.camera.serial == "00050423"
-    assert station.target.pattern() == StarTarget()
-
-
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
     examples = [
@@ -64,11 +50,6 @@ def test_an_unknown_station_is_met_with_those_that_are_shipped():
         load_station("simulatd")
     with pytest.raises(DocumentFaults, match=r"nowhere\.yaml: there is no such file"):
         load_station("nowhere.yaml")
-
-
-def test_serial_numbers_stay_text_zeros_included():
-    station = check_document(changed("100101", "000100101").encode(), "b", Station).value
-    assert station.stage.axes["pan"].serial == "000100101"
 
 
 @pytest.mark.parametrize(
@@ -271,46 +252,3 @@ def test_the_section_on_the_page_of_a_device_is_read_without_a_fault(page):
     before, rest = example.split("stage:\n")
     whole = before + section[1] + "\nlight:\n" + rest.split("light:\n")[1]
     assert check_document(whole.encode(), page, Station).value.stage.axes["pan"].counts_per_deg > 0
-
-
-FAMILIES = {
-    "ximc": """
-  driver: ximc
-  axes:
-    pan: {port: /dev/a, serial: 00012, steps_per_deg: 80, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
-    tilt: {port: /dev/b, serial: 13, steps_per_deg: -80, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
-""",
-    "grbl": """
-  driver: grbl
-  port: /dev/a
-  serial: bench1
-  axes:
-    pan: {letter: X, steps_per_deg: 80, zero_deg: 30, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
-""",
-    "esp30x": """
-  driver: esp30x
-  port: /dev/a
-  axes:
-    pan: {number: 1, serial: SN1263, direction: -1, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
-""",
-}
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_every_family_of_stages_can_be_described_and_handed_to_its_driver(family, tmp_path):
-    from drivers.stage.esp import EspAxis
-    from drivers.stage.grbl import GrblAxis
-    from drivers.stage.ximc import XimcAxis
-
-    text = filled_example("example_evk4")
-    before, rest = text.split("stage:\n")
-    path = tmp_path / "b.yaml"
-    path.write_text(before + "stage:" + FAMILIES[family] + "\nlight:\n" + rest.split("light:\n")[1])
-    station = load_station(str(path)).value
-    make = {"ximc": XimcAxis, "grbl": GrblAxis, "esp30x": EspAxis}[family]
-    axes = [
-        make(name=name, limits=axis.limits, **axis.driver_options()) for name, axis in station.axes.items()
-    ]
-    assert axes[0].limits.highest_deg == 9
-    assert axes[0].name == "pan"
-    assert not station.is_simulated
