@@ -3,7 +3,6 @@
 import json
 import shutil
 import threading
-import time
 
 import httpx
 import pytest
@@ -13,7 +12,6 @@ from pages import served
 from bench.align.page_requests import PageFiles
 from bench.align.serve import align_app
 from bench.stations.station import SHIPPED_STATIONS
-from bench.web.guard import PageToken
 
 ONE, TWO = "page-one", "page-two"
 
@@ -100,12 +98,6 @@ def test_a_stream_shows_state_and_pictures_and_the_image_is_fetched(bench, page)
     assert image.content[:2] == b"\xff\xd8"
 
 
-def test_opening_pages_moves_nothing(bench, page):
-    time.sleep(0.3)
-    assert bench[2].stage.calls == []
-    assert bench[2].light.calls == []
-
-
 def test_one_page_holds_the_controls_and_another_may_take_them(bench, page):
     _, session, devices = bench
     two = Page(bench[0], TWO)
@@ -142,17 +134,6 @@ def test_every_page_may_stop(bench, page):
     assert answer.status_code == 200
     assert "stop" in devices.stage.calls
     assert not session.bench.stage.moving
-
-
-def test_closing_the_page_stops_its_motion(bench, page):
-    _, _, devices = bench
-    page.do("jog", steps_deg={"pan": 5.0})
-    page.do("jog", steps_deg={"pan": 5.0})
-    began_s = time.monotonic()
-    page.close()
-    wait_until(lambda: "stop" in devices.stage.calls)
-    assert time.monotonic() - began_s < 1.0
-    wait_until(lambda: not bench[1].bench.stage.moving)
 
 
 def test_the_end_of_a_stream_is_enough_even_while_heartbeats_come(bench, page):
@@ -214,35 +195,6 @@ def test_a_request_without_page_foreign_host_or_origin_is_refused(bench):
     )
     assert httpx.get(url + "state", headers={"Host": "bench.example.org"}).status_code == 421
     assert devices.stage.calls == []
-
-
-def test_a_token_is_asked_for(tmp_path):
-    session, devices = fake_session()
-    with served(align_app(session), token=PageToken("a-long-enough-token")) as server:
-        origin = {"Origin": server.url.rstrip("/")}
-        assert httpx.get(server.url + "state").status_code == 401
-        answer = httpx.post(server.url + "do/stop", json={"page": ONE}, headers=origin)
-        assert answer.status_code == 401
-        assert (
-            httpx.post(server.url + "sign-in", json={"token": "wrong-token-here"}, headers=origin).status_code
-            == 403
-        )
-        good = {"Authorization": "Bearer a-long-enough-token"}
-        assert httpx.get(server.url + "state", headers=good).status_code == 200
-    assert devices.stage.calls == []
-
-
-def test_a_change_is_shown_first_then_written(bench, page, tmp_path):
-    page.do("light", level_percent=50.0)
-    shown = page.do("propose", kind="station", what=["light"]).json()["result"]
-    assert "+  high_v: 2.5" in shown["difference"]
-    assert "high_v: 5" in (tmp_path / "bench.yaml").read_text()
-    assert "changed since" in page.refused("write", kind="station", what=["light"], mark="0")
-    page.do("light", level_percent=40.0)
-    assert "changed since" in page.refused("write", kind="station", what=["light"], mark=shown["mark"])
-    shown = page.do("propose", kind="station", what=["light"]).json()["result"]
-    assert page.do("write", kind="station", what=["light"], mark=shown["mark"]).status_code == 200
-    assert "high_v: 2\n" in (tmp_path / "bench.yaml").read_text()
 
 
 def test_the_present_pose_goes_into_a_copy_of_a_shipped_sequence(bench, page, tmp_path):

@@ -5,7 +5,6 @@ import pytest
 
 from bench.align.focus import FocusCourse, FocusFigures, measure_focus, tilt_of
 from calib.stars.beam import find_beam
-from calib.stars.focus import coarse_detail
 from calib.stars.quick import find_stars_quickly
 from simulators.optics.picture import TARGET
 from tests.support.live_slices import bench, fired, seen
@@ -35,13 +34,6 @@ def test_regions_show_a_tilted_field():
     assert found.tilt.index("right") < found.tilt.index("left")
 
 
-def test_an_even_field_has_no_tilt():
-    found = figures_of(fired(seen(bench())))
-    assert found.tilt == ""
-    assert len(found.regions) == 5
-    assert max(found.regions.values()) - min(found.regions.values()) < 0.12
-
-
 def test_tilt_needs_both_sides():
     assert tilt_of({"top left": 2.0, "top right": None, "bottom left": 2.0, "bottom right": None}) == ""
     assert "at the top" in tilt_of(
@@ -66,12 +58,6 @@ def test_the_course_keeps_the_best_but_no_single_outlier():
     course.forget()
     assert course.best_edge_width_px is None
     assert course.best_sharpness is None
-
-
-def test_the_coarse_detail_falls_all_the_way_out():
-    lit = find_beam(fired(seen(bench()))).lit
-    found = [coarse_detail(fired(seen(bench(circle_px=float(circle)))), lit) for circle in (20, 30, 40, 60)]
-    assert (np.diff(found) < -0.1 * np.array(found[:-1])).all(), found
 
 
 def course_of(widths):

@@ -186,15 +186,6 @@ def test_missing_sync_and_a_wrong_frequency(folder, tmp_path):
     assert len(other.stars) > 200
 
 
-def test_a_slice_of_one_period_shows_stars_but_no_frequency(tmp_path):
-    share = seen(bench())
-    path = write_slice(tmp_path / "short.raw", share, periods=0, triggers=False)
-    _, figures = figures_of(path)
-    assert figures.image_kind == "fired-per-edge"
-    assert len(figures.stars) > 200
-    assert (figures.signal.trigger_hz, figures.signal.event_hz) == (None, None)
-
-
 def test_far_out_of_focus(tmp_path):
     reading = {"pan": 4.0}
     nothing = write_slice(tmp_path / "nothing.raw", seen(bench(circle_px=30.0), **reading))

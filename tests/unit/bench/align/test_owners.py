@@ -22,15 +22,6 @@ def owners():
     return made
 
 
-def test_the_first_page_gets_the_controls_and_the_second_does_not(owners):
-    owners.enter("one", "Firefox at 127.0.0.1")
-    owners.enter("two", "Chrome at 127.0.0.1")
-    owners.require("one")
-    with pytest.raises(ControlRefused, match=r"Page 1 \(Firefox at 127.0.0.1\) has the controls"):
-        owners.require("two")
-    assert owners.as_data()["pages"]["two"]["number"] == 2
-
-
 def test_controls_of_a_closed_page_are_free(owners):
     owners.enter("one", "")
     owners.enter("two", "")

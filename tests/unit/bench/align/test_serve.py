@@ -128,8 +128,3 @@ def test_a_station_without_a_light_is_named_before_anything_opens(tmp_path):
     path.write_text("format: starbench/station/1\nname: A\n")
     with pytest.raises(DocumentFaults, match="light"):
         serve.make_session(str(path))
-
-
-def test_other_computers_need_a_token():
-    with pytest.raises(UsageError, match="need a token"):
-        serve.align_on_page("simulated", token=None, host="0.0.0.0", open_browser=False)

@@ -2,7 +2,6 @@
 
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from align_fakes import FakeDevices, FakeStage, fake_session, wait_until
@@ -304,18 +303,6 @@ def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opene
     assert not session.is_open
 
 
-def test_a_device_that_does_not_confirm_is_named_and_the_others_are_made_safe():
-    session, devices = fake_session()
-    session.open()
-    session.light(on=True)
-    devices.stage.stop_fails = True
-    confirmed = {one.device: one for one in session.close()}
-    assert not confirmed["stage"].safe
-    assert "NOT CONFIRMED" in confirmed["stage"].text
-    assert confirmed["light"].safe
-    assert not devices.light.lit
-
-
 def test_a_camera_that_was_lost_confirms_nothing():
     session, devices = fake_session()
     session.open()
@@ -352,14 +339,6 @@ def test_a_device_that_fails_during_opening_closes_the_others():
     session, _ = fake_session(devices)
     assert session.open().kind == "CameraLost"
     assert devices.closed
-
-
-def test_nothing_is_left_in_the_temporary_folder_after_a_fault(opened, tmp_path):
-    session, devices = opened
-    wait_until(lambda: devices.camera.paths)
-    folder: Path = devices.camera.paths[0].parent
-    session.close()
-    assert not folder.exists()
 
 
 def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):

@@ -7,19 +7,15 @@ import shlex
 import sqlite3
 import subprocess
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
 import click
 import pytest
 
 from bench.base.errors import StorageError
-from bench.batch.batch_plan import plan_batch
 from bench.commands.cli import cli, main
 from bench.commands.output import print_error
 from bench.commands.runs import signed
-from sequences.queue import Queue
-from sequences.reader import check_document
 
 RUN_COMMANDS = [
     ("resume",),
@@ -146,15 +142,6 @@ def test_a_call_in_the_documents_uses_existing_arguments_and_options(line):
     check_words(line)  # what a document leaves out, as PATH or --station, stands before it in the text
 
 
-@pytest.mark.parametrize("document", [ROOT / "docs" / "batches.md"], ids=lambda path: path.name)
-def test_a_queue_in_the_documents_can_be_planned(document):
-    shown = re.findall(r"```yaml\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(shown) == 2
-    for text in shown:
-        queue = check_document(text.encode(), "shown", Queue).value
-        assert plan_batch(queue, datetime(2026, 3, 1, 18, tzinfo=UTC)).slots
-
-
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
 def test_a_missing_run_folder_is_an_invalid_argument(say, words):
     status, _, said = say(words[0], "nowhere", *words[1:])
@@ -275,15 +262,6 @@ def test_with_json_an_invalid_argument_is_an_object_too(say, words):
     assert json.loads(out)["error"]["message"] in said.replace("Error: ", "")
 
 
-def test_a_closed_pipe_is_not_an_error():
-    reading, writing = os.pipe()
-    os.close(reading)
-    with os.fdopen(writing, "wb") as pipe:
-        command = [sys.executable, "-m", "bench", "schema", "sequence"]
-        said = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, check=False)
-    assert (said.returncode, said.stderr) == (0, b"")
-
-
 def test_characters_that_a_stream_cannot_show_are_replaced():
     program = "from bench.terminal.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
@@ -316,15 +294,6 @@ def test_a_batch_is_refused_on_systems_other_than_linux(say, monkeypatch, tmp_pa
     assert "only on Linux" in said
     assert "starbench run" in said
     assert not (tmp_path / "out").exists()
-
-
-def test_a_message_is_printed_in_latin_1():
-    command = [sys.executable, "-m", "bench", "run", "three_pose", "-s", "nö≤李where"]
-    said = subprocess.run(
-        command, cwd=ROOT, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, capture_output=True, check=False
-    )
-    assert said.returncode == 2
-    assert said.stderr.decode("latin-1").startswith("starbench: nö<=?where: ")
 
 
 def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
@@ -373,12 +342,6 @@ def test_a_value_that_does_not_fit_its_word_is_an_invalid_argument(say, tmp_path
     status, out, err = say("tell", tmp_path, *words)
     assert (status, out) == (2, "")
     assert what in err
-
-
-def test_the_usage_of_a_batch_names_the_command_that_the_help_lists(say, tmp_path):
-    (tmp_path / "night.yaml").write_text("")
-    _, _, err = say("batch", "night.yaml")
-    assert "Usage: starbench batch [OPTIONS] QUEUE" in err
 
 
 @pytest.mark.parametrize("words", [("plan", "three_pose"), ("run", "three_pose")])

@@ -123,35 +123,12 @@ def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points
     assert told["seen_from"]["scale"] > 0.001
 
 
-def test_the_rotation_between_two_cameras_of_a_rig_has_no_translation(capsys, points, tmp_path):
-    folder, _ = points
-    # The second camera stands on its head: every image point and the principal point mirrored through the middle.
-    for file in folder.iterdir():
-        rows = np.loadtxt(file)
-        rows[:, 0], rows[:, 1] = 1280 - rows[:, 0], 720 - rows[:, 1]
-        np.savetxt(tmp_path / file.name, rows)
-    told = json.loads(out_of(capsys, "rig", folder, tmp_path, "--image-size", "1280x720", "--json"))
-    assert np.abs(told["vector_deg"][2]) == pytest.approx(180.0, abs=0.05)
-    assert np.array(told["rotation"]) == pytest.approx(np.diag([-1.0, -1.0, 1.0]), abs=1e-3)
-    assert told["views"] == [f"view{i}" for i in range(1, 6)]
-    assert told["translation"] is None
-    assert 0 < max(told["sigma_arcsec"]) < 400
-    shown = out_of(capsys, "rig", folder, tmp_path, "--image-size", "1280x720", "--views", "1,2")
-    assert "cannot be measured through a collimator: no translation is given" in shown
-
-
-def test_cameras_that_saw_different_poses_are_refused_as_a_rig(capsys, points, tmp_path):
-    for file in points[0].iterdir():
-        (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
-    said = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
-    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in said
-
-
 def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
     monkeypatch.setattr("bench.results.offline.calibrate", lambda *_: pytest.fail("calibrated"))
-    assert "share no pose" in refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
+    said = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
+    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in said
 
 
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):

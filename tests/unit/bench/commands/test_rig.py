@@ -77,6 +77,8 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
         out_of(capsys, "rig", *stars, "--boards", folder / "left", folder / "right", *BOARD, "--json")
     )
     assert turned["translation"] is None
+    shown = out_of(capsys, "rig", *stars, "--image-size", "1280x720", "--views", "1,2")
+    assert "cannot be measured through a collimator: no translation is given" in shown
     assert len(both["views"]) == 4
     assert len(both["boards"]) == 10
     assert max(both["sigma_arcsec"]) < 0.8 * max(turned["sigma_arcsec"])

@@ -86,18 +86,6 @@ def test_a_shorter_file_is_read_again(run):
     assert begins == [1, 1]
 
 
-def test_another_file_of_the_same_name_is_read_from_its_begin(run, tmp_path):
-    run.write("left_off", state="idle")
-    tail, begins = _tail(run)
-    tail.read()
-    other = MadeRun(tmp_path / "other")
-    for _ in range(4):
-        other.write("left_off", state="idle")
-    other.path.replace(run.path)
-    assert len(tail.read()) == 4
-    assert begins == [1, 1]
-
-
 def test_a_missing_file_is_a_fault_until_it_is_there(run):
     tail, _ = _tail(run)
     run.path.unlink()

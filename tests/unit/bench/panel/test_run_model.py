@@ -143,15 +143,6 @@ def test_a_killed_run_is_not_called_safe(run):
     assert "Nothing in its journal says how it left the bench" in head["leave"]["text"]
 
 
-def test_a_run_that_needs_nobody_can_be_left(run):
-    run.record(1)
-    assert _head(run)["leave"] == {
-        "safe": True,
-        "text": "The run needs nobody until its end.",
-        "until_utc": "",
-    }
-
-
 def test_a_question_ahead_ends_the_time_alone(tmp_path):
     run = MadeRun(tmp_path / "run", prompt=True).begin()
     run.record(1)
@@ -240,18 +231,6 @@ def test_without_a_plan_the_page_says_so(run):
     assert "plan.json is damaged" in head["faults"][0]
     assert head["left_s"] is None
     assert head["accepted"] == 1
-
-
-def test_a_journal_that_became_shorter_is_read_again(run):
-    run.record(1)
-    model = _read(run)
-    generation = model.generation
-    lines = run.path.read_bytes().splitlines(keepends=True)
-    run.path.write_bytes(b"".join(lines[:4]))
-    while model.refresh():
-        pass
-    assert model.generation == generation + 1
-    assert _states(model) == ["planned"] * 3
 
 
 def test_a_folder_without_a_process_is_looked_at(tmp_path):

@@ -147,6 +147,15 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
         ("\xff", "The file is not a passport"),
         ('{"schema": "starbench/results/1"}', "its schema is 'starbench/results/1'"),
         ("1" * 1_000_001, "The file is too large for a passport."),
+        (json.dumps(Passport.of_radius(-255.0, 0.05, {}).to_dict()), "radius r is not positive"),
+        (
+            json.dumps(
+                Passport.of_radius(255, 0.1).to_dict()
+                | {"names": ["r", "wobble"], "values": [255, 1], "covariance": [[1, 0], [0, 1]]}
+                | {"reference": [1, 2, 3]}
+            ),
+            "unknown parameter 'wobble'",
+        ),
     ],
 )
 def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path, content, said):
@@ -155,17 +164,8 @@ def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path
     (fault,) = bench("{passport: p.json}").faults
     assert (fault.line, fault.column, fault.path) == (12, 23, "steps[8].solve.passport")
     assert said in fault.message
-
-
-def test_a_folder_a_negative_radius_and_an_unknown_term_are_no_passports(bench, tmp_path):
     (tmp_path / "a" / "folder").mkdir()
     assert "This is a folder, not a passport file." in str(bench("{passport: folder}").faults)
-    write(tmp_path / "a" / "p.json", -255.0)
-    assert "radius r is not positive" in str(bench("{passport: p.json}").faults)
-    found = Passport.of_radius(255, 0.1).to_dict()
-    found |= {"names": ["r", "wobble"], "values": [255, 1], "covariance": [[1, 0], [0, 1]]}
-    (tmp_path / "a" / "p.json").write_text(json.dumps(found | {"reference": [1, 2, 3]}))
-    assert "unknown parameter 'wobble'" in str(bench("{passport: p.json}").faults)
 
 
 def test_a_passport_of_another_collimator_is_a_fault_unless_it_is_accepted(bench, tmp_path):

@@ -36,11 +36,6 @@ def planned(tmp_path, until, *, station="simulated", more=""):
     return make_plan(*load_documents(str(path), str(station)))
 
 
-def test_the_shipped_sequence_has_no_fault(plan):
-    assert plan.faults == ()
-    assert (len(plan.poses), plan.most_poses) == (3, 25)
-
-
 def test_it_is_described_in_two_lines_with_the_longest_time(plan):
     text = render_plan(plan)
     assert "choose and record up to 22 poses, at most 20 min" in text

@@ -9,6 +9,7 @@ from filled_stations import filled_example
 from bench.base.clock import BenchClock
 from bench.stations.devices import Devices
 from bench.stations.station import Station
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
@@ -80,6 +81,13 @@ DEVICES = [
         (Path("tapes/monday"),),
         {"serial": "0005"},
     ),
+    (
+        "camera: {driver: opencv, source: /dev/video3, serial: A7}",
+        OpenCvFrameCamera,
+        ("/dev/video3",),
+        {"serial": "A7", "shown_as": ""},
+    ),
+    ("camera: {driver: pictures, path: a/b, serial: A7}", FolderFrameCamera, (Path("a/b"),), {"serial": "A7"}),
 ]  # fmt: skip
 DRIVERS = (MetavisionEvk4, *(driver for _, driver, _, _ in DEVICES))
 

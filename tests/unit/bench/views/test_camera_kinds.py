@@ -1,22 +1,18 @@
 """What a run does differently for a frame camera: light, settings, gates, plan."""
 
 from dataclasses import asdict, replace
-from pathlib import Path
 from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
 
-from bench.base.clock import BenchClock
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
-from bench.stations import devices
 from bench.stations.station import SHIPPED_STATIONS, Station
 from bench.views.camera_kinds import EventKind, FrameKind, camera_kind
 from bench.views.measure import Measurement, frame_gates, frame_rejection_reasons, measure_frames
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
-from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings, write_frames
 from sequences.reader import check_document
 from sequences.script import Gates, LightStep
@@ -81,26 +77,6 @@ def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
     assert {f.message for f in for_events.faults} == {
         "an event camera does not see a steady light: let it flicker (waveform: square)."
     }
-
-
-@pytest.mark.parametrize(
-    ("camera", "driver", "given", "named"),
-    [
-        (
-            "driver: opencv\n  source: /dev/video3\n  serial: A7",
-            OpenCvFrameCamera,
-            ("/dev/video3",),
-            {"shown_as": ""},
-        ),
-        ("driver: pictures\n  path: a/b\n  serial: A7", FolderFrameCamera, (Path("a/b"),), {}),
-    ],
-)
-def test_each_frame_camera_s_driver_gets_what_the_file_says(monkeypatch, camera, driver, given, named):
-    double = create_autospec(driver.open)
-    monkeypatch.setattr(driver, "open", double)
-    clock = BenchClock()
-    assert devices.open_camera(station_of(camera), str, clock) is double.return_value
-    double.assert_called_once_with(*given, serial="A7", clock=clock, **named)
 
 
 def test_the_settings_of_a_station_reach_its_camera():

@@ -216,19 +216,6 @@ def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
         kept.view(recording, OPTIONS, find)
 
 
-def test_a_recording_without_stars_is_not_kept(kept, recording):
-    calls = []
-
-    def find():
-        calls.append(1)
-        raise ValueError("no stars")
-
-    for _ in range(2):
-        with pytest.raises(ValueError, match="no stars"):
-            kept.view(recording, OPTIONS, find)
-    assert len(calls) == 2
-
-
 def test_the_version_of_the_detector_covers_all_that_finds_stars():
     """Every module of ours that a detector imports is part of the hash, or has no influence on a view."""
     without_influence = {

@@ -1,0 +1,23 @@
+"""A cluster of two workers."""
+
+import os
+import sys
+
+import pytest
+
+
+@pytest.fixture
+def cluster(monkeypatch, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    path = os.pathsep.join(one for one in sys.path if one)
+    monkeypatch.setenv("PYTHONPATH", path)
+    made = distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        local_directory=str(tmp_path),
+    )
+    yield made
+    made.close(timeout=5)
