@@ -102,29 +102,16 @@ FAULTS = (
     Fault("stage unplugged", ("stage.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
     Fault("light unplugged", ("light.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
     Fault("camera unplugged", ("camera.", "open"), raising(CameraLost("gone")), FAILED, lasts=True),
-    Fault(
-        "stage lost for 20 s, interlock `device_lost`",
-        ("stage.", "open"),
-        _back_after(PortLost("gone"), 20),
-        FINISHED,
-        True,
-        LOST,
-    ),
-    Fault(
-        "light lost for 20 s, interlock `device_lost`",
-        ("light.", "open"),
-        _back_after(PortLost("gone"), 20),
-        FINISHED,
-        True,
-        LOST,
-    ),
-    Fault(
-        "camera lost for 20 s, interlock `device_lost`",
-        ("camera.", "open"),
-        _back_after(CameraLost("gone"), 20),
-        FINISHED,
-        True,
-        LOST,
+    *(
+        Fault(
+            f"{device} lost for 20 s, interlock `device_lost`",
+            (f"{device}.", "open"),
+            _back_after(error("gone"), 20),
+            FINISHED,
+            True,
+            LOST,
+        )
+        for device, error in (("stage", PortLost), ("light", PortLost), ("camera", CameraLost))
     ),
     Fault(
         "stage lost permanently, interlock `device_lost`",

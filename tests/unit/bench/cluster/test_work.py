@@ -16,7 +16,7 @@ def ends(workers, *works):
     for work in works:
         workers.submit(work)
     found = {}
-    until = time.monotonic() + 60
+    until = time.monotonic() + 90
     while len(found) < len(works):
         assert time.monotonic() < until, found
         for end in workers.finished(0.5):
@@ -84,6 +84,9 @@ def test_workers_that_die_are_replaced_and_their_work_is_done(workers, tmp_path)
     pid = ends(workers, Work("pid", cluster_work.rest, (0.01,)))["pid"].value
     os.kill(pid, signal.SIGKILL)
     assert ends(workers, Work("after", cluster_work.double, (21,)))["after"].value == 42
+
+
+def test_work_with_which_every_worker_dies_fails(workers):
     assert ends(workers, Work("dies", cluster_work.die, ()))["dies"].failure.kind == "WorkerDied"
 
 

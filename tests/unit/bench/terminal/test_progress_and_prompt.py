@@ -31,13 +31,6 @@ class Typed(Terminal):
         return line
 
 
-YES = Reply("continue", "operator")
-
-
-def nothing(_):
-    pass
-
-
 def wait_until(done):
     deadline = time.monotonic() + 30
     while not done():
@@ -103,117 +96,6 @@ class Night(VirtualClock):
         super().__init__(datetime(2026, 3, 1, 20, tzinfo=UTC))
 
 
-def test_where_nobody_is_there_the_default_counts_after_the_time_out():
-    said, clock = [], Night()
-    reply = ask(
-        "Cap on?", default="abort", timeout_s=600, clock=clock, say=said.append, terminal=io.StringIO()
-    )
-    assert (reply.word, reply.by) == ("abort", "time-out")
-    assert "Cap on?" in said[0]
-    assert 600 <= clock.monotonic() < 601
-
-
-def test_an_answer_from_another_terminal_counts_at_once():
-    said, clock = [], Night()
-    reply = ask(
-        "Cap on?",
-        default="abort",
-        timeout_s=600,
-        clock=clock,
-        say=said.append,
-        terminal=io.StringIO(),
-        elsewhere=lambda: Reply("continue", "ada") if clock.monotonic() > 30 else None,
-    )
-    assert (reply.word, reply.by) == ("continue", "ada")
-    assert clock.monotonic() < 31
-    assert said[1:] == ["ada: continue"]
-
-
-def test_the_default_counts_after_the_time_out(monkeypatch):
-    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([], [], []))
-    clock = BenchClock()
-    reply = ask(
-        "Go?", default="continue", timeout_s=0.05, clock=clock, say=lambda _: None, terminal=Terminal()
-    )
-    assert (reply.word, reply.by) == ("continue", "time-out")
-
-
-@pytest.mark.parametrize(
-    ("typed", "word"),
-    [("a\n", "abort"), ("continue\n", "continue"), ("what\nn\n", "abort"), ("\n", "continue")],
-)
-def test_the_operators_word_counts(monkeypatch, typed, word):
-    terminal = Terminal(typed)
-    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([terminal], [], []))
-    reply = ask(
-        "Go?", default="continue", timeout_s=60, clock=BenchClock(), say=lambda _: None, terminal=terminal
-    )
-    assert (reply.word, reply.by) == (word, "operator")
-
-
-@pytest.mark.parametrize("default", ["abort", "continue"])
-def test_an_empty_line_is_the_default(monkeypatch, default):
-    terminal = Terminal("\n")
-    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([terminal], [], []))
-    reply = ask("Go?", default=default, timeout_s=60, clock=Night(), say=lambda _: None, terminal=terminal)
-    assert (reply.word, reply.by) == (default, "operator")
-
-
-@pytest.mark.parametrize("waits_for_terminals", [True, False])
-def test_a_terminal_that_was_closed_answers_nothing(monkeypatch, waits_for_terminals):
-    terminal, said = Terminal(""), []
-    if waits_for_terminals:
-        monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([terminal], [], []))
-    reply = ask("Go?", default="abort", timeout_s=1, clock=BenchClock(), say=said.append, terminal=terminal)
-    assert (reply.word, reply.by) == ("abort", "time-out")
-    assert "starbench tell" in said[-1]
-
-
-@pytest.mark.parametrize(("typed", "word"), [("a\n", "abort"), ("what\nyes\n", "continue")])
-def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
-    # A StringIO is no file: select refuses it, as Windows' refuses the console.
-    reply = ask(
-        "Go?",
-        default="continue",
-        timeout_s=60,
-        clock=BenchClock(),
-        say=lambda _: None,
-        terminal=Terminal(typed),
-    )
-    assert (reply.word, reply.by) == (word, "operator")
-
-
-def test_what_a_thread_read_before_the_question_does_not_count():
-    reading, writing = os.pipe()
-    with os.fdopen(reading) as lines, os.fdopen(writing, "w", buffering=1) as keyboard:
-        terminal = Typed(lines)
-        keyboard.write("y\n")
-        assert (
-            ask("Cap on?", default="abort", timeout_s=60, clock=BenchClock(), say=nothing, terminal=terminal)
-            == YES
-        )
-        keyboard.write("y\n")
-        wait_until(lambda: terminal.read == 2)
-        asked = ask(
-            "Cap off?", default="abort", timeout_s=0.5, clock=BenchClock(), say=nothing, terminal=terminal
-        )
-        assert asked == Reply("abort", "time-out")
-
-
-def test_without_standard_input_the_default_counts(monkeypatch):
-    monkeypatch.setattr("sys.stdin", None)
-    reply = ask("Go?", default="abort", timeout_s=1, clock=Night(), say=lambda _: None)
-    assert (reply.word, reply.by) == ("abort", "time-out")
-
-
-def test_a_stop_ends_the_question(monkeypatch):
-    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: ([], [], []))
-    clock = BenchClock()
-    clock.request_stop("SIGTERM received")
-    with pytest.raises(Aborted, match="SIGTERM"):
-        ask("Go?", default="continue", timeout_s=60, clock=clock, say=lambda _: None, terminal=Terminal())
-
-
 def test_a_shielded_clock_is_not_interrupted():
     clock = BenchClock()
     clock.request_stop("first reason")
@@ -223,6 +105,102 @@ def test_a_shielded_clock_is_not_interrupted():
         clock.check()
     with pytest.raises(Aborted, match="first reason"):
         clock.check()
+
+
+def asked(terminal, *, default="abort", timeout_s=60.0, clock=None, say=lambda _: None, **more):
+    """Ask at a terminal; return the word of the reply, and who gave it."""
+    clock = clock or BenchClock()
+    reply = ask("Go?", default=default, timeout_s=timeout_s, clock=clock, say=say, terminal=terminal, **more)
+    return reply.word, reply.by
+
+
+@pytest.fixture
+def selected(monkeypatch):
+    """What `select` says is ready to be read."""
+    ready = []
+    monkeypatch.setattr("bench.terminal.progress.select.select", lambda *_: (ready, [], []))
+    return ready
+
+
+def test_where_nobody_is_there_the_default_counts_after_the_time_out():
+    said, clock = [], Night()
+    assert asked(io.StringIO(), timeout_s=600, clock=clock, say=said.append) == ("abort", "time-out")
+    assert "Go?" in said[0]
+    assert 600 <= clock.monotonic() < 601
+
+
+def test_an_answer_from_another_terminal_counts_at_once():
+    said, clock = [], Night()
+
+    def elsewhere():
+        return Reply("continue", "ada") if clock.monotonic() > 30 else None
+
+    found = asked(io.StringIO(), timeout_s=600, clock=clock, say=said.append, elsewhere=elsewhere)
+    assert found == ("continue", "ada")
+    assert clock.monotonic() < 31
+    assert said[1:] == ["ada: continue"]
+
+
+@pytest.mark.usefixtures("selected")
+def test_the_default_counts_after_the_time_out_of_a_terminal_without_an_answer():
+    assert asked(Terminal(), default="continue", timeout_s=0.05) == ("continue", "time-out")
+
+
+ANSWERS = [("a\n", "abort"), ("continue\n", "continue"), ("what\nn\n", "abort"), ("what\nyes\n", "continue")]
+
+
+@pytest.mark.parametrize("default", ["abort", "continue"])
+@pytest.mark.parametrize(("typed", "word"), [*ANSWERS, ("\n", None)])
+def test_the_operators_word_counts_and_an_empty_line_is_the_default(selected, typed, word, default):
+    selected.append(Terminal(typed))
+    assert asked(selected[0], default=default) == (word or default, "operator")
+
+
+@pytest.mark.parametrize(("typed", "word"), ANSWERS)
+def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
+    # A StringIO is no file: select refuses it, as Windows' refuses the console.
+    assert asked(Terminal(typed), default="continue") == (word, "operator")
+
+
+@pytest.mark.parametrize("waits_for_terminals", [True, False])
+def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals):
+    terminal, said = Terminal(""), []
+    if waits_for_terminals:
+        request.getfixturevalue("selected").append(terminal)
+    assert asked(terminal, timeout_s=1, say=said.append) == ("abort", "time-out")
+    assert "starbench tell" in said[-1]
+
+
+def test_what_a_thread_read_before_the_question_does_not_count():
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as lines, os.fdopen(writing, "w", buffering=1) as keyboard:
+        terminal = Typed(lines)
+        keyboard.write("y\n")
+        assert asked(terminal) == ("continue", "operator")
+        keyboard.write("y\n")
+        wait_until(lambda: terminal.read == 2)
+        assert asked(terminal, timeout_s=0.5) == ("abort", "time-out")
+
+
+def test_what_was_typed_before_the_question_does_not_count():
+    keyboard, screen = os.openpty()
+    with os.fdopen(screen) as terminal:
+        os.write(keyboard, b"y\n")
+        assert asked(terminal, timeout_s=1) == ("abort", "time-out")
+    os.close(keyboard)
+
+
+def test_without_standard_input_the_default_counts(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    assert asked(None, timeout_s=1, clock=Night()) == ("abort", "time-out")
+
+
+@pytest.mark.usefixtures("selected")
+def test_a_stop_ends_the_question():
+    clock = BenchClock()
+    clock.request_stop("SIGTERM received")
+    with pytest.raises(Aborted, match="SIGTERM"):
+        asked(Terminal(), clock=clock)
 
 
 class Unplugged(io.StringIO):
@@ -236,17 +214,6 @@ def test_a_terminal_that_has_gone_does_not_end_the_run():
         progress.say("still here")
         progress.done(2.0)
     assert progress.left_s() == 3.0
-
-
-def test_what_was_typed_before_the_question_does_not_count():
-    keyboard, screen = os.openpty()
-    with os.fdopen(screen) as terminal:
-        os.write(keyboard, b"y\n")
-        asked = ask(
-            "Cap on?", default="abort", timeout_s=1, clock=BenchClock(), say=nothing, terminal=terminal
-        )
-        assert asked == Reply("abort", "time-out")
-    os.close(keyboard)
 
 
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])
