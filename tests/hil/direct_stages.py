@@ -51,7 +51,8 @@ class VirtualClock:
 class DirectLine:
     """A port without a terminal: bytes pass to the simulated device and back in no time.
 
-    To orders for faults it is the device's end of the line, which can be pulled out, as well.
+    It keeps what was sent. It can lose requests, change replies, and let something happen before a request. To orders
+    for faults it is the device's end of the line, which can be pulled out, as well.
     """
 
     name = "direct"
@@ -61,17 +62,23 @@ class DirectLine:
         self.device = device
         self.clock = clock
         self.baud = device.baud
-        self.writes = 0
+        self.sent: list[bytes] = []
         self.ready = b""
         self.plugged = True
+        self.closed = False
+        self.lose: Callable[[bytes], bool] = lambda _request: False
+        self.spoil: Callable[[bytes], bytes] = lambda reply: reply
+        self.before: Callable[[bytes], None] = lambda _request: None
 
     def write(self, data: bytes) -> None:
+        self.sent.append(data)
+        self.before(data)
+        if self.lose(data):
+            return
         self._see_the_plug()
-        self.writes += 1
-        if self.device.baud != self.baud:
-            self.ready += bytes(0x80 | byte for byte in data)
-        else:
-            self.ready += self.device.receive(data)
+        alike = self.device.baud == self.baud
+        reply = self.device.receive(data) if alike else bytes(0x80 | byte for byte in data)
+        self.ready += self.spoil(reply) if reply else b""
 
     def read(self, timeout_s: float) -> bytes:
         end_s = self.clock.now_s + timeout_s
@@ -98,30 +105,6 @@ class DirectLine:
 
     def between_exchanges(self, act) -> None:
         act()
-
-    def close(self) -> None:
-        """Nothing to give back."""
-
-
-class Listening(DirectLine):
-    """A line that keeps what was sent. It can lose requests, change replies, and let something happen before a request."""
-
-    def __init__(self, *args) -> None:
-        super().__init__(*args)
-        self.sent: list[bytes] = []
-        self.closed = False
-        self.lose: Callable[[bytes], bool] = lambda _request: False
-        self.spoil: Callable[[bytes], bytes] = lambda reply: reply
-        self.before: Callable[[bytes], None] = lambda _request: None
-
-    def write(self, data: bytes) -> None:
-        self.sent.append(data)
-        self.before(data)
-        if self.lose(data):
-            return
-        waiting, self.ready = self.ready, b""
-        super().write(data)
-        self.ready = waiting + (self.spoil(self.ready) if self.ready else b"")
 
     def lose_next(self, part: bytes, count: int = 1) -> None:
         left = [count]

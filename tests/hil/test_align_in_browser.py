@@ -1,6 +1,5 @@
 """The align page in a real browser: what a person sees, jogs, stops and writes down. Skipped where no Chromium is."""
 
-import re
 import shutil
 import time
 
@@ -213,86 +212,3 @@ def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
     finally:
         confirmed = session.close()
     assert all(item.safe for item in confirmed)
-
-
-def _adviser(one):
-    """Return the advice of pictures, and of a search for stars, that were made after this call."""
-    images, searches = one.tab.evaluate("[alignStats.images, alignStats.searches]")
-    patience_s = time.monotonic() + 4.0  # without light, no stars are searched
-    one.wait(f"alignStats.images >= {images} + 3", 60)
-    wait_until(
-        lambda: one.tab.evaluate("alignStats.searches") >= searches + 3 or time.monotonic() > patience_s, 60
-    )
-    return one.text("#advice")
-
-
-def _edge_px(one):
-    text = one.text("#focus-figures > div:first-child b")
-    return float(text.split()[0]) if text[0].isdigit() else None
-
-
-def _focus(one):
-    """Turn the ring as a person does: on while the edges shrink, back when they grow, in ever smaller steps."""
-    step, best = -5, 99.0
-    for _ in range(40):
-        one.tab.click(f"[data-action='lens turn'] [data-step='{step}']")
-        _adviser(one)
-        width = _edge_px(one) or 99.0
-        if width > best:
-            if abs(step) == 1:
-                break
-            step = -1 if step > 0 else 1
-            width = 99.0
-        best = width
-    assert "Turn the focus ring" not in _adviser(one)
-
-
-@pytest.mark.slow
-def test_following_the_page_alone_leads_from_a_new_camera_to_a_bench_that_is_ready(chromium, tmp_path):
-    """Out of focus, beside the beam, not rolled: a person who does what the advice says ends with green checks."""
-    session = Session(load_station("simulated_unaligned"))
-    assert session.open() is None
-    done = []
-    try:
-        with served(align_app(session, PageFiles(session.station.file, tmp_path))) as server:
-            one = Tab(chromium, server.url)
-            one.wait("alignStats.images > 0", 60)
-            one.tab.click("#home")
-            one.tab.click("#home-now")
-            wait_until(lambda: session.bench.stage.state.homed and not session.bench.stage.moving, 30)
-            for _ in range(15):
-                advice = _adviser(one).splitlines()[0]
-                done.append(advice)
-                if "switch it on" in advice:
-                    one.tab.click("#light-on")
-                    one.wait_text("#light-state", "on", 20)
-                elif level := re.search(r"level to (\d+) %", advice):
-                    one.tab.fill("#level", level[1])
-                    one.tab.click("#light-form button")
-                    _focus(one)
-                elif "Turn the focus ring" in advice:
-                    _focus(one)
-                elif "Turn pan" in advice or "Turn tilt" in advice:
-                    one.tab.click("#turn-there")
-                    wait_until(lambda: not session.bench.stage.moving, 20)
-                elif "Roll the camera" in advice:
-                    for _ in range(2):
-                        one.tab.click("[data-action='mount turn'] [data-step='5']")
-                elif "needs no improvement" in advice:
-                    break
-            assert "needs no improvement" in _adviser(one), done
-            one.tab.click("#check")
-            one.wait_text("#check-note", "ready for a run", 60)
-            one.tab.check("[value=zero]")
-            one.tab.fill("#copy", "aligned")
-            one.tab.click("#propose")
-            one.wait_text("#difference", "+      zero_deg")
-            one.tab.click("#write")
-            wait_until((tmp_path / "aligned.yaml").exists)
-            one.close()
-    finally:
-        confirmed = session.close()
-    assert all(item.safe for item in confirmed)
-    assert any("focus" in advice for advice in done)
-    assert any("Turn pan" in advice for advice in done)
-    assert any("Roll" in advice for advice in done)

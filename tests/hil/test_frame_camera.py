@@ -2,19 +2,14 @@
 
 import json
 import socket
-import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from running import called, end_when, entering, journal, numbers, results, starbench, start
+from running import called, journal, results, starbench
 
-from bench.batch.batch_plan import read_queue
-from bench.batch.rehearsed_night import rehearse_batch
 from bench.stations.station import SHIPPED_STATIONS
 from bench.views.measure import frame_gates, measure_frames
 from calib.target import StarTarget
@@ -22,21 +17,12 @@ from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
-from drivers.errors import CameraBusy, CameraLost, CameraNotFound, RecordingFailed
+from drivers.errors import CameraLost, CameraNotFound, RecordingFailed
 from sequences.script import Gates
 from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS, SimulatedFrameCamera, mean_brightness
 from simulators.world.world import AxisMotion, LightState, World
 
 SEED = 7
-HOLD = """
-import sys
-from drivers.camera.frame_cameras import OpenCvFrameCamera
-from drivers.clock import SystemClock
-
-camera = OpenCvFrameCamera.open(sys.argv[1], clock=SystemClock())
-print("held", flush=True)
-sys.stdin.read()
-"""
 STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
 
 
@@ -73,12 +59,6 @@ def test_a_run_with_a_frame_camera_ends_with_focal_length_and_principal_point_wi
     assert max(size for name, size in errors(told).items() if name not in DISTORTION) <= k
     assert told["passport"]["number"] == "SIM-2026-01"
     assert told["calibration"]["rms_px"] < 0.2  # most of it is the collimator's
-
-
-def test_the_distortion_of_a_frame_camera_lies_within_its_uncertainty(finished):
-    told = results(finished)
-    k = told["calibration"]["coverage_factor"]
-    assert max(size for name, size in errors(told).items() if name in DISTORTION) <= k
 
 
 def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
@@ -121,21 +101,6 @@ def test_bare_pictures_show_the_same_stars(finished, home):
     assert again.returncode == 0, again.stderr
     seen = [view["n"] for view in json.loads(again.stdout)["views"]]
     assert seen == [pose["stars"] for pose in results(finished)["poses"]]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "reached",
-    [entering("recording", 2), lambda line: line["event"] == "capture_stored" and line["pose"] == 2],
-    ids=["recording", "stored"],
-)
-def test_a_killed_run_with_a_frame_camera_resumes_to_the_same_numbers(finished, home, tmp_path, reached):
-    folder = tmp_path / "killed"
-    process = start("run", "three_pose", "-s", "simulated_frames", "--seed", SEED, "-o", folder, home=home)
-    end_when(process, folder, reached)
-    resumed = starbench("resume", folder, home=home)
-    assert resumed.returncode == 0, resumed.stderr
-    assert numbers(folder) == numbers(finished)
 
 
 @pytest.mark.slow
@@ -236,16 +201,6 @@ def test_an_exposure_averages_over_a_flicker():
     assert mean_brightness(LightState(), 0.0, 0.010) == 0.0
 
 
-def test_a_second_process_is_refused_the_camera_until_the_first_is_dead(simulated):
-    command = [sys.executable, "-c", HOLD, simulated.address]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout.readline() == "held\n"
-        with pytest.raises(CameraBusy, match="Another program holds it"):
-            OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
-        holder.kill()
-    OpenCvFrameCamera.open(simulated.address, clock=SystemClock()).close()
-
-
 @pytest.mark.parametrize("frames", [None, 0, 2], ids=["says nothing", "no picture", "two pictures"])
 def test_a_network_camera_that_falls_silent_is_given_up_within_its_deadline(tmp_path, monkeypatch, frames):
     monkeypatch.setattr(frame_cameras, "START_S", 1.0)
@@ -294,16 +249,6 @@ def test_a_source_that_is_not_there_is_told_in_our_words_alone(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_night_of_a_frame_camera_can_be_rehearsed(tmp_path):
-    queue = tmp_path / "queue.yaml"
-    jobs = "jobs:\n  - {name: a, sequence: three_pose, station: simulated_frames}\n"
-    queue.write_text(f"format: starbench/queue/1\nname: Frames\n{jobs}")
-    begin = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)
-    rehearse_batch(read_queue(queue), tmp_path / "night", begin=begin, seed=1, say=lambda _: None)
-    ended = journal(tmp_path / "night" / "runs" / "a-001")[-1]
-    assert (ended["event"], ended["how"]) == ("run_ended", "finished")
-
-
 FAULTS = {
     "unplug": (CameraLost, "cannot open the video source|sends no more frames"),
     "silence": (CameraLost, "cannot open the video source|sends no more frames"),
@@ -326,18 +271,3 @@ def test_each_fault_of_the_camera_is_noticed_and_over_when_it_is_mended(
     simulated.inject_fault("mend")
     camera.capture(tmp_path / "after.tif", 2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["after.tif", "before.tif"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["unplug", "frozen"])
-def test_a_fault_in_mid_run_ends_it_in_our_words_and_safely(tmp_path, home, fault):
-    text = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text()
-    station = tmp_path / "station.yaml"
-    order = f"faults: [{{device: frame-camera, fault: {fault}, after_s: 11}}]"
-    station.write_text(text.replace("simulation:\n", f"simulation:\n  {order}\n"))
-    folder = tmp_path / "run"
-    said = starbench("run", "nine_pose", "-s", station, "-o", folder, home=home)
-    assert said.returncode == 1
-    assert "Traceback" not in said.stderr
-    assert "light: confirmed safe: it was read back as off." in said.stderr
-    assert not (folder / "results.json").exists()

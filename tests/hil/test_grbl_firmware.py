@@ -200,86 +200,29 @@ class SimulatedBoard:
         return said.decode()
 
 
-PLAIN, LONG_S = 0.3, 5.0
-CONVERSATIONS: dict[str, list[str | tuple[str, float]]] = {
-    "lists": ["?", "$$", "$I", "$G", "$X", "?", "$I=x7", "$I", "$", "$#", "$N"],
-    "writing": [
-        *(
-            "$ i",
-            "$Z",
-            "$100",
-            "$100=-1",
-            "$100=q",
-            "$10=1X",
-            "$300=1",
-            "$999=1",
-            "$=5",
-            "$22=0",
-            "$$",
-            "$20=1",
-        ),
-        *("$22=1", "$110=2400.5", "$RST=x", "$J", "$J=", "$X1", "$#1", "$SLPX", "$I1", "$N0", "$Q"),
-    ],
-    "locked": ["G0X-1", "$J=X-1F100", "$C", "!", "~", "\x85", "?", ("\x18", PLAIN), "?", "$N0="],
-    "lines": [
-        *("$X", "", "  ", "(c)", "; c", "G0 X-1(not closed", "g90 G0 x -1 . 0", "/G0X-2", "X" * 79, "X" * 80),
-        *(
-            "G0 X",
-            "G0 XA",
-            "G",
-            "G99",
-            "N5 G0",
-            "G0 Q1",
-            "G90 G91",
-            "G0 G1 X1",
-            "G4",
-            "G4 P-1",
-            "5",
-            "G1.5 X1",
-        ),
-    ],
-    "modes": [
-        "$X",
-        ("G1X-2F600", 0.8),
-        "G91G1X-1F0",
-        "$G",
-        "G91",
-        ("G0X-1", 0.6),
-        "?",
-        "$G",
-        "G90",
-        "$G",
-        ("$J=F600", 1.5),
-        "?",
-    ],
-    "soft limit": ["$X", ("G0X5", 1.0), "?", "$X", ("\x18", 0.6), "?", "$X", "?"],
-    "homing": [
-        ("$H", LONG_S),
-        "?",
-        ("$J=G53X-5Y-3F600", 1.2),
-        "?",
-        "$J=G53X1F600",
-        "$J=X-40F600",
-    ],
-    "check": ["$X", "$C", "?", "G0X-5", "G0Q", "?", "$J=X-5F100", "$H", "$I", "$C", "?"],
-    "sleep": [("$SLP", 1.0), "?", "$I", ("\x18", 2.0), "?"],
-    "reset in motion": ["$X", ("G0X-20F600", 0.15), ("\x18", 1.2), "$J=X-3F600"],
-    "reset in homing": [("$H", LONG_S), ("$J=G53X-20F2400", 1.5), ("$H", 0.2), ("\x18", 1.2)],
-    "busy": [
-        ("$H", LONG_S),
-        ("G1X-20F300", 0.05),
-        "$I",
-        "$$",
-        "$#",
-        "$H",
-        "$N",
-        "$C",
-        "$SLP",
-        "$J=X-1F100",
-        "$",
-    ],
-    "dwell": ["$X", ("G4P0.3", 0.7), ("G4P5", 0.1), ("\x18", PLAIN), "?"],
+PLAIN_S = 0.3
+CONVERSATIONS = {
+    "lists": "?|$$|$I|$G|$X|?|$I=x7|$I|$|$#|$N",
+    "writing": (
+        "$ i|$Z|$100|$100=-1|$100=q|$10=1X|$300=1|$999=1|$=5|$22=0|$$|$20=1|$22=1|$110=2400.5|$RST=x|"
+        "$J|$J=|$X1|$#1|$SLPX|$I1|$N0|$Q"
+    ),
+    "locked": "G0X-1|$J=X-1F100|$C|!|~|\x85|?|\x18 @0.3|?|$N0=",
+    "lines": (
+        f"$X||  |(c)|; c|G0 X-1(not closed|g90 G0 x -1 . 0|/G0X-2|{79 * 'X'}|{80 * 'X'}|G0 X|G0 XA|G|"
+        "G99|N5 G0|G0 Q1|G90 G91|G0 G1 X1|G4|G4 P-1|5|G1.5 X1"
+    ),
+    "modes": "$X|G1X-2F600 @0.8|G91G1X-1F0|$G|G91|G0X-1 @0.6|?|$G|G90|$G|$J=F600 @1.5|?",
+    "soft limit": "$X|G0X5 @1|?|$X|\x18 @0.6|?|$X|?",
+    "homing": "$H @5|?|$J=G53X-5Y-3F600 @1.2|?|$J=G53X1F600|$J=X-40F600",
+    "check": "$X|$C|?|G0X-5|G0Q|?|$J=X-5F100|$H|$I|$C|?",
+    "sleep": "$SLP @1|?|$I|\x18 @2|?",
+    "reset in motion": "$X|G0X-20F600 @0.15|\x18 @1.2|$J=X-3F600",
+    "reset in homing": "$H @5|$J=G53X-20F2400 @1.5|$H @0.2|\x18 @1.2",
+    "busy": "$H @5|G1X-20F300 @0.05|$I|$$|$#|$H|$N|$C|$SLP|$J=X-1F100|$",
+    "dwell": "$X|G4P0.3 @0.7|G4P5 @0.1|\x18 @0.3|?",
 }
+"""What is said, one after the other; behind an ``@``, how long to listen, s."""
 
 
 def comparable(said: str) -> str:
@@ -291,7 +234,8 @@ def comparable(said: str) -> str:
 @pytest.mark.parametrize("name", CONVERSATIONS)
 def test_the_simulated_board_answers_as_the_firmware(board: NativeBoard, name: str):
     ours = SimulatedBoard()
-    for said in CONVERSATIONS[name]:
-        text, quiet_s = said if isinstance(said, tuple) else (said, PLAIN)
+    for said in CONVERSATIONS[name].split("|"):
+        text, _, told_s = said.partition(" @")
+        quiet_s = float(told_s or PLAIN_S)
         sent = text if text in {"?", "!", "~", "\x85", "\x18"} else f"{text}\n"
         assert comparable(ours.say(sent, quiet_s)) == comparable(board.say(sent, quiet_s)), text

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import SettingRefused
+from drivers.errors import ReplyError, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from simulators.faults.line_faults import FaultLine
@@ -19,6 +19,15 @@ from tests.hil.direct_stages import DirectLine, VirtualClock
 pytestmark = pytest.mark.usefixtures("never_late")
 
 FLICKER = LightSettings("square", 50.0, 40.0, 0.0, 3.0, sync_output=True)
+
+
+OFFS = {
+    "keysight": b"OUTP OFF",
+    "rigol": b"OUTP1 OFF",
+    "siglent": b"C1:OUTP OFF",
+    "gardasoft": b"TT0",
+    "microcontroller": b"OFF",
+}
 
 
 @pytest.fixture(params=OPENED)
@@ -46,6 +55,19 @@ def test_a_light_is_identified_set_read_back_and_switched(rig) -> None:
     light.off()
     assert not light.is_on()
     assert not states[-1].output
+
+
+def test_off_does_not_wait_for_the_line_to_come_into_step(rig) -> None:
+    rig.light.apply(FLICKER)
+    rig.light.on()
+    rig.line.spoil = lambda _reply: b""
+    with pytest.raises(ReplyError):
+        rig.light.is_on()
+    rig.line.spoil = lambda reply: reply
+    rig.line.sent.clear()
+    rig.light.off()
+    assert OFFS[rig.kind] in rig.line.sent[0]
+    assert not rig.states[-1].output
 
 
 def test_what_it_cannot_do_is_refused_and_it_still_works(rig) -> None:

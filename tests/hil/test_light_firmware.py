@@ -120,41 +120,16 @@ def framed(text: str) -> bytes:
     return f"{text}*{value:02X}\n".encode()
 
 
-REQUESTS = [
-    *(
-        "ID",
-        "FREQ 0",
-        "FREQ 5001",
-        "FREQ abc",
-        "FREQ",
-        "FREQ 1.5.5",
-        "DUTY 0.5",
-        "LEVEL 101",
-        "WAVE sine",
-        "X 1",
-    ),
-    *("FREQ 60", "FREQ?", "FREQ 0.5", "FREQ?", "FREQ 499.9", "FREQ?", "DUTY 33.3", "DUTY?", "LEVEL 12.345"),
-    *(
-        "LEVEL?",
-        "SYNC maybe",
-        "SYNC off",
-        "SYNC?",
-        "DOG 0",
-        "DOG 5",
-        "DOG?",
-        "ON 1",
-        "ON",
-        "OUT?",
-        "OFF",
-        "OUT?",
-    ),
-    *("WAVE steady", "WAVE?", "FAULT?", "SERIAL?"),
-]
+REQUESTS = (
+    "ID|FREQ 0|FREQ 5001|FREQ abc|FREQ|FREQ 1.5.5|DUTY 0.5|LEVEL 101|WAVE sine|X 1|FREQ 60|FREQ?|"
+    "FREQ 0.5|FREQ?|FREQ 499.9|FREQ?|DUTY 33.3|DUTY?|LEVEL 12.345|LEVEL?|SYNC maybe|SYNC off|SYNC?|DOG 0|"
+    "DOG 5|DOG?|ON 1|ON|OUT?|OFF|OUT?|WAVE steady|WAVE?|FAULT?|SERIAL?"
+)
 
 
 def test_firmware_and_simulated_light_answer_alike(port) -> None:
     simulated = MicrocontrollerLight("SB0001", time.monotonic)
-    for data in [*map(framed, REQUESTS), b"FREQ 60\n", b"FREQ 60*00\n"]:
+    for data in [*map(framed, REQUESTS.split("|")), b"FREQ 60\n", b"FREQ 60*00\n"]:
         port.write(data)
         said = b""
         while not said.endswith(b"\n"):

@@ -26,8 +26,8 @@ from tests.hil.direct_stages import (
     FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
+    DirectLine,
     DirectStage,
-    Listening,
     VirtualClock,
     stop_in_mid_move,
 )
@@ -47,7 +47,7 @@ class Gimbal:
         mechanics = Mechanics(scale, -170.0, 170.0, start_deg=start_deg)
         self.bus = DynamixelBus({1: ServoModel(mechanics), 2: ServoModel(mechanics)}, self.clock.monotonic)
         self.faults = FaultLine(self.bus, self.clock.monotonic, np.random.default_rng(1))
-        self.line = Listening(self.faults, self.clock)
+        self.line = DirectLine(self.faults, self.clock)
 
     def open(self, **more) -> DynamixelStage:
         axes = [
@@ -267,12 +267,6 @@ def test_a_late_state_is_not_taken_for_the_next_one(gimbal) -> None:
 
 
 # ---------------------------------------------------------------- Thorlabs
-def listening(rig: DirectStage) -> Listening:
-    """Let the line of a stage lose messages."""
-    line = Listening(rig.line.device, rig.line.clock)
-    rig.line.write = line.write
-    rig.line.read = line.read
-    return line
 
 
 @pytest.fixture(params=["thorlabs", "k10cr1"], ids=["KDC101", "K10CR1"])
@@ -286,7 +280,7 @@ def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None
         Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4), 55000123, acceleration_deg_s2=5.0
     )
     controller = AptController(model, clock.monotonic)
-    line = Listening(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
+    line = DirectLine(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
     axis = ThorlabsAxis(
         name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
     )
@@ -308,15 +302,14 @@ def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None
 
 
 def test_a_command_that_is_lost_is_no_homing_and_no_move(rig) -> None:
-    line = listening(rig)
     rig.stage.home()
-    line.lose_next(apt.short(apt.HOME, 1))
+    rig.line.lose_next(apt.short(apt.HOME, 1))
     with pytest.raises(MoveFailed, match="did not begin to home"):
         rig.stage.home()
     assert not rig.stage.is_homed()
     rig.stage.home()
     assert rig.stage.is_homed()
-    line.lose_next(b"\x53\x04")
+    rig.line.lose_next(b"\x53\x04")
     with pytest.raises(MoveFailed, match="stopped at"):
         rig.stage.move_to({"pan": 5.0})
     assert rig.true_deg() == pytest.approx(0.0, abs=1e-6)
@@ -332,9 +325,8 @@ def test_a_changed_bit_gives_no_reference(rig) -> None:
 
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_stop_of_a_controller_is_confirmed_though_it_is_lost_once(rig, lost) -> None:
-    line = listening(rig)
     rig.stage.home()
-    line.lose_next(apt.short(apt.STOP, 1, apt.STOP_BY_RAMP), lost)
+    rig.line.lose_next(apt.short(apt.STOP, 1, apt.STOP_BY_RAMP), lost)
     error = stop_in_mid_move(rig.line.clock, rig.stage, {"pan": 14.0}, 0.1)
     assert "stopped on request" in error.what
     rest = rig.true_deg()
@@ -348,7 +340,7 @@ def test_updates_that_another_program_has_switched_on_are_no_trouble() -> None:
     model = AptModel(Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0), 55000123)
     controller = AptController(model, clock.monotonic)
     controller.receive(apt.short(0x0011))
-    line = Listening(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
+    line = DirectLine(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
     axis = ThorlabsAxis(
         name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
     )
@@ -379,8 +371,7 @@ def test_a_limit_switch_is_named(rig) -> None:
 
 def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
     rig = FAMILIES["thorlabs"](VirtualClock(), np.random.default_rng(1))
-    line = listening(rig)
     rig.stage.home()
-    asked = [sent for sent in line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
+    asked = [sent for sent in rig.line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
     assert len(asked) > 20
     assert all(sent.startswith(apt.short(apt.STILL_THERE)) for sent in asked)

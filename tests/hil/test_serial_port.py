@@ -20,7 +20,7 @@ import serial
 import serial.rfc2217
 
 from drivers.clock import SystemClock
-from drivers.errors import PortBusy, PortDenied, PortLost, PortNotFound, ReplyTimeout
+from drivers.errors import PortBusy, PortDenied, PortLost, PortNotFound
 from drivers.link import Link
 from drivers.serial_port import SerialPort
 
@@ -154,11 +154,6 @@ def test_a_file_is_no_port(tmp_path) -> None:
         SerialPort(str(tmp_path / "file"), baudrate=9600)
 
 
-def test_an_unknown_url_is_no_port() -> None:
-    with pytest.raises(PortNotFound, match="a port cannot be a URL of the kind nonsense"):
-        SerialPort("nonsense://1", baudrate=9600)
-
-
 def test_no_permission_is_told_with_its_remedy(plug, monkeypatch) -> None:
     def refuse(*arguments):
         raise PermissionError(13, "Permission denied")
@@ -185,16 +180,6 @@ def test_an_unplugged_port_is_lost_whatever_is_done_with_it(plug, port, action) 
     with pytest.raises(PortLost, match="lost before"):
         port.write(b"x\n")
     port.close()
-
-
-def test_unplugging_ends_a_waiting_read_within_seconds(plug, port) -> None:
-    timer = threading.Timer(0.1, plug.unplug)
-    timer.start()
-    began_s = time.monotonic()
-    with pytest.raises(PortLost):
-        read_on(port)
-    assert time.monotonic() - began_s < 5.0
-    timer.join()
 
 
 def test_after_replugging_the_same_name_is_opened_anew(plug, port) -> None:
@@ -224,21 +209,6 @@ def test_a_socket_serves_as_a_port() -> None:
         with pytest.raises(PortLost):
             read_on(port)
         port.close()
-
-
-def test_a_closed_network_port_is_not_found() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        number = server.getsockname()[1]
-    with pytest.raises(PortNotFound):
-        SerialPort(f"socket://127.0.0.1:{number}", baudrate=9600)
-
-
-def test_silence_ends_at_the_deadline(port) -> None:
-    link = Link(port, clock=SystemClock(), resynchronise=lambda: None)
-    began_s = time.monotonic()
-    with pytest.raises(ReplyTimeout):
-        link.exchange(b"anybody?\n", lambda reader: reader.read_line(), deadline_s=0.2)
-    assert time.monotonic() - began_s >= 0.2
 
 
 def test_threads_take_turns_on_one_line(plug, port) -> None:

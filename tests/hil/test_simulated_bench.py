@@ -83,16 +83,6 @@ def test_the_bench_runs_in_the_background_of_a_terminal(tmp_path):
     assert b"Stopped" not in said
 
 
-def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
-    first = start(tmp_path)
-    said = json.loads(first.stdout.readline())
-    first.kill()
-    first.communicate(timeout=30)
-    assert os.path.lexists(said["endpoints"]["gimbal"])
-    with Bench(tmp_path) as bench, serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=5.0) as line:
-        assert ask(line, "/1 0 00 get system.serial").startswith("@01 0 00 OK IDLE WR 100101")
-
-
 @pytest.mark.parametrize(
     ("config", "said"),
     [
@@ -141,13 +131,6 @@ def test_an_invalid_configuration_names_its_key(given, where):
     with pytest.raises(ConfigError) as caught:
         bench_config(given)
     assert caught.value.where == where
-
-
-def test_a_named_axis_keeps_the_defaults_of_missing_keys():
-    axes = bench_config({"stage": {"pan": {"limit_deg": 5}}}).axes
-    assert list(axes) == ["pan"]
-    assert axes["pan"].limit_deg == 5.0
-    assert axes["pan"].serial == "100101"
 
 
 def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
@@ -282,51 +265,6 @@ def test_commands_at_the_ports_change_the_world(tmp_path):
         assert ask(light, "*OPC?") == "1"
         assert world.light(world.now_s()).output
         assert world.light(world.now_s()).frequency_hz == 60.0
-
-
-@pytest.mark.parametrize(
-    ("kind", "ports", "talk"),
-    [
-        ("ximc", ["gimbal-pan", "gimbal-tilt"], [(b"gser", b"gser")]),
-        ("grbl", ["gimbal"], [(b"$I\n", b"[VER:1.1h")]),
-        ("esp301", ["gimbal"], [(b"2ID?\r", b"URS75BCC, SN100102")]),
-    ],
-)
-def test_the_stage_may_be_of_another_kind(tmp_path, kind, ports, talk):
-    with Bench(tmp_path, bench_config({"stage": {"kind": kind}})) as bench:
-        assert [name for name in bench.endpoints if name.startswith("gimbal")] == ports
-        baud = 19_200 if kind == "esp301" else 115_200
-        with serial.Serial(bench.endpoints[ports[0]], baud, timeout=5.0) as line:
-            for said, answer in talk:
-                line.write(said)
-                assert line.read_until(answer).endswith(answer)
-        bench.inject(fault_order_from_text("pan push deg=1"))
-        deadline = time.monotonic() + 10.0
-        while bench.world.angles_deg(bench.world.now_s())["pan"] != pytest.approx(3.4):
-            assert time.monotonic() < deadline
-
-
-@pytest.mark.parametrize(
-    ("kind", "said", "identity", "other", "baud"),
-    [
-        ("keysight", b"SOUR:FREQ 50;*IDN?\n", b"33250A,SG0042,", b"33250A,SG7,", 9600),
-        ("rigol", b":SOUR1:FREQ 50;*IDN?\n", b"DG4062,SG0042,", b"DG4062,SG7,", 9600),
-        ("siglent", b"C1:BSWV FRQ,50;*IDN?\n", b"SDG1032X,SG0042,", b"SDG1032X,SG7,", 9600),
-        ("gardasoft", b"TT1,20;VR\r", b"RT460-20", b"RT460-20", 115_200),
-    ],
-)
-def test_the_light_may_be_of_another_kind(tmp_path, kind, said, identity, other, baud):
-    with Bench(tmp_path, bench_config({"light": {"kind": kind}})) as bench:
-        world = bench.world
-        with serial.Serial(bench.endpoints["light"], baud, timeout=5.0) as line:
-            line.write(said)
-            assert line.read_until(identity).endswith(identity)
-            assert world.light(world.now_s()).frequency_hz == 50.0
-            bench.inject(fault_order_from_text("light exchange serial=SG7"))
-            line.write(said)
-            assert line.read_until(other).endswith(other)
-        bench.inject(fault_order_from_text("light trip"))
-        assert not world.light(world.now_s()).output
 
 
 def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):

@@ -117,12 +117,6 @@ def test_a_refusal_is_silent_and_waits_in_the_queue(controller: Controller, line
     assert controller.say("TE?") == ["0"]
 
 
-def test_the_queue_gives_its_errors_as_text_too(controller: Controller):
-    controller.say("1PA5")
-    assert controller.say("TB?") == ["113, 0, MOTOR NOT ENABLED"]
-    assert controller.say("TB?") == ["0, 0, NO ERROR DETECTED"]
-
-
 def test_a_move_has_ended_when_it_is_reported_done(homed: Controller):
     homed.say("1PA3.5")
     homed.wait(0.1)
@@ -148,17 +142,6 @@ def test_homing_may_not_be_disturbed_and_is_ended_by_stop(controller: Controller
     assert not controller.device.axes[1].axis.referenced(controller.now_s)
 
 
-def test_stop_without_an_axis_stops_all(homed: Controller):
-    homed.say("1PA15;2PA10")
-    homed.wait(0.2)
-    homed.say("ST")
-    homed.wait(0.3)
-    first, second, *done = homed.say("1TP;2TP;1MD?;2MD?;1MO?")
-    assert 0.0 < float(first) < 15.0
-    assert 0.0 < float(second) < 10.0
-    assert done == ["1", "1", "1"]
-
-
 def test_the_status_character_shows_which_axes_move(homed: Controller):
     assert homed.say("TS") == [chr(0x50)]
     homed.say("2PA10")
@@ -171,22 +154,6 @@ def test_a_fault_of_motion_switches_the_motor_off(homed: Controller, kind, numbe
     homed.say("2PA10")
     homed.wait()
     assert homed.say("2MO?;TE?") == ["0", str(number)]
-
-
-def test_a_restart_in_motion_is_silence_then_motors_off_at_zero(homed: Controller):
-    homed.device.axes[1].axis.arm(MotionFault("restart"))
-    homed.say("1PA15")
-    homed.wait(0.4)
-    assert homed.say("1TP") == []
-    homed.wait(2.0)
-    assert homed.say("1TP;1MO?;2MO?") == ["0.00000", "0", "0"]
-
-
-def test_an_emergency_stop_switches_all_off_until_released(homed: Controller):
-    homed.device.axes[1].emergency_stop(homed.now_s)
-    assert homed.say("1MO;1MO?;TE?;TE?") == ["0", "4", "4"]
-    homed.device.axes[1].emergency_stop(homed.now_s, released=True)
-    assert homed.say("1MO;1MO?") == ["1"]
 
 
 def test_the_position_can_be_redefined(homed: Controller):

@@ -40,32 +40,6 @@ def test_hands_turn_ring_aperture_and_camera_and_read_them_back(bench):
     assert bench.truth()["lens"]["focus"] == "on the pattern"  # what does nothing turns nothing
 
 
-@pytest.mark.parametrize(
-    ("what", "number", "word"),
-    [
-        ("focus", {"distance_m": 0.01}, "does not reach"),
-        ("aperture", {"f_number": 0.2}, "from 1 to 32"),
-        ("turn", {"deg": math.nan}, "finite"),
-    ],
-)
-def test_what_hands_cannot_do_is_said(bench, what, number, word):
-    before = bench.set_up("lens", "turn", deg=0.0)
-    with pytest.raises(SimulationError, match=word):
-        bench.set_up("lens", what, **number)
-    assert bench.set_up("lens", "turn", deg=0.0) == before
-
-
-def test_the_truth_file_tells_the_breathed_focal_length(bench):
-    assert bench.truth()["camera"]["fx"] == 836
-    bench.set_up("lens", "focus", distance_m=0.5)
-    truth = bench.truth()
-    focal_mm = 836 * 4.86e-3
-    assert truth["camera"]["fx"] == pytest.approx(836 * 500 / (500 - focal_mm), rel=1e-6)
-    assert truth["lens"]["blur_px"] == pytest.approx(focal_mm / 2.8 * focal_mm / (500 - focal_mm) / 4.86e-3)
-    bench.set_up("lens", "mend")
-    assert bench.truth()["camera"]["fx"] == 836
-
-
 def test_an_answer_says_infinity_in_words(bench):
     answer = json.loads(bench.order("lens focus"), parse_constant=pytest.fail)
     assert answer["distance_m"] == answer["now"]["focus_distance_m"] == "infinity"

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import pytest
-import serial
 
 from simulators.lights.gardasoft import OVER_CURRENT, GardasoftRt
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
-from simulators.world.world import LightState, World
+from simulators.world.world import LightState
 
 
 class Strobe:
@@ -30,21 +27,6 @@ class Strobe:
 @pytest.fixture
 def strobe() -> Strobe:
     return Strobe()
-
-
-def test_the_light_flickers_by_commands_at_the_port(tmp_path):
-    world = World()
-    with (
-        SerialDevice(PseudoTerminal(tmp_path / "light"), GardasoftRt(world.now_s, world.set_light)) as device,
-        serial.Serial(device.address, 115_200, timeout=5.0) as line,
-    ):
-        line.write(b"VR;RT1,8.333,0.005,100;TT1,16.667\r")
-        assert line.read_until(b">") == b"RT460-20 (HW02) V031\r\n>"
-    light = world.light(world.now_s())
-    assert (light.output, light.sync, light.waveform) == (True, True, "square")
-    assert light.frequency_hz == pytest.approx(60.0, rel=1e-4)
-    assert light.duty_percent == pytest.approx(50.0, abs=0.01)
-    assert (light.low, light.high) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -71,11 +53,6 @@ def test_the_light_flickers_by_commands_at_the_port(tmp_path):
 )
 def test_a_line_is_answered_and_ends_in_its_prompt(strobe: Strobe, line: str, answer: str):
     assert strobe.say(line) == answer
-
-
-def test_a_value_out_of_range_is_held_within_it(strobe: Strobe):
-    strobe.say("RT1,5s,0,50")
-    assert "DL 0.005ms, PU 999.000ms" in strobe.say("ST1")
 
 
 def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):

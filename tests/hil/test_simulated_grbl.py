@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import re
-import time
 from contextlib import suppress
 
 import pytest
-import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics, MotionFault
-from simulators.stages.grbl import GrblAxis, GrblController
-from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, Planner, parse_block
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.grbl import GrblController
+from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, parse_block
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -82,39 +78,6 @@ def homed(board: Board) -> Board:
 
 
 # ---------------------------------------------------------------- states
-def test_the_board_starts_locked_and_reports_it(board: Board):
-    assert board.greeting == BANNER + LOCKED
-    assert board.report()[0] == "Alarm"
-    assert board.say("G0 X-5") == "error:9\r\n"
-    assert board.say("$J=X-5 F100") == "error:8\r\n"
-    assert board.say("$X") == "[MSG:Caution: Unlocked]\r\nok\r\n"
-    assert board.report()[0] == "Idle"
-
-
-def test_homing_answers_at_its_end_and_counts_from_the_switch(board: Board):
-    assert board.say("$H") == ""
-    board.wait(0.1)
-    assert board.report()[0] == "Home"
-    assert board.wait() == "ok\r\n"
-    assert board.report() == ("Idle", -1.0, -1.0)
-    assert (board.angle("X"), board.angle("Y")) == (15.0, 10.0)
-
-
-def test_a_line_is_answered_at_once_and_the_motion_follows(homed: Board):
-    assert homed.say("G90", "G1 X-16 Y-11 F600") == "ok\r\nok\r\n"
-    homed.wait(0.3)
-    assert homed.report()[0] == "Run"
-    homed.wait()
-    assert homed.report() == ("Idle", -16.0, -11.0)
-    assert (homed.angle("X"), homed.angle("Y")) == (0.0, 0.0)
-
-
-def test_axes_begin_and_arrive_together(homed: Board):
-    homed.say("G1 X-21 Y-6 F600")
-    homed.wait(0.5)
-    _, x, y = homed.report()
-    assert -21.0 < x < -1.0
-    assert (x + 1.0) / -20.0 == pytest.approx((y + 1.0) / -5.0, abs=1e-3)
 
 
 def test_a_diagonal_is_as_fast_as_its_slowest_axis_lets_it_be(homed: Board):
@@ -123,12 +86,6 @@ def test_a_diagonal_is_as_fast_as_its_slowest_axis_lets_it_be(homed: Board):
     assert homed.report()[0] == "Run"
     homed.wait(0.03)
     assert homed.report() == ("Idle", -21.0, -11.0)
-
-
-def test_motions_follow_each_other(homed: Board):
-    homed.say("G1 X-5 F3000", "G91", "G1 X-2 Y-3")
-    homed.wait()
-    assert homed.report() == ("Idle", -7.0, -4.0)
 
 
 def test_a_dwell_is_answered_when_all_motion_has_ended(homed: Board):
@@ -161,23 +118,6 @@ def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
     state, x, _ = homed.report()
     assert state == "Alarm"
     assert homed.angle("X") != pytest.approx(x + 16.0, abs=0.01)
-
-
-def test_a_reset_at_rest_is_harmless(homed: Board):
-    assert homed.press(b"\x18") == BANNER
-    assert homed.report() == ("Idle", -1.0, -1.0)
-
-
-def test_a_jog_is_cancelled_without_an_alarm(homed: Board):
-    assert homed.say("$J=G91 X-10 F600") == "ok\r\n"
-    homed.wait(0.3)
-    assert homed.report()[0] == "Jog"
-    assert homed.say("G0 X-1") == "error:9\r\n"
-    homed.press(b"\x85")
-    homed.wait()
-    state, x, _ = homed.report()
-    assert state == "Idle"
-    assert -11.0 < x < -1.0
 
 
 # ---------------------------------------------------------------- refusals and alarms
@@ -243,11 +183,6 @@ def test_settings_are_listed_written_and_obeyed(homed: Board):
     assert homed.say("G0 X-6").startswith("ALARM:2")
 
 
-def test_settings_wait_for_rest(homed: Board):
-    homed.say("G1 X-11 F600")
-    assert homed.say("$130=5") == "error:8\r\n"
-
-
 def test_blanks_comments_and_small_letters_do_not_matter(homed: Board):
     for line in ("$ i", "$I", "$i (the name)", "$I ; the name"):
         assert homed.say(line) == "[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
@@ -305,34 +240,6 @@ def test_any_block_is_taken_or_refused_by_number(line: str):
 
 
 # ---------------------------------------------------------------- faults
-def test_a_limit_switch_is_an_alarm(homed: Board):
-    homed.device.axes["X"].arm(MotionFault("limit"))
-    homed.say("G0 X-21")
-    assert homed.wait() == "ALARM:1\r\n[MSG:Reset to continue]\r\n"
-    assert homed.press(b"?") == ""  # the firmware's loop serves nothing but a reset
-    assert homed.say("$X", "$$") == homed.press(b"!") == homed.press(b"\x85") == ""
-    assert homed.press(b"\x18") == BANNER + LOCKED
-    assert homed.report()[0] == "Alarm"
-    homed.say("$H")
-    assert homed.wait() == "ok\r\n"
-    assert homed.report()[0] == "Idle"
-
-
-def test_a_reset_within_half_a_second_of_an_alarm_is_lost(homed: Board):
-    assert homed.say("G0 X-33") == "ALARM:2\r\n"
-    assert homed.press(b"\x18") == homed.press(b"?") == ""
-    assert homed.wait(1.0) == "[MSG:Reset to continue]\r\n"
-    assert homed.press(b"?") == ""
-    assert homed.press(b"\x18") == "ok\r\n" + BANNER + LOCKED
-
-
-def test_homing_that_finds_no_switch_is_an_alarm_an_ok_and_a_restart(homed: Board, monkeypatch):
-    homed.say("G0 X-21")
-    homed.wait()
-    monkeypatch.setattr(Planner, "homed", lambda _self, _now: False)
-    homed.say("$H")
-    assert homed.wait() == "ALARM:9\r\nok\r\n" + BANNER + LOCKED
-    assert homed.report()[0] == "Alarm"
 
 
 def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
@@ -344,43 +251,4 @@ def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
     assert homed.wait(1.0) == "ok\r\n" + BANNER + LOCKED
 
 
-def test_a_stall_is_not_detected(homed: Board):
-    homed.device.axes["X"].arm(MotionFault("stall"))
-    homed.say("G0 X-21")
-    homed.wait()
-    assert homed.report() == ("Idle", -21.0, -1.0)
-    assert homed.angle("X") == pytest.approx(5.0, abs=0.1)
-
-
-def test_a_restart_in_motion_shows_its_banner_and_has_lost_its_position(homed: Board):
-    homed.device.axes["X"].arm(MotionFault("restart"))
-    homed.say("G0 X-21")
-    assert homed.wait() == BANNER + LOCKED
-    assert homed.report() == ("Alarm", 0.0, 0.0)
-
-
-def test_a_stop_button_holds_the_board_in_reset(homed: Board):
-    homed.say("G0 X-21")
-    homed.wait(0.3)
-    handle = GrblAxis(homed.device, homed.device.axes["X"])
-    handle.emergency_stop(homed.now_s)
-    assert homed.press(b"?") == ""
-    handle.emergency_stop(homed.now_s, released=True)
-    assert homed.wait(0.1) == BANNER + LOCKED
-
-
 # ---------------------------------------------------------------- the line
-def test_the_board_answers_on_its_port(tmp_path):
-    controller = GrblController(models(), time.monotonic)
-    controller.unsolicited()  # the greeting, which nobody hears
-    with (
-        SerialDevice(PseudoTerminal(tmp_path / "gimbal"), controller) as device,
-        serial.Serial(device.address, 115_200, timeout=5.0) as line,
-    ):
-        line.write(b"\x18")
-        assert line.read_until(b"unlock]\r\n").endswith(LOCKED.encode())
-        line.write(b"$H\n")
-        assert line.read_until(b"\n") == b"ok\r\n"
-        line.write(b"G1 X-3 F1200\n?")
-        assert line.read_until(b"\n") == b"ok\r\n"
-        assert line.read_until(b"\n").startswith(b"<Run|")

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.errors import MoveFailed, NotHomed, OutsideLimits
+from drivers.errors import MoveFailed, NotHomed, OutsideLimits, ReplyError
 from drivers.stage import AxisLimits
+from drivers.stage.thorlabs_controller import STOP, STOP_BY_RAMP, short
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.ports.serial_device import SerialDevice, TcpPort
 from simulators.stages.axis_motion import Mechanics
@@ -22,10 +23,27 @@ from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock, stop_in
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
+STOPS = {
+    "zaber": b" stop:",
+    "ximc": b"sstp",
+    "esp": b"ST\r",
+    "grbl": b"\x85",
+    "flir": b"H ",
+    "thorlabs": short(STOP, 1, STOP_BY_RAMP),
+    "k10cr1": short(STOP, 1, STOP_BY_RAMP),
+}
+"""What a request holds that stops an axis; a servo is told where to stand, and so is asked where it is first."""
+
+
+class Interrupted(Exception):
+    """What a run's clock raises when the operator aborts."""
+
 
 @pytest.fixture(params=FAMILIES)
 def rig(request) -> DirectStage:
-    return FAMILIES[request.param](VirtualClock(), np.random.default_rng(1))
+    rig = FAMILIES[request.param](VirtualClock(), np.random.default_rng(1))
+    rig.family = request.param
+    return rig
 
 
 def test_a_stage_is_identified_homed_and_moved(rig) -> None:
@@ -66,6 +84,56 @@ def test_a_stop_from_another_thread_ends_a_move(rig) -> None:
     assert rig.stage.position_deg()["pan"] == pytest.approx(rest, abs=0.01)
     rig.line.clock.sleep(5.0)
     assert rig.true_deg() == pytest.approx(rest, abs=0.01)
+
+
+@pytest.mark.parametrize("rig", STOPS, indirect=True)
+def test_a_stop_does_not_wait_for_the_line_to_come_into_step(rig) -> None:
+    rig.stage.home()
+    rig.line.spoil = lambda _reply: b""
+    with pytest.raises(ReplyError):
+        rig.stage.position_deg()
+    rig.line.spoil = lambda reply: reply
+    rig.line.sent.clear()
+    rig.stage.stop()
+    assert STOPS[rig.family] in rig.line.sent[0]
+
+
+@pytest.mark.parametrize("waits", [1, 2])
+def test_homing_that_is_interrupted_and_stopped_leaves_no_reference(rig, waits) -> None:
+    clock, sleep, waited = rig.line.clock, rig.line.clock.sleep, iter(range(1, 1000))
+
+    def interrupt(seconds: float) -> None:
+        sleep(seconds)
+        if next(waited) == waits:
+            raise Interrupted
+
+    clock.sleep = interrupt
+    with pytest.raises(Interrupted):
+        rig.stage.home()
+    clock.sleep = sleep
+    rig.stage.stop()
+    stopped_deg = rig.true_deg()
+    clock.sleep(60.0)
+    assert rig.true_deg() == pytest.approx(stopped_deg, abs=0.01)
+    assert not rig.stage.is_homed()
+    with pytest.raises((NotHomed, MoveFailed)):
+        rig.stage.move_to({"pan": 1.0})
+    rig.stage.home()
+    rig.stage.move_to({"pan": 1.0})
+    assert rig.true_deg() == pytest.approx(1.0, abs=0.01)
+
+
+def test_an_axis_found_moving_is_stopped_at_opening(rig) -> None:
+    rig.stage.home()
+    rig.stage.move_to({"pan": 10.0})
+    axis, scale = rig.controller.axis, rig.controller.axis.mechanics.counts_per_deg
+    axis.move_to(-15.0 * scale, rig.line.clock.now_s, 20.0 * scale, 100.0 * scale)
+    rig.line.clock.sleep(0.3)
+    rig.reopen()
+    stopped_deg = rig.true_deg()
+    assert -14.0 < stopped_deg < 9.9
+    rig.line.clock.sleep(5.0)
+    assert rig.true_deg() == pytest.approx(stopped_deg, abs=0.01)
 
 
 def test_a_stage_is_moved_over_the_network() -> None:

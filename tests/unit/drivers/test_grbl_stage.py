@@ -29,7 +29,7 @@ from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel, Planner
-from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -54,7 +54,7 @@ class Bench:
         models = dict.fromkeys("XY", GrblAxisModel(mechanics, 40.0))
         self.board = GrblController(models, self.clock.monotonic)
         self.board.name = "gimbal-7"
-        self.line = Listening(
+        self.line = DirectLine(
             FaultLine(self.board, self.clock.monotonic, np.random.default_rng(1)), self.clock
         )
 
@@ -326,20 +326,6 @@ def test_homing_that_never_ends_is_reset(bench, monkeypatch) -> None:
     assert RESET in bench.line.sent
 
 
-def test_homing_can_be_interrupted_and_stopped(bench) -> None:
-    def interrupt(_seconds: float) -> None:
-        bench.clock.sleep = sleep
-        raise KeyboardInterrupt
-
-    stage, sleep = bench.open(), bench.clock.sleep
-    bench.clock.sleep = interrupt
-    with pytest.raises(KeyboardInterrupt):
-        stage.home()
-    stage.stop()
-    assert RESET in bench.line.sent
-    assert not stage.is_homed()
-
-
 # ---------------------------------------------------------------- stopping
 def test_a_stop_cancels_the_jog_and_keeps_the_position(bench) -> None:
     stage = bench.homed()
@@ -350,32 +336,6 @@ def test_a_stop_cancels_the_jog_and_keeps_the_position(bench) -> None:
     assert RESET not in bench.line.sent
     assert bench.at_rest()
     assert stage.is_homed()
-
-
-def test_a_stop_needs_no_reference(bench) -> None:
-    stage = bench.open()
-    stage.stop()
-    assert CANCEL in bench.line.sent
-    assert not stage.is_homed()
-
-
-def test_a_board_found_moving_is_stopped_before_anything_is_asked_of_it(bench) -> None:
-    bench.board.receive(b"$X\n" + JOG)
-    bench.clock.sleep(0.2)
-    bench.open()
-    assert bench.at_rest()
-    assert bench.line.sent.index(CANCEL) < bench.line.sent.index(b"$I\n")
-
-
-def test_a_stop_does_not_wait_for_the_line_to_come_into_step(bench) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: b""
-    with pytest.raises(ReplyError):
-        stage.position_deg()
-    bench.line.spoil = lambda reply: reply
-    bench.line.sent.clear()
-    stage.stop()
-    assert bench.line.sent[0] == CANCEL
 
 
 # ---------------------------------------------------------------- a line that lies

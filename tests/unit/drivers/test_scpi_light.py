@@ -168,18 +168,6 @@ def test_an_output_that_goes_dark_by_itself_is_told(light, bench) -> None:
     ]
 
 
-def test_off_goes_out_before_the_line_comes_into_step(light, bench) -> None:
-    light.on()
-    bench.line.spoil = lambda reply: b""
-    with pytest.raises(ReplyError):
-        light.is_on()
-    bench.line.spoil = lambda reply: reply
-    bench.line.sent.clear()
-    light.off()
-    assert bench.sent()[0] == "OUTP OFF"
-    assert not bench.lit()
-
-
 def test_another_waveform_is_told_not_taken_for_one_of_ours(light, bench) -> None:
     bench.answer({"FUNC": "RAMP"})
     with pytest.raises(LightFault, match="waveform is 'RAMP'"):

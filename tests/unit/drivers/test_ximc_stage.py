@@ -15,7 +15,6 @@ from drivers.errors import (
     DeviceRefused,
     DriverError,
     MoveFailed,
-    NotHomed,
     OutsideLimits,
     ReplyError,
     ReplyGarbled,
@@ -28,7 +27,7 @@ from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
 from tests.hil import mutated
-from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -58,7 +57,7 @@ class Bench:
             for serial in (12345, 12346)
         ]
         self.lines = [
-            Listening(FaultLine(one, self.clock.monotonic, np.random.default_rng(1)), self.clock)
+            DirectLine(FaultLine(one, self.clock.monotonic, np.random.default_rng(1)), self.clock)
             for one in self.controllers
         ]
 
@@ -318,27 +317,3 @@ def test_a_silent_controller_does_not_keep_the_others_moving(bench, monkeypatch)
     assert all_s > 0.6  # three waits for the silent one
     assert first_s < 0.5 * all_s
     assert not bench.busy()
-
-
-def test_a_homing_that_is_broken_off_leaves_no_reference(bench) -> None:
-    """The controller says that it is homed before its counter has been set to zero there."""
-
-    class Interrupted(Exception):
-        pass
-
-    def interrupt(_seconds: float) -> None:
-        bench.clock.sleep = sleep
-        raise Interrupted
-
-    stage, sleep = bench.open(), bench.clock.sleep
-    bench.lines[1].before = lambda data: setattr(bench.clock, "sleep", interrupt) if data == b"home" else None
-    with pytest.raises(Interrupted):
-        stage.home()
-    bench.lines[1].before = lambda _data: None
-    bench.clock.sleep(60.0)
-    stage.stop()
-    assert not stage.is_homed()
-    with pytest.raises(NotHomed, match="homing did not end"):
-        stage.move_to({"pan": 1.0})
-    stage.home()
-    stage.move_to({"pan": 1.0})

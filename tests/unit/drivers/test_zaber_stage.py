@@ -38,15 +38,6 @@ def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
     assert bench.said("set") == []
 
 
-def test_an_axis_found_moving_is_stopped_at_opening(bench) -> None:
-    bench.go("tilt")
-    bench.clock.sleep(0.1)
-    bench.open()
-    assert not bench.busy()
-    assert bench.position("tilt") < 9000
-    assert bench.motions() == []
-
-
 def test_identity_is_what_the_controllers_say(bench) -> None:
     pan, tilt = bench.open().identify()
     assert (pan.name, pan.maker, pan.model) == ("pan", "Zaber", "device id 50958")
@@ -248,17 +239,6 @@ def test_a_stop_while_a_move_is_sent_goes_out_after_it_and_keeps_the_second_axis
     assert kinds[0] == "move"
     assert "stop" in kinds
     assert not bench.busy()
-
-
-def test_a_stop_does_not_wait_for_the_line_to_come_into_step(bench) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: b""
-    with pytest.raises(ReplyError):
-        stage.position_deg()
-    bench.line.spoil = lambda reply: reply
-    bench.line.sent.clear()
-    stage.stop()
-    assert b" stop:" in bench.line.sent[0]
 
 
 def test_a_stop_that_one_device_did_not_hear_is_sent_again(bench) -> None:

@@ -12,7 +12,7 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
-from tests.hil.direct_stages import Listening, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock
 from tests.hil.mutated import put
 
 SCALE = 1000
@@ -38,7 +38,7 @@ class Bench:
             for serial in ("100101", "100102")
         )
         chain = ZaberChain([self.pan, self.tilt], self.clock.monotonic)
-        self.line = Listening(FaultLine(chain, self.clock.monotonic, np.random.default_rng(1)), self.clock)
+        self.line = DirectLine(FaultLine(chain, self.clock.monotonic, np.random.default_rng(1)), self.clock)
 
     def open(self, **changes) -> ZaberStage:
         return ZaberStage(self.line, axes(**changes), clock=self.clock)

@@ -1,7 +1,6 @@
 """How a sequence unfolds into steps: poses, repeats, defaults, numbers that stay, and what cannot unfold."""
 
 from collections.abc import Sequence as List
-from itertools import pairwise
 
 import pytest
 from flat import flatten
@@ -17,13 +16,11 @@ from sequences.script import (
     Gates,
     LightStep,
     MoveStep,
-    PromptStep,
     RecordStep,
     ReportStep,
     SettleStep,
     SolveStep,
     Step,
-    WaitStep,
 )
 
 HEAD = "format: starbench/sequence/1\nname: test\n"
@@ -115,16 +112,6 @@ def test_what_follows_failed_attempts_and_the_limits_of_a_result_are_settings_to
     assert solve.limits == {"rms_px": 0.5, "sigma_fx_px": 4}
 
 
-def test_waits_and_prompts_say_how_long():
-    wait, prompt = steps(
-        "steps: [{wait: {duration_s: 5}}, {prompt: {text: 'Cap off?', default: abort, timeout_s: 9}}]\n"
-    )
-    assert isinstance(wait, WaitStep)
-    assert wait.duration_s == 5
-    assert isinstance(prompt, PromptStep)
-    assert (prompt.text, prompt.default, prompt.timeout_s) == ("Cap off?", "abort", 9)
-
-
 def test_a_repeat_over_a_named_set_visits_its_poses_in_order():
     script = steps(
         "poses:\n  two: [{name: left, pan_deg: -1}, {name: up, tilt_deg: 2}]\n"
@@ -157,17 +144,6 @@ def test_a_grid_goes_along_pan_first(order, pans):
     )
 
 
-def test_a_serpentine_of_three_axes_moves_one_axis_at_a_time():
-    script = steps(
-        "steps:\n  - repeat:\n      poses: {pan_deg: [0, 1, 2], tilt_deg: [0, 1, 2], roll_deg: [0, 1]}\n"
-        "      steps: [move, record]\n"
-    )
-    visited = [tuple(angles.values()) for _, _, angles in poses(script)]
-    assert len(set(visited)) == 18
-    changes = [sum(a != b for a, b in zip(*both, strict=True)) for both in pairwise(visited)]
-    assert changes == [1] * 17
-
-
 def test_a_span_of_one_is_its_middle_and_a_long_one_ends_exactly():
     script = steps(
         "steps:\n  - repeat: {poses: {pan_deg: {first: 1, last: 3, count: 1}}, steps: [move, record]}\n"
@@ -187,18 +163,6 @@ def test_recording_twice_at_one_place_gives_two_poses_with_names_of_their_own():
     ]
 
 
-def test_a_name_given_twice_and_a_name_that_looks_like_the_answer_stay_apart():
-    script = steps(
-        "poses: {a: [{name: x, pan_deg: 1}, {name: x (2), pan_deg: 2}, {name: x, pan_deg: 3}]}\n"
-        "steps: [{repeat: {poses: a, steps: [move, record]}}]\n"
-    )
-    assert [name for _, name, _ in poses(script)] == ["x", "x (2)", "x (3)"]
-
-
-def test_a_pose_without_a_name_is_called_by_its_angles():
-    assert poses(steps("steps: [{move: {pan_deg: -6, tilt_deg: 2.5}}, record]\n"))[0][1] == "pan -6 tilt 2.5"
-
-
 def test_a_move_at_which_nothing_is_recorded_takes_no_number():
     script = steps("steps: [{move: {pan_deg: 1}}, {move: {pan_deg: 2}}, record, {move: {pan_deg: 0}}]\n")
     assert [step.pose.index for step in script if isinstance(step, MoveStep)] == [0, 1, 0]
@@ -213,16 +177,6 @@ def test_repeats_nest_and_the_inner_pose_wins():
         "        - repeat: {poses: b, steps: [move, record]}\n"
     )
     assert [angles["pan"] for _, _, angles in poses(script)] == [1, 1, 9, 2, 2, 9]
-
-
-def test_a_step_says_where_it_is_written():
-    document = read(
-        "steps:\n  - light\n  - repeat:\n      times: 2\n      steps:\n        - wait: {duration_s: 1}\n"
-    )
-    light, first, again = flatten(document)
-    assert light.where == "s.yaml:4:5"
-    assert first.where == again.where == "s.yaml:8:17"
-    assert first.path == ("steps", 1, "repeat", "steps", 0, "wait")
 
 
 def test_all_that_cannot_unfold_is_reported_at_once():

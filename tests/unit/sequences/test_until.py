@@ -60,26 +60,6 @@ def test_its_poses_have_numbers_and_names_but_no_angles():
     assert recorded[2].angles_deg == {}
 
 
-def test_recordings_after_it_have_numbers_of_their_own():
-    more = UNTIL.replace("  - light: off\n", "  - move: {pan_deg: 1}\n  - record\n")
-    last = steps(more % "")[-1]
-    assert last.pose.index == 2 + 4 + POSES_FAILED
-
-
-def test_two_of_them_have_different_names():
-    twice = UNTIL.replace("  - light: off\n", "  - until: {worst_corner_px: 1, at_most: 2}\n")
-    names = [step.pose.name for step in steps(twice % "") if isinstance(step, RecordStep)]
-    assert len(names) == len(set(names))
-
-
-def test_settle_and_record_take_their_other_settings_from_the_defaults():
-    defaults = "defaults: {settle: {duration_s: 2}, record: {attempts: 5, gates: {min_stars: 7}}}\n"
-    script = steps(defaults + UNTIL % ", record: {window_ms: 50}")
-    record = next(step for step in script if isinstance(step, RecordStep))
-    assert (record.window_ms, record.attempts, record.gates.min_stars) == (50, 5, 7)
-    assert next(step for step in script if isinstance(step, SettleStep)).duration_s == 2
-
-
 @pytest.mark.parametrize(
     ("defaults", "own", "expected"),
     [

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, MotionFault
+from simulators.stages.axis_motion import Axis, Mechanics, MotionFault
 from simulators.world.trajectory import SETTLED_DEG, ramp
 
 SCALE = 6400.0
@@ -93,74 +93,6 @@ def test_a_new_target_in_motion_is_reached_without_a_jump():
     assert one.counter(22.0) == -5.0 * SCALE
 
 
-def test_every_new_trajectory_is_published_and_joins_the_one_before():
-    trajectories = []
-    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, trajectories.append)
-    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    one.stop(20.1, ACCELERATION)
-    assert [one.motor.start_s for one in trajectories] == [0.0, 20.0, 20.1]
-    assert trajectories[2].angle_deg(20.1) == pytest.approx(trajectories[1].angle_deg(20.1))
-    assert trajectories[1].angle_deg(20.4) > trajectories[2].angle_deg(20.4)
-
-
-def test_stop_brakes_within_the_acceleration():
-    one = homed_axis()
-    one.move_to(15.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    one.stop(20.3, ACCELERATION)
-    assert one.busy(20.3 + 0.19)
-    assert not one.busy(20.3 + 0.21)
-    assert one.counter(21.0) == pytest.approx(
-        one.motor.position(20.3) + SPEED**2 / (2 * ACCELERATION), abs=1.0
-    )
-    assert one.counter(21.0) == round(one.counter(21.0))
-
-
-def test_the_counter_is_wrong_until_homing_finds_the_sensor():
-    one = axis(start_deg=2.4)
-    assert one.counter(0.0) == 0.0
-    assert one.pointing.angle_deg(0.0) == pytest.approx(2.4)
-    assert not one.referenced(0.0)
-    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
-    assert not one.referenced(0.1)
-    assert one.referenced(5.0)
-    assert one.counter(5.0) == 0.0
-    assert one.pointing.angle_deg(5.0) == 0.0
-
-
-def test_homing_that_is_stopped_leaves_no_reference():
-    one = axis(start_deg=5.0)
-    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
-    one.stop(0.1, ACCELERATION)
-    assert not one.referenced(60.0)
-
-
-def test_homing_again_has_no_reference_until_it_ends():
-    one = homed_axis()
-    one.move_to(5.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    one.home(25.0, SPEED, SPEED / 10, ACCELERATION)
-    assert not one.referenced(25.1)
-    assert one.referenced(30.0)
-
-
-def test_a_counter_set_after_homing_keeps_its_value():
-    one = homed_axis()
-    one.set_counter(100.0, 20.0)
-    assert one.counter(30.0) == 100.0
-    assert one.encoder(30.0) == 0.0
-    one.set_encoder(7.0, 30.0)
-    assert (one.counter(40.0), one.encoder(40.0)) == (100.0, 7.0)
-
-
-def test_a_restart_in_motion_stands_still_at_zero_without_a_reference():
-    one = homed_axis()
-    one.move_to(8.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    one.restart(20.2)
-    assert one.counter(20.2) == 0.0
-    assert not one.referenced(30.0)
-    assert not one.busy(20.2)
-    assert one.pointing.angle_deg(30.0) == pytest.approx(one.motor.position(20.2) / SCALE)
-
-
 def test_an_end_stop_holds_the_axis():
     one = homed_axis(highest_deg=12.0)
     one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
@@ -194,25 +126,6 @@ def move_with(fault: MotionFault | None) -> Axis:
     return one
 
 
-@pytest.mark.parametrize("kind", ["stall", "limit", "restart"])
-def test_a_motion_cut_short_is_noticed_once(kind):
-    one = move_with(MotionFault(kind, share=0.5))
-    assert one.take_event(20.2) is None
-    event = one.take_event(20.3)
-    assert event == MotionEvent(kind, pytest.approx(20.225))
-    assert one.take_event(20.4) is None
-    assert not one.busy(20.3)
-    assert one.counter(30.0) == pytest.approx(5.0 * SCALE, abs=1.0)
-    assert one.pointing.angle_deg(30.0) == pytest.approx(5.0, abs=1e-3)
-
-
-def test_a_motion_that_stops_short_raises_no_event():
-    one = move_with(MotionFault("stop_short", share=0.75))
-    assert one.take_event(30.0) is None
-    assert not one.busy(20.4)
-    assert one.counter(30.0) == one.encoder(30.0) < 10.0 * SCALE
-
-
 def test_a_slip_shows_in_the_encoder_only_and_stays_until_homing():
     one = move_with(MotionFault("slip", share=0.5))
     assert one.counter(30.0) == 10.0 * SCALE
@@ -234,52 +147,6 @@ def test_creep_begins_after_arrival_and_never_settles():
     assert one.pointing.angle_deg(30.0) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_fault_affects_the_next_motion_only():
-    one = move_with(MotionFault("stop_short"))
-    one.move_to(10.0 * SCALE, 30.0, SPEED, ACCELERATION)
-    assert one.counter(40.0) == 10.0 * SCALE
-    assert one.pointing.angle_deg(40.0) == 10.0
-
-
-def test_an_end_stop_is_noticed_by_a_controller_that_watches_for_stalls():
-    one = homed_axis(highest_deg=12.0)
-    one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    event = one.take_event(30.0)
-    assert event is not None
-    assert event.kind == "stall"
-    assert one.counter(30.0) == 12.0 * SCALE
-
-
-@pytest.mark.parametrize("stop_deg", [-0.5, -3.0, -9.9])
-def test_an_end_stop_is_met_when_the_motor_gets_there(stop_deg):
-    one = homed_axis(lowest_deg=stop_deg)
-    one.move_to(-10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    moments = np.linspace(20.0, 20.45, 45_001)
-    free = Axis(Mechanics(SCALE, -20.0, 20.0))
-    free.move_to(-10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    expected = next(t for t in moments if free.motor.position(t) <= stop_deg * SCALE)
-    event = one.take_event(30.0)
-    assert event is not None
-    assert event.t_s == pytest.approx(expected, abs=2e-5)
-    assert one.encoder(30.0) == stop_deg * SCALE
-
-
-def test_an_end_stop_makes_a_controller_that_counts_on_lose_steps():
-    one = homed_axis(highest_deg=12.0, stall_detection=False)
-    one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    assert one.take_event(30.0) is None
-    assert one.counter(30.0) == 30.0 * SCALE
-    assert one.encoder(30.0) == 12.0 * SCALE
-    assert one.pointing.angle_deg(30.0) == 12.0
-
-
-def test_a_stall_while_homing_leaves_no_reference():
-    one = axis(start_deg=5.0)
-    one.arm(MotionFault("stall"))
-    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
-    assert not one.referenced(10.0)
-
-
 def test_a_fault_waits_for_its_motion():
     one = homed_axis()
     one.arm(MotionFault("stop_short", skip=1))
@@ -296,15 +163,6 @@ def test_a_report_may_be_false_while_the_motion_is_not():
     one.stuck_busy = True
     assert one.reports_busy(30.0)
     assert not one.busy(30.0)
-
-
-def test_a_push_turns_the_shaft_and_not_the_counter():
-    one = move_with(None)
-    one.push(0.25 * SCALE, 30.0)
-    assert one.counter(31.0) == 10.0 * SCALE
-    assert one.encoder(31.0) == 10.25 * SCALE
-    assert one.pointing.angle_deg(30.0) == pytest.approx(10.0)
-    assert one.pointing.angle_deg(31.0) == 10.25
 
 
 def test_a_push_in_motion_keeps_the_motion():

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from simulators.config import bench_config
-from simulators.optics import board_scene, scene
+from simulators.optics import scene
 from simulators.optics.board_scene import blur_of, placed_boards
-from simulators.optics.lens_focus import camera_of, focus_of
 from simulators.optics.outlines import points_mm
 from simulators.world.board import BoardState
 
@@ -132,17 +131,6 @@ def test_dots_of_the_rendered_picture_lie_and_blur_as_traced_rays():
         assert spread == pytest.approx(math.sqrt(own), rel=0.01)
 
 
-def test_breathing_is_that_of_the_thick_lens():
-    truth = truth_of({**DOTS, "placements": [NEAR]}, {"focus_distance_m": 0.42})
-    points = np.array([[0.0, 0, 420.0], [10.0, 0, 420.0]])
-    filled, _ = traced(truth, points)
-    scale = float(np.diff(filled.mean(axis=1)[:, 0])[0]) / (10.0 / 420.0)
-    assert camera_of(truth).fx == pytest.approx(scale, rel=1e-4)
-    assert focus_of(truth).stretch == pytest.approx(
-        1.0 + focus_of(truth).focal_mm / (420.0 - focus_of(truth).focal_mm)
-    )
-
-
 @pytest.mark.parametrize("kind", ["checkerboard", "circles", "asymmetric-circles", "blinking-dots", "stars"])
 def test_the_points_lie_where_opencv_projects_them(kind):
     board = {"kind": kind, "placements": [NEAR]}
@@ -183,24 +171,6 @@ def test_the_pixels_of_a_screen_are_seen_if_they_are_large():
     assert coarse > 0.2
     assert light == pytest.approx(0.6, abs=0.05)
     assert grid_share(1.0, 1.0)[0] < 1e-5
-
-
-def test_left_out_pixels_would_not_have_been_seen():
-    board = {"kind": "checkerboard", "columns": 2, "rows": 2, "pitch_mm": 24, "pixel_mm": 0.24, "fill": 0.5,
-             "placements": [{"position_mm": [0, 0, 600], "turn_deg": [0, 0, 20]}]}  # fmt: skip
-    truth = truth_of(board)
-    left_out = scene.picture(truth, {})
-    drawn = truth_of({**board, "fill": 0.5}, optics={"psf_px": 0.7})
-    seen, board_scene.PIXELS_SEEN = board_scene.PIXELS_SEEN, 0.0
-    try:
-        exact = scene.picture(drawn, {})
-    finally:
-        board_scene.PIXELS_SEEN = seen
-    inner = (slice(150, 330), slice(230, 410))
-    assert (
-        np.abs(left_out - exact)[inner].max() < 0.03
-    )  # along edges, where a row of pixels begins half a gap later
-    assert np.abs((left_out - exact)[inner].mean()) < 1e-3
 
 
 def test_a_print_is_white_around_its_marks_and_a_screen_is_dark():

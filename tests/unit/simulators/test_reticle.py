@@ -285,15 +285,6 @@ def screen(middle_mm=MIDDLE):
     )
 
 
-def test_corners_lie_where_opencv_projects_them():
-    x, y = np.meshgrid(20.0 * np.arange(7) - 60.0, 20.0 * np.arange(4) - 30.0)
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(28)])
-    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
-    distortion = np.array([CAMERA.k1, CAMERA.k2, 0.0, 0.0])
-    expected, _ = cv2.projectPoints(points, np.radians(TURN_DEG), np.array(MIDDLE), matrix, distortion)
-    np.testing.assert_allclose(scene.corners(screen(), {}), expected.reshape(-1, 2), atol=1e-9)
-
-
 def test_opencv_refines_the_rendered_corners_to_their_true_places():
     picture = scene.picture(screen(), {})
     true = scene.corners(screen(), {})

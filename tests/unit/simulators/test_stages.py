@@ -55,25 +55,6 @@ def move_to_3_and_minus_2(kind: str, built: Built) -> None:
         built.say("gimbal", b"1MO;2MO;1OR;2OR\r", b"1PA3;2PA-2\r")
 
 
-@pytest.mark.parametrize("kind", ["zaber", "ximc", "grbl", "esp301"])
-def test_a_stage_points_where_it_is_commanded(kind):
-    built = Built(kind)
-    assert built.angles() == pytest.approx({"pan": 2.4, "tilt": -1.7}, abs=1e-3)
-    move_to_3_and_minus_2(kind, built)
-    assert built.angles() == {"pan": 3.0, "tilt": -2.0}
-
-
-@pytest.mark.parametrize("kind", ["zaber", "ximc", "grbl", "esp301"])
-def test_each_controller_turns_the_axis_of_its_name(kind):
-    built = Built(kind)
-    built.stage.controllers["tilt"].axis.push(
-        built.stage.controllers["tilt"].axis.mechanics.counts_per_deg, 0.0
-    )
-    built.now_s = 1.0
-    assert built.angles() == pytest.approx({"pan": 2.4, "tilt": -0.7}, abs=1e-3)
-    assert set(built.stage.ports.values()) == set(built.stage.dialects)
-
-
 @pytest.mark.parametrize(
     ("kind", "home", "to_the_limit", "beyond", "limit_deg"),
     [
