@@ -43,24 +43,6 @@ class Receiver:
         self.taken.append((message.key, channel))
 
 
-def test_a_message_goes_once_to_each_channel(outbox):
-    outbox.put(message(), ["mail", "hook"])
-    receiver = Receiver()
-    assert outbox.deliver(receiver, NOW) == 0
-    assert outbox.deliver(receiver, NOW) == 0
-    assert sorted(receiver.taken) == [("k1", "hook"), ("k1", "mail")]
-    assert [d.state for d in outbox.deliveries()] == ["sent", "sent"]
-
-
-def test_what_is_put_in_twice_goes_out_once_also_after_it_was_sent(outbox):
-    receiver = Receiver()
-    for _ in range(2):
-        outbox.put(message(), ["mail"])
-        outbox.put(message(), ["mail"])
-        outbox.deliver(receiver, NOW)
-    assert receiver.taken == [("k1", "mail")]
-
-
 def test_an_empty_outbox_leaves_no_file(outbox):
     assert outbox.deliver(Receiver(), NOW) == 0
     assert outbox.deliveries() == []
@@ -85,19 +67,6 @@ def test_what_does_not_go_through_is_tried_again_ever_more_seldom(outbox):
     receiver.failures = 0
     assert outbox.deliver(receiver, at, all_waiting=True) == 0
     assert outbox.deliveries()[0].last_error == ""
-
-
-def test_one_channel_that_is_down_holds_up_no_other(outbox):
-    outbox.put(message(), ["down", "up"])
-    receiver = Receiver()
-
-    def send(message, channel):
-        if channel == "down":
-            raise DeliveryFailed("down")
-        receiver(message, channel)
-
-    assert outbox.deliver(send, NOW) == 1
-    assert receiver.taken == [("k1", "up")]
 
 
 def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypatch):
@@ -140,17 +109,6 @@ def test_an_outbox_of_an_earlier_version_keeps_its_messages(outbox):
     assert receiver.taken == [("old", "mail"), ("new", "mail")]
     places = [(d.message.ledger_number, d.message.ledger_head) for d in outbox.deliveries()]
     assert places == [(None, None), (3, "a" * 64)]
-
-
-def test_where_the_process_died_while_sending_it_is_sent_again_and_said_to_be(outbox):
-    outbox.put(message(), ["mail"])
-    with pytest.raises(KeyboardInterrupt):
-        outbox.deliver(Receiver(failures=1, error=KeyboardInterrupt()), NOW)
-    assert outbox.deliveries()[0].state == "sending"
-    receiver = Receiver()
-    assert outbox.deliver(receiver, NOW) == 0
-    assert receiver.taken == [("k1", "mail")]
-    assert outbox.deliveries()[0].perhaps_twice
 
 
 def test_a_process_killed_while_sending_loses_nothing(outbox):
@@ -247,10 +205,14 @@ def servers(monkeypatch):
     let_go.set()
 
 
+def courier_to(home, *servers, say=print):
+    hooks = [WebhookConfig(url=f"http://{name}.example/") for name in servers]
+    return Courier(MessagesConfig(webhooks=hooks), Outbox(home), VirtualClock(BEGIN), say)
+
+
 def test_a_working_webhook_gets_its_messages_while_another_one_hangs(tmp_path, servers):
-    hooks = [WebhookConfig(url="http://hangs.example/"), WebhookConfig(url="http://works.example/")]
     said = []
-    courier = Courier(MessagesConfig(webhooks=hooks), Outbox(tmp_path), VirtualClock(BEGIN), said.append)
+    courier = courier_to(tmp_path, "hangs", "works", say=said.append)
     for key in ("first", "second"):
         courier.write("end", "s", "t", run="r", folder=Path("/r"), key=key, place=(7, "b" * 64))
         begun = time.monotonic()
@@ -266,12 +228,7 @@ def test_a_working_webhook_gets_its_messages_while_another_one_hangs(tmp_path, s
 
 
 def test_colours_of_a_terminal_are_in_no_message(tmp_path, servers):
-    courier = Courier(
-        MessagesConfig(webhooks=[WebhookConfig(url="http://works.example/")]),
-        Outbox(tmp_path),
-        VirtualClock(BEGIN),
-        print,
-    )
+    courier = courier_to(tmp_path, "works")
     words = "failed: \x1b[1mTypingError\x1b[0m\x07:\n\tat 3 \u00b0C"
     courier.write("failure", words, words, run="r", folder=Path("/r"), key="k")
     courier.close(5.0)
@@ -281,22 +238,12 @@ def test_colours_of_a_terminal_are_in_no_message(tmp_path, servers):
 
 
 def test_messages_of_another_station_that_wait_are_served_too(tmp_path, servers):
-    silent = Courier(
-        MessagesConfig(webhooks=[WebhookConfig(url="http://hangs.example/")]),
-        Outbox(tmp_path),
-        VirtualClock(BEGIN),
-        print,
-    )
+    silent = courier_to(tmp_path, "hangs")
     silent.write("end", "s", "t", run="r", folder=Path("/r"), key="before")
     silent.close(0.1)
     outbox = Outbox(tmp_path)
     outbox.put(outbox.deliveries()[0].message, ["works, of a third station"])
-    courier = Courier(
-        MessagesConfig(webhooks=[WebhookConfig(url="http://works.example/")]),
-        outbox,
-        VirtualClock(BEGIN),
-        print,
-    )
+    courier = courier_to(tmp_path, "works")
     courier.write("end", "s", "t", run="r", folder=Path("/r"), key="after")
     courier.close(0.5)
     assert sorted(servers["works"]) == ["after", "before"]

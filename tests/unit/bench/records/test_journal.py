@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_after, read_journal
+from bench.records.journal import CLOCK_JUMPED, Journal, lines_after, read_journal
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
 
@@ -68,35 +68,11 @@ def test_numpy_paths_and_dates_are_written_as_json(path, clocks):
     assert data == {"a": 1.5, "b": [0, 1, 2], "c": "a/b", "d": "2026-03-01T12:00:00.123456+00:00", "e": True}
 
 
-def test_each_line_carries_the_hash_of_the_one_before(three_lines):
-    entries, _ = read_journal(three_lines)
-    assert [e.prev for e in entries] == [FIRST_PREV, entries[0].hash, entries[1].hash]
-    assert len({e.hash for e in entries}) == 3
-
-
 def test_a_shell_can_check_a_line_without_this_program(three_lines):
     first = json.loads(three_lines.read_text().splitlines()[0])
     command = f"""sed 's/,"hash":"[0-9a-f]*"}}$/}}/' {three_lines} | head -n 1 | tr -d '\\n' | sha256sum"""
     printed = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
     assert printed.split()[0] == first["hash"]
-
-
-def test_going_on_continues_the_chain(three_lines, clocks):
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
-        head = journal.head
-        added = journal.append("resumed")
-        assert added.prev == head
-        assert added.seq == 3
-    assert [e.event for e in read_journal(three_lines)[0]] == ["run_started", "state", "finished", "resumed"]
-
-
-def test_a_torn_last_line_is_dropped_and_reported(three_lines, clocks):
-    whole = three_lines.read_bytes()
-    three_lines.write_bytes(whole + b'{"seq":3,"utc":"2026-')
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
-        assert journal.torn == b'{"seq":3,"utc":"2026-'
-        assert len(journal.entries) == 3
-    assert three_lines.read_bytes() == whole
 
 
 def test_every_prefix_of_a_journal_can_be_gone_on_with(three_lines, clocks, monkeypatch):
@@ -106,8 +82,10 @@ def test_every_prefix_of_a_journal_can_be_gone_on_with(three_lines, clocks, monk
         three_lines.write_bytes(whole[:size])
         with Journal.open(three_lines, **clocks.kwargs()) as journal:
             assert len(journal.entries) == whole[:size].count(b"\n")
-            journal.append("resumed")
-        assert read_journal(three_lines)[0][-1].event == "resumed"
+            assert journal.torn == whole[:size].rpartition(b"\n")[2]
+            head, added = journal.head, journal.append("resumed")
+        assert (added.prev, added.seq) == (head, whole[:size].count(b"\n"))
+        assert read_journal(three_lines)[0][-1] == added
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -140,22 +118,42 @@ def rehashed(line):
     return body[:-1] + b',"hash":"' + hashlib.sha256(body).hexdigest().encode() + b'"}'
 
 
-def test_a_number_edited_with_its_own_hash_made_new_breaks_the_chain(three_lines):
-    lines = three_lines.read_bytes().splitlines()
-    lines[0] = rehashed(lines[0].replace(b'"seed":1', b'"seed":2'))
-    three_lines.write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(JournalBroken, match=r":2: .*not chained"):
-        read_journal(three_lines)
-
-
-def test_a_line_whose_hash_stands_in_another_form_is_found(three_lines):
-    lines = three_lines.read_bytes().splitlines()
-    body = lines[2][: lines[2].rindex(b',"hash"')] + b","
+def with_another_hash_form(line):
+    """A line whose right hash is followed by a tab."""
+    body = line[: line.rindex(b',"hash"')] + b","
     own_hash = hashlib.sha256(body + b"}").hexdigest().encode()
-    lines[2] = body + b'"hash":"' + own_hash + b'"\t}'
-    assert json.loads(lines[2])["hash"] == own_hash.decode()
+    return body + b'"hash":"' + own_hash + b'"\t}'
+
+
+def replaced(old, new):
+    return lambda line: rehashed(line.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("at", "change", "says"),
+    [
+        (0, replaced(b'"seed":1', b'"seed":2'), r":2: .*not chained"),
+        (2, replaced(b'{"seq":2', b'{"seq":3'), r":3: .*line 3 in place of line 2"),
+        (2, with_another_hash_form, ":3: "),
+        (1, replaced(b'"homing"', b"[" * 500 + b"]" * 500), "this line is not an entry"),
+        (1, replaced(b'"event":"state"', b'"event":["x"]'), "this line is not an entry"),
+        (1, replaced(b'"utc":"2026-03-01T12:00:00.123456Z"', b'"utc":3'), "this line is not an entry"),
+    ],
+    ids=[
+        "number edited",
+        "out of order",
+        "form of the hash",
+        "nested",
+        "event is a list",
+        "time is a number",
+    ],
+)
+def test_a_line_with_a_new_hash_of_its_own_is_found(three_lines, at, change, says):
+    lines = three_lines.read_bytes().splitlines()
+    lines[at], line = change(lines[at]), lines[at]
+    assert lines[at] != line
     three_lines.write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(JournalBroken, match=":3: "):
+    with pytest.raises(JournalBroken, match=says):
         read_journal(three_lines)
 
 
@@ -164,27 +162,6 @@ def test_a_journal_larger_than_any_is_refused(three_lines, monkeypatch):
     assert len(read_journal(three_lines)[0]) == 3
     monkeypatch.setattr("bench.records.journal.MOST_JOURNAL_BYTES", three_lines.stat().st_size - 1)
     with pytest.raises(JournalBroken, match=r"The journal has more than \d+ bytes"):
-        read_journal(three_lines)
-
-
-def test_a_line_nested_too_deeply_is_no_entry(three_lines):
-    lines = three_lines.read_bytes().splitlines(keepends=True)
-    record = json.loads(lines[1])
-    record.pop("hash")
-    record["to"] = 0
-    text = json.dumps(record, separators=(",", ":")).replace('"to":0', '"to":' + "[" * 500 + "]" * 500)
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    lines[1] = f'{text[:-1]},"hash":"{digest}"}}\n'.encode()
-    three_lines.write_bytes(b"".join(lines))
-    with pytest.raises(JournalBroken, match="this line is not an entry"):
-        read_journal(three_lines)
-
-
-def test_a_line_numbered_out_of_order_is_found(three_lines):
-    lines = three_lines.read_bytes().splitlines()
-    lines[2] = rehashed(lines[2].replace(b'{"seq":2', b'{"seq":3'))
-    three_lines.write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(JournalBroken, match=r":3: .*line 3 in place of line 2"):
         read_journal(three_lines)
 
 
@@ -203,27 +180,18 @@ def test_a_broken_journal_is_left_as_it_is(three_lines, clocks):
     assert three_lines.read_bytes() == broken
 
 
-def test_a_jump_of_the_system_clock_is_told(path, clocks):
+def test_a_jump_of_the_system_clock_is_told_also_between_two_processes(path, clocks):
     with Journal.create(path, **clocks.kwargs()) as journal:
         journal.append("a")
         clocks.advance(10, system_s=11.9)
         journal.append("b")
         clocks.advance(10, system_s=3610)
         journal.append("c")
-        clocks.advance(1)
-        journal.append("d")
-    assert [e.event for e in journal.entries] == ["a", "b", CLOCK_JUMPED, "c", "d"]
-    assert journal.entries[2].data == {"jump_s": 3600.0}
-
-
-def test_time_that_ran_back_between_two_processes_is_told(three_lines, clocks):
     clocks.advance(5, system_s=-60)
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
-        journal.append("resumed")
-    assert [(e.event, dict(e.data)) for e in journal.entries[3:]] == [
-        (CLOCK_JUMPED, {"jump_s": -60.0}),
-        ("resumed", {}),
-    ]
+    with Journal.open(path, **clocks.kwargs()) as journal:
+        journal.append("d")
+    assert [e.event for e in journal.entries] == ["a", "b", CLOCK_JUMPED, "c", CLOCK_JUMPED, "d"]
+    assert [journal.entries[at].data for at in (2, 4)] == [{"jump_s": 3600.0}, {"jump_s": -60.0}]
 
 
 @pytest.mark.parametrize(
@@ -266,18 +234,40 @@ def test_a_full_disk_leaves_no_half_line_and_the_journal_goes_on(three_lines, cl
     assert [e.event for e in read_journal(three_lines)[0]][-2:] == ["finished", "disk_full"]
 
 
-def test_after_a_failed_sync_nothing_more_is_written(three_lines, clocks, monkeypatch):
-    def fail(_descriptor):
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
+def failing(*_):
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
 
+
+def half_written(descriptor, data):
+    os.write(descriptor, data[:20])
+    failing()
+
+
+def stopped(descriptor, data):
+    os.write(descriptor, data[:20])
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("calls", "error", "left"),
+    [
+        ({"os.fsync": failing}, StorageError, (4, 0)),
+        ({"bench.records.journal.write_all": half_written, "os.ftruncate": failing}, StorageError, (3, 20)),
+        ({"bench.records.journal.write_all": stopped}, KeyboardInterrupt, (3, 20)),
+    ],
+    ids=["sync failed", "half a line that cannot be taken back", "stopped"],
+)
+def test_after_a_failed_write_nothing_more_is_written(three_lines, clocks, monkeypatch, calls, error, left):
     with Journal.open(three_lines, **clocks.kwargs()) as journal:
         with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", fail)
-            with pytest.raises(StorageError, match="file system reports an error"):
+            for name, fault in calls.items():
+                patch.setattr(name, fault)
+            with pytest.raises(error, match=r"file system reports an error|^$"):
                 journal.append("x")
         with pytest.raises(StorageError, match="a write to it failed"):
             journal.append("y")
         assert len(journal.entries) == 3
+    assert tuple(map(len, read_journal(three_lines))) == left
 
 
 def test_a_noted_line_is_there_at_once_and_synced_with_the_next_one(path, clocks, synced):
@@ -343,58 +333,6 @@ def test_zeros_of_no_blocks_extent_are_no_cut_of_power(path, clocks):
     damaged[512:1024] = bytes(512)
     path.write_bytes(damaged)
     assert read_journal(path) == ([], bytes(damaged))
-
-
-def test_half_a_line_that_cannot_be_taken_back_stays_the_last(three_lines, clocks, monkeypatch):
-    def fail(*_):
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    def half(descriptor, data):
-        os.write(descriptor, data[:20])
-        fail()
-
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
-        with monkeypatch.context() as patch:
-            patch.setattr("bench.records.journal.write_all", half)
-            patch.setattr(os, "ftruncate", fail)
-            with pytest.raises(StorageError):
-                journal.append("x")
-        with pytest.raises(StorageError, match="a write to it failed"):
-            journal.append("y")
-    entries, torn = read_journal(three_lines)
-    assert (len(entries), len(torn)) == (3, 20)
-
-
-def test_a_line_broken_off_by_whatever_it_was_is_followed_by_none(three_lines, clocks, monkeypatch):
-    def stopped(descriptor, data):
-        os.write(descriptor, data[:20])
-        raise KeyboardInterrupt
-
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
-        with monkeypatch.context() as patch:
-            patch.setattr("bench.records.journal.write_all", stopped)
-            with pytest.raises(KeyboardInterrupt):
-                journal.append("x")
-        with pytest.raises(StorageError, match="a write to it failed"):
-            journal.append("y")
-    assert len(read_journal(three_lines)[0]) == 3
-
-
-@pytest.mark.parametrize(("key", "value"), [("event", ["x"]), ("utc", 3)])
-def test_a_line_whose_parts_are_of_another_kind_is_no_entry(path, key, value):
-    record = {
-        "seq": 0,
-        "utc": "2026-03-01T12:00:00Z",
-        "mono_s": 0.0,
-        "event": "x",
-        "prev": FIRST_PREV,
-        key: value,
-    }
-    text = json.dumps(record, separators=(",", ":"))
-    own = hashlib.sha256(text.encode()).hexdigest()
-    path.write_text(f'{text[:-1]},"hash":"{own}"}}\n')
-    with pytest.raises(JournalBroken, match="not an entry"):
-        read_journal(path)
 
 
 def test_lines_since_a_moment_are_whole_ones_and_nothing_of_the_one_before(three_lines):

@@ -12,7 +12,6 @@ from bench.base.errors import JournalBroken
 from bench.evidence.seal import seal
 from bench.records.journal import Journal, read_journal
 from bench.records.ledger import Ledger
-from bench.records.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -26,24 +25,15 @@ def begin(ledger, run="run", camera="00050423", simulated=False, folder=Path("/r
     return ledger.begin(run_id=run, folder=folder, camera=camera, simulated=simulated)
 
 
-def test_without_a_ledger_there_are_no_runs(ledger):
-    assert ledger.runs() == []
-    assert ledger.faults() == []
-
-
-def test_a_run_is_in_it_from_its_begin_and_open_until_it_ends(ledger, tmp_path):
-    place = begin(ledger)
+def test_a_run_is_in_it_from_its_begin_open_until_it_ends_and_then_as_it_ended_last(ledger, tmp_path):
+    assert (ledger.runs(), ledger.faults()) == ([], [])
+    number = begin(ledger)["number"]
     (run,) = ledger.runs()
     assert (run.number, run.run_id, run.camera, run.how, run.seal) == (1, "run", "00050423", "open", None)
-    ledger.end(place["number"], how="failed", folder=tmp_path)
-    assert [run.how for run in ledger.runs()] == ["failed"]
-
-
-def test_a_run_that_was_resumed_stands_as_it_ended_last(ledger, tmp_path):
-    number = begin(ledger)["number"]
     for how in ("aborted", "failed", "finished"):
         ledger.end(number, how=how, folder=tmp_path)
-    assert [run.how for run in ledger.runs()] == ["finished"]
+        assert [run.how for run in ledger.runs()] == [how]
+    assert ledger.faults() == []
 
 
 def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_and_name(ledger, tmp_path):
@@ -130,30 +120,3 @@ def test_a_ledger_of_another_program_is_refused(ledger, event, data):
         journal.append(event, **data)
     with pytest.raises(JournalBroken, match=r"Line 2 of the ledger"):
         ledger.runs()
-
-
-def test_a_run_folder_that_was_never_made_can_be_entered_as_failed(ledger, tmp_path):
-    number = begin(ledger)["number"]
-    ledger.end(number, how="failed", folder=tmp_path / "never")
-    assert ledger.runs()[0].how == "failed"
-    with RunFolder.create(tmp_path / "never"):
-        assert ledger.faults() == []
-
-
-def test_a_line_of_any_event_is_entered_and_read_and_is_no_run(ledger):
-    begin(ledger)
-    entry = ledger.append("certificate_issued", number="2026-0001", run=1)
-    assert [e.event for e in ledger.entries()] == ["run_begun", "certificate_issued"]
-    assert ledger.entries()[-1] == entry
-    assert begin(ledger)["number"] == 2
-
-
-def test_numbers_of_a_series_are_given_once_when_many_ask_at_once(tmp_path):
-    def give(_):
-        with Ledger(tmp_path, **CLOCKS).locked() as journal:
-            number = 1 + sum(e.event == "certificate_issued" for e in journal.entries)
-            journal.append("certificate_issued", number=number)
-            return number
-
-    with ThreadPoolExecutor(4) as pool:
-        assert sorted(pool.map(give, range(12))) == list(range(1, 13))

@@ -53,17 +53,14 @@ def visible(path):
 # ------------------------------------------------------------------ making and holding
 
 
-def test_a_new_run_makes_the_folders_above_it(run, tmp_path):
-    assert run.path == tmp_path / "runs" / "one"
-    assert (run.path / "captures").is_dir()
-
-
-def test_a_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
+def test_a_folder_that_holds_something_is_refused_left_alone_and_not_left_locked(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(RunFolderError, match=r"not empty: it contains notes.txt.*another --output"):
         RunFolder.create(tmp_path)
     assert visible(tmp_path) == ["notes.txt"]
     assert not (tmp_path / "captures").exists()
+    (tmp_path / "notes.txt").unlink()
+    RunFolder.create(tmp_path).close()
 
 
 def test_a_folder_whose_making_was_cut_short_is_made_again(tmp_path):
@@ -74,10 +71,9 @@ def test_a_folder_whose_making_was_cut_short_is_made_again(tmp_path):
 
 def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="file"):
-        RunFolder.create(tmp_path / "file" / "run")
-    with pytest.raises(StorageError, match="file"):
-        RunFolder.create(tmp_path / "file")
+    for path in ("file/run", "file"):
+        with pytest.raises(StorageError, match="file"):
+            RunFolder.create(tmp_path / path)
 
 
 def test_no_permission_is_told(tmp_path, monkeypatch):
@@ -137,22 +133,7 @@ def test_a_refusal_leaves_no_file_open(run, journal):
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_a_refused_folder_is_not_left_locked(tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(RunFolderError):
-        RunFolder.create(tmp_path)
-    (tmp_path / "notes.txt").unlink()
-    RunFolder.create(tmp_path).close()
-
-
 # ------------------------------------------------------------------ whole files
-
-
-def test_a_file_is_replaced_as_a_whole(run):
-    run.write_atomic("exports/camera.yaml", b"old")
-    path = run.write_atomic("exports/camera.yaml", b"new")
-    assert path.read_bytes() == b"new"
-    assert visible(run.path) == ["exports/camera.yaml"]
 
 
 @pytest.mark.parametrize("call", ["write", "fsync"])
@@ -182,23 +163,12 @@ def test_names_that_lead_elsewhere_are_refused(run, name):
         run.write_atomic(name, b"")
 
 
-def test_the_reserve_gives_space_for_the_last_words(run):
+def test_a_resumed_run_has_its_reserve_again_unless_the_disk_is_full(run, journal, monkeypatch):
     reserve = run.path / ".reserve"
     assert reserve.stat().st_size > 100_000
-    run.release_reserve()
-    assert not reserve.exists()
-    run.release_reserve()
-
-
-def test_a_resumed_run_has_its_reserve_again(run, journal):
-    run.release_reserve()
-    run.close()
-    with RunFolder.open(run.path):
-        assert (run.path / ".reserve").stat().st_size > 100_000
-
-
-def test_a_run_is_not_resumed_on_a_full_disk_nor_left_locked(run, journal, monkeypatch):
-    run.release_reserve()
+    for _ in range(2):
+        run.release_reserve()
+        assert not reserve.exists()
     run.close()
 
     def full(*_args):
@@ -208,7 +178,8 @@ def test_a_run_is_not_resumed_on_a_full_disk_nor_left_locked(run, journal, monke
         patch.setattr(os, "write", full)
         with pytest.raises(StorageError, match="disk is full"):
             RunFolder.open(run.path)
-    RunFolder.open(run.path).close()
+    with RunFolder.open(run.path):
+        assert reserve.stat().st_size > 100_000
 
 
 # ------------------------------------------------------------------ captures
@@ -275,13 +246,39 @@ def test_committing_what_was_not_recorded_is_an_error(run):
 # ------------------------------------------------------------------ after a crash
 
 
-def test_a_whole_told_capture_stays(run, journal):
+def moved_behind_a_link(path):
+    path.rename(path.parents[1] / "elsewhere.raw")
+    path.symlink_to(path.parents[1] / "elsewhere.raw")
+
+
+@pytest.mark.parametrize(
+    ("told", "harm", "said"),
+    [
+        (True, Path.exists, "intact"),
+        (True, lambda path: path.write_bytes(b"abd"), "changed"),
+        (True, lambda path: path.write_bytes(b"abcd"), "changed"),
+        (True, lambda path: path.write_bytes(b""), "changed"),
+        (True, moved_behind_a_link, "changed"),
+        (True, Path.unlink, "missing"),
+        (False, Path.exists, "unnamed"),
+    ],
+)
+def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, journal, told, harm, said):
     capture = record(run, 1, 1, b"abc")
-    journal.append(CAPTURE_STORED, pose=1, attempt=1, **capture.as_data())
+    if told:
+        journal.append(CAPTURE_STORED, pose=1, attempt=1, **capture.as_data())
+        assert stored_captures(journal.entries) == {capture.name: capture}
+    path = run.path / capture.name
+    harm(path)
     notes = recover(run, journal)
-    assert notes.intact == (capture,)
-    assert notes == type(notes)(intact=(capture,))
-    assert stored_captures(journal.entries) == {capture.name: capture}
+    assert notes == type(notes)(**{said: (capture if said == "intact" else capture.name,)})
+    assert path.exists() is (said == "intact")
+    if not told:
+        assert (run.path / "quarantine/pose-001-attempt-1.raw.1").read_bytes() == b"abc"
+        assert recover(run, journal) == type(notes)()
+        journal.append(CAPTURE_STORED, capture="captures/x.raw")
+        with pytest.raises(RunFolderError, match="without its name, size or hash"):
+            recover(run, journal)
 
 
 def test_a_half_written_recording_is_set_aside(run, journal):
@@ -289,12 +286,6 @@ def test_a_half_written_recording_is_set_aside(run, journal):
     assert recover(run, journal).interrupted == ("captures/pose-002-attempt-1.raw.part",)
     assert (run.path / "quarantine/pose-002-attempt-1.raw.part.1").read_bytes() == b"half"
     assert not list((run.path / "captures").iterdir())
-
-
-def test_a_capture_not_yet_told_to_the_journal_is_set_aside(run, journal):
-    record(run, 2, 1, b"whole")
-    assert recover(run, journal).unnamed == ("captures/pose-002-attempt-1.raw",)
-    assert (run.path / "quarantine/pose-002-attempt-1.raw.1").read_bytes() == b"whole"
 
 
 def test_what_is_set_aside_twice_is_kept_twice(run, journal):
@@ -305,49 +296,11 @@ def test_what_is_set_aside_twice_is_kept_twice(run, journal):
     assert kept == [b"one", b"two"]
 
 
-@pytest.mark.parametrize("data", [b"abd", b"abcd", b""])
-def test_a_changed_capture_is_named_and_set_aside(run, journal, data):
-    capture = record(run, 1, 1, b"abc")
-    journal.append(CAPTURE_STORED, **capture.as_data())
-    (run.path / capture.name).write_bytes(data)
-    notes = recover(run, journal)
-    assert (notes.changed, notes.missing, notes.intact) == ((capture.name,), (), ())
-    assert not (run.path / capture.name).exists()
-
-
-def test_a_lost_capture_is_named(run, journal):
-    capture = record(run, 1, 1, b"abc")
-    journal.append(CAPTURE_STORED, **capture.as_data())
-    (run.path / capture.name).unlink()
-    assert recover(run, journal).missing == (capture.name,)
-
-
-def test_a_link_in_place_of_a_capture_is_not_taken_for_it(run, journal, tmp_path):
-    capture = record(run, 1, 1, b"abc")
-    journal.append(CAPTURE_STORED, **capture.as_data())
-    (run.path / capture.name).rename(tmp_path / "elsewhere.raw")
-    (run.path / capture.name).symlink_to(tmp_path / "elsewhere.raw")
-    assert recover(run, journal).changed == (capture.name,)
-
-
 def test_temporary_files_of_reports_go(run, journal):
     (run.path / ".results.json.tmp").write_bytes(b"half")
     recover(run, journal)
     assert visible(run.path) == ["journal.jsonl"]
     assert not (run.path / ".results.json.tmp").exists()
-
-
-def test_recovering_again_finds_nothing_left_to_do(run, journal):
-    record(run, 1, 1, b"untold")
-    recover(run, journal)
-    again = recover(run, journal)
-    assert again == type(again)()
-
-
-def test_capture_entries_without_a_hash_are_refused(run, journal):
-    journal.append(CAPTURE_STORED, capture="captures/x.raw")
-    with pytest.raises(RunFolderError, match="without its name, size or hash"):
-        recover(run, journal)
 
 
 def test_the_reserve_s_size_counts_as_needed(tmp_path, monkeypatch):
