@@ -39,10 +39,6 @@ keyUsage=critical,digitalSignature
 extendedKeyUsage=critical,timeStamping
 subjectKeyIdentifier=hash
 authorityKeyIdentifier=keyid
-[mail]
-basicConstraints=critical,CA:false
-keyUsage=critical,digitalSignature
-extendedKeyUsage=critical,emailProtection
 [tsa]
 default_tsa=one
 [one]
@@ -89,7 +85,7 @@ class Authority:
         return self.folder / "root.pem"
 
     @classmethod
-    def create(cls, folder, name="Example TSA", purpose="stamps"):
+    def create(cls, folder, name="Example TSA"):
         folder.mkdir()
         (folder / "c.cnf").write_text(_CONFIGURATION)
         (folder / "serial").write_text("01\n")
@@ -102,7 +98,7 @@ class Authority:
         made.run("req", *curve, "-keyout", "tsa.key", "-out", "tsa.csr", "-subj", f"/O=Example/CN={name}")
         made.run(
             "x509", "-req", "-in", "tsa.csr", "-CA", "root.pem", "-CAkey", "root.key", "-CAcreateserial",
-            "-out", "tsa.pem", "-days", "3650", "-extfile", "c.cnf", "-extensions", purpose,
+            "-out", "tsa.pem", "-days", "3650", "-extfile", "c.cnf", "-extensions", "stamps",
         )  # fmt: skip
         return made
 

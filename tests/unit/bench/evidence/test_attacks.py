@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 import pytest
 
-from bench.evidence.keys import AUTHORISATION_NAMESPACE
-from bench.evidence.sshsig import sign
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
     checked,
@@ -179,38 +177,7 @@ def test_a_resealed_change_is_found(forger, trusted, attack):
     assert (attack.kind, attack.where) in kinds(found), [str(fault) for fault in found.faults]
 
 
-def test_there_are_many_attacks():
-    assert len(ATTACKS) >= 45
-    assert len({attack.name for attack in ATTACKS}) == len(ATTACKS)
-    assert sum(attack.stock == "-" for attack in ATTACKS) >= 20
-
-
 # ------------------------------------------------------------------ files beside the seal
-
-BESIDE = {
-    "SHA256SUMS.tsr": ("timestamp", b"garbage"),
-    "SHA256SUMS.authorised.tsr": ("timestamp", b"garbage"),
-    "SHA256SUMS.authorised.sig": ("authorisation", b"garbage"),
-}
-
-
-@pytest.mark.parametrize("name", BESIDE)
-def test_a_reserved_file_that_does_not_hold_is_a_fault(forger, trusted, name):
-    kind, data = BESIDE[name]
-    (forger / name).write_bytes(data)
-    found = checked(forger.folder, trusted)
-    assert {fault.kind for fault in found.faults} == {kind}
-    assert found.state == "SEALED"
-
-
-def test_the_bench_cannot_authorise_itself(forger, trusted, bench_key):
-    seal = (forger / "SHA256SUMS.sig").read_bytes()
-    signature = sign(bench_key.private, seal, AUTHORISATION_NAMESPACE)
-    (forger / "SHA256SUMS.authorised.sig").write_bytes(signature)
-    found = checked(forger.folder, trusted)
-    assert kinds(found) == [("authorisation", "SHA256SUMS.authorised.sig")]
-    assert found.state == "SEALED"
-
 
 # ------------------------------------------------------------------ stock programs
 

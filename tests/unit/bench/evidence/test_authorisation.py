@@ -85,12 +85,6 @@ def test_draft_sealed_authorised(make_run, key, tmp_path, ada, trust, home):
     subprocess.run(["sha256sum", "--strict", "-c", "SHA256SUMS"], cwd=run, check=True, capture_output=True)
 
 
-def test_a_second_authorisation_is_refused(sealed, ada, trust):
-    authorise(sealed, ada[0], trust, NOW)
-    with pytest.raises(EvidenceError, match="authorised already"):
-        authorise(sealed, ada[0], trust, NOW)
-
-
 def test_authorised_before_sealed(make_run, tmp_path, ada, trust, key):
     with make_run(tmp_path / "run") as folder:
         with pytest.raises(EvidenceError, match="not sealed"):

@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import shutil
 import stat
 import subprocess
 import threading
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 
 import pytest
+from authorising import make_key, needs_ssh_keygen
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -17,10 +17,6 @@ from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.keys import create_key, ensure_key, load_key, load_public_key, read_signers, trust
 from bench.evidence.sshsig import fingerprint
-
-needs_ssh_keygen = pytest.mark.skipif(
-    shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
-)
 
 
 @contextmanager
@@ -51,18 +47,12 @@ def test_the_key_can_be_read_by_its_owner_alone(tmp_path):
     assert stat.S_IMODE((tmp_path / "home").stat().st_mode) == 0o700
 
 
-@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o660])
-def test_a_key_that_others_can_read_is_refused(tmp_path, mode):
+@pytest.mark.parametrize(("mode", "user"), [(0o644, 0), (0o640, 0), (0o604, 0), (0o660, 0), (0o600, 4242)])
+def test_a_key_of_others_or_that_others_can_read_is_refused(tmp_path, monkeypatch, mode, user):
     create_key(tmp_path)
     (tmp_path / "bench_key").chmod(mode)
+    monkeypatch.setattr(os, "getuid", lambda: user)
     with pytest.raises(EvidenceError, match=rf"Other users can read the key \(mode {mode:04o}\).*chmod 600"):
-        load_key(tmp_path)
-
-
-def test_a_key_that_belongs_to_somebody_else_is_refused(tmp_path, monkeypatch):
-    create_key(tmp_path)
-    monkeypatch.setattr(os, "getuid", lambda: 4242)
-    with pytest.raises(EvidenceError, match="Other users can read"):
         load_key(tmp_path)
 
 
@@ -119,36 +109,22 @@ def test_the_secret_does_not_show_when_printed(key):
 
 @needs_ssh_keygen
 def test_ssh_keygen_reads_the_key_and_prints_the_same_fingerprint(home, key):
+    def printed(*words):
+        return subprocess.run(["ssh-keygen", *words], capture_output=True, text=True, check=True).stdout
+
     for file in ("bench_key", "bench_key.pub"):
-        printed = subprocess.run(
-            ["ssh-keygen", "-l", "-f", home / file], capture_output=True, text=True, check=True
-        ).stdout
-        assert key.fingerprint in printed
-    public = subprocess.run(
-        ["ssh-keygen", "-y", "-f", home / "bench_key"], capture_output=True, text=True, check=True
-    ).stdout
-    assert public.split()[:2] == key.public_text.split()
+        assert key.fingerprint in printed("-l", "-f", home / file)
+    assert printed("-y", "-f", home / "bench_key").split()[:2] == key.public_text.split()
 
 
 @needs_ssh_keygen
 def test_a_key_made_by_ssh_keygen_is_taken(tmp_path):
-    subprocess.run(
-        [
-            "ssh-keygen",
-            "-q",
-            "-t",
-            "ed25519",
-            "-N",
-            "pass phrase",
-            "-C",
-            "me@lab",
-            "-f",
-            tmp_path / "bench_key",
-        ],
-        check=True,
-    )
+    make_key(tmp_path, "me@lab", passphrase="pass phrase").rename(tmp_path / "bench_key")
+    (tmp_path / "me@lab.pub").rename(tmp_path / "bench_key.pub")
     key = load_key(tmp_path, ask_passphrase=lambda _: b"pass phrase")
     assert key.principal == "me@lab"
+    blob = (tmp_path / "bench_key.pub").read_text().split()[1]
+    assert load_public_key(tmp_path).line.endswith(f" {blob}")
 
 
 def test_the_folder_of_keys_follows_the_environment():
@@ -213,11 +189,15 @@ def test_a_line_that_is_not_understood_is_named(tmp_path, line):
         read_one(tmp_path, line)
 
 
-def test_a_missing_list_is_named(tmp_path):
+def test_a_list_that_is_missing_or_a_pipe_is_refused_at_once(tmp_path):
+    path = tmp_path / "signers"
     with pytest.raises(
         EvidenceError, match=r"signers: The list of trusted keys cannot be read: No such file"
     ):
-        read_signers(tmp_path / "signers")
+        read_signers(path)
+    os.mkfifo(path, 0o600)
+    with pytest.raises(EvidenceError, match="is not a file"):
+        read_signers(path)
 
 
 def test_a_further_key_is_trusted_once(tmp_path):
@@ -235,12 +215,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
         ensure_key(tmp_path / "file" / "home")
 
 
-def test_a_pipe_in_the_place_of_the_trusted_keys_is_refused_at_once(tmp_path):
-    os.mkfifo(tmp_path / "allowed_signers", 0o600)
-    with pytest.raises(EvidenceError, match="is not a file"):
-        read_signers(tmp_path / "allowed_signers")
-
-
 @pytest.mark.parametrize("passphrase", [None, b"secret"])
 def test_the_public_half_is_read_from_the_private_key_without_its_passphrase(tmp_path, passphrase):
     key = create_key(tmp_path, principal="bench1@lab", passphrase=passphrase)
@@ -251,17 +225,6 @@ def test_the_public_half_is_read_from_the_private_key_without_its_passphrase(tmp
     (tmp_path / "bench_key").chmod(0o644)
     with pytest.raises(EvidenceError, match="Other users can read the key"):
         load_public_key(tmp_path)
-
-
-@needs_ssh_keygen
-def test_the_public_half_of_a_key_that_ssh_keygen_made(tmp_path):
-    path = tmp_path / "bench_key"
-    subprocess.run(
-        ["ssh-keygen", "-q", "-t", "ed25519", "-N", "secret", "-C", "bench1@lab", "-f", str(path)],
-        check=True,
-    )
-    blob = (tmp_path / "bench_key.pub").read_text().split()[1]
-    assert load_public_key(tmp_path).line.endswith(f" {blob}")
 
 
 @pytest.mark.parametrize(

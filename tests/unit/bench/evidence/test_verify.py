@@ -1,19 +1,16 @@
 """Verification: the untouched bundle passes, each way of tampering with it is found and named."""
 
-import hashlib
 import json
 import os
 import shutil
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bench.base.bounded_json import canonical_json
 from bench.base.errors import RunFolderError
-from bench.evidence.keys import NAMESPACE, Signer, create_key
+from bench.evidence.keys import NAMESPACE, create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_folder
@@ -32,13 +29,6 @@ def test_the_untouched_bundle_passes(sealed_once, signers, key):
     assert found.fingerprint == key.fingerprint
     assert (found.run_id, found.camera_serial, found.simulated) == ("run-1", "00050423", True)
     assert found.files == 12
-
-
-def test_what_was_found_can_be_written_as_json(sealed, signers):
-    (sealed / "results.json").unlink()
-    found = json.loads(json.dumps(verify_folder(sealed, signers).to_dict()))
-    assert found["ok"] is False
-    assert found["faults"] == [{"kind": "missing", "where": "results.json", "what": "the file is missing"}]
 
 
 # ------------------------------------------------------------------ attacks
@@ -96,9 +86,15 @@ def test_a_link_in_place_of_a_file_is_found(sealed, signers, tmp_path, target):
 
 
 @pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
-def test_a_stripped_seal_is_found(sealed, signers, name):
-    (sealed / name).unlink()
-    assert kinds(verify_folder(sealed, signers)) == [("unsealed", name)]
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_seal_that_was_stripped_or_is_a_link_is_none(sealed, signers, tmp_path, name, linked):
+    shutil.move(sealed / name, tmp_path / "elsewhere")
+    if linked:
+        (sealed / name).symlink_to(tmp_path / "elsewhere")
+    found = verify_folder(sealed, signers)
+    assert kinds(found) == [("unsealed", name)]
+    assert found.state == "DRAFT"
+    assert json.loads(json.dumps(found.to_dict()))["ok"] is False
 
 
 @pytest.mark.parametrize("line", [b"../../etc/passwd", b"/etc/passwd", b"a/../b"])
@@ -109,30 +105,11 @@ def test_a_listed_path_that_leads_out_is_found(sealed, signers, key, line):
     assert ("manifest", "SHA256SUMS:1") in kinds(verify_folder(sealed, signers))
 
 
-def test_a_doubled_line_is_found(sealed, signers, key):
-    lines = (sealed / "SHA256SUMS").read_bytes().splitlines(keepends=True)
-    manifest = b"".join([lines[0], *lines])
-    (sealed / "SHA256SUMS").write_bytes(manifest)
-    (sealed / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, NAMESPACE))
-    assert ("manifest", "SHA256SUMS:2") in kinds(verify_folder(sealed, signers))
-
-
 def test_a_signature_for_another_purpose_is_found(sealed, signers, key):
     reseal(sealed, key, namespace="git")
     found = verify_folder(sealed, signers)
     assert kinds(found) == [("signature", "SHA256SUMS.sig")]
     assert "'git'" in found.faults[0].what
-
-
-def test_an_expired_key_is_found(sealed_once, signers):
-    (signer,) = signers
-    expired = Signer(
-        signer.principal, signer.public_key, signer.namespaces, valid_before=datetime(2026, 1, 1, tzinfo=UTC)
-    )
-    found = verify_folder(sealed_once, [expired], at=datetime(2026, 1, 2, tzinfo=UTC))
-    assert kinds(found) == [("key", "SHA256SUMS.sig")]
-    assert "expired" in found.faults[0].what
-    assert verify_folder(sealed_once, [expired], at=datetime(2025, 12, 31, tzinfo=UTC)).ok
 
 
 def test_nobody_trusted_means_not_verified(sealed_once):
@@ -145,13 +122,6 @@ def test_nobody_trusted_means_not_verified(sealed_once):
 def test_a_spoiled_signature_is_found(sealed, signers, content):
     (sealed / "SHA256SUMS.sig").write_bytes(content)
     assert kinds(verify_folder(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
-
-
-@pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
-def test_a_seal_that_is_a_link_is_found(sealed, signers, tmp_path, name):
-    shutil.move(sealed / name, tmp_path / "elsewhere")
-    (sealed / name).symlink_to(tmp_path / "elsewhere")
-    assert ("unsealed", name) in kinds(verify_folder(sealed, signers))
 
 
 def test_an_endless_seal_is_not_read(sealed, signers):
@@ -173,69 +143,30 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
     ]
 
 
-def test_a_journal_with_half_a_line_is_found_even_under_a_good_seal(sealed, signers, key):
-    with (sealed / "journal.jsonl").open("ab") as journal:
-        journal.write(b'{"seq":')
-    reseal(sealed, key)
-    assert kinds(verify_folder(sealed, signers)) == [("journal", "journal.jsonl")]
-
-
-def test_a_journal_that_does_not_hold_is_found_even_under_a_good_seal(sealed, signers, key):
-    journal = sealed / "journal.jsonl"
-    journal.write_bytes(journal.read_bytes().replace(b'"pose":2', b'"pose":3'))
-    reseal(sealed, key)
-    found = verify_folder(sealed, signers)
-    assert ("journal", "journal.jsonl:4") in kinds(found)
-
-
-def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(sealed, signers, key):
-    results = json.loads((sealed / "results.json").read_bytes())
-    results["poses"][1]["attempts"][0]["sha256"] = "0" * 64
-    (sealed / "results.json").write_bytes(canonical_json(results))
-    reseal(sealed, key)
-    found = verify_folder(sealed, signers)
-    assert [f.kind for f in found.faults] == ["results", "results"]
-    assert "captures/pose-002-attempt-1.raw" in found.faults[0].what
-
-
-@pytest.mark.parametrize("content", [b"", b"[]", b"{}", b'{"run":1}', b"\xff", b"[" * 100_000])
-def test_results_that_cannot_be_read_are_found(sealed, signers, key, content):
-    (sealed / "results.json").write_bytes(content)
-    reseal(sealed, key)
-    assert ("results", "results.json") in kinds(verify_folder(sealed, signers))
-
-
+@pytest.mark.parametrize("sealed_again", [False, True])
 @pytest.mark.parametrize(
-    ("old", "new", "what"),
+    ("change", "what"),
     [
-        (b'"id": "run-1"', b'"id": "run-2", "id": "run-1"', "the key 'id' is there twice"),
-        (b"{", b"\xef\xbb\xbf{", "BOM"),
-        (b'"id"', b'"\\u0069d"', "not written as the program writes it"),
-        (b'"index": 1', b'"index": 1e999', "not written as the program writes it"),
-        (b'"index": 1', b'"index": NaN', "NaN is not a number"),
-        (b'"index": 1', b'"index": 1' + b"0" * 5000, "limit"),
-        (b"\n}\n", b"\n}\n" + b" " * 500, "blanks stand behind its end"),
+        (lambda _: b"[]", "the file cannot be read"),
+        (lambda data: data.replace(b'"id": "run-1"', b'"id": "run-2", "id": "run-1"'), "'id' is there twice"),
+        (lambda data: data.replace(b'"id"', b'"\\u0069d"'), "not written as the program writes it"),
+        (lambda data: data.replace(b'"index": 1', b'"index": 1e999'), "not written as the program writes it"),
+        (lambda data: data.replace(b'"index": 1', b'"index": 1' + b"0" * 5000), "limit"),
+        (lambda data: data + b" " * 500, "blanks stand behind its end"),
+        (lambda _: b"[" * 1_000_000 + b"]" * 1_000_000, "nested too deeply: more than 100 levels"),
+        (lambda _: b" " * 100_000_001, "the file has more than 100000000 bytes"),
     ],
-    ids=["key twice", "byte order mark", "escaped key", "infinite", "not a number", "digits", "blanks"],
+    ids=["no JSON", "key twice", "escaped key", "infinite", "digits", "blanks", "nested", "bytes"],
 )
-def test_results_that_two_readers_could_read_differently_are_found(sealed, signers, key, old, new, what):
+def test_results_that_are_none_or_could_be_read_in_two_ways_are_found(
+    sealed, signers, key, change, what, sealed_again
+):
     path = sealed / "results.json"
-    assert old in path.read_bytes()
-    path.write_bytes(path.read_bytes().replace(old, new, 1))
-    reseal(sealed, key)
-    faults = [fault for fault in verify_folder(sealed, signers).faults if fault.where == "results.json"]
-    assert what in faults[0].what, faults
-
-
-def test_a_journal_line_that_two_readers_could_read_differently_is_found(sealed, signers, key):
-    journal = sealed / "journal.jsonl"
-    *lines, last = journal.read_bytes().splitlines()
-    text = last.replace(b'"how":"finished"', b'"how":"failed","how":"finished"')
-    bare = text[: text.rindex(b',"hash":"')] + b"}"
-    chained = bare[:-1] + b',"hash":"' + hashlib.sha256(bare).hexdigest().encode() + b'"}'
-    journal.write_bytes(b"".join(line + b"\n" for line in (*lines, chained)))
-    reseal(sealed, key)
-    assert any(kind == "journal" for kind, _ in kinds(verify_folder(sealed, signers)))
+    path.write_bytes(change(path.read_bytes()))
+    if sealed_again:
+        reseal(sealed, key)
+    said = [fault.what for fault in verify_folder(sealed, signers).faults if fault.where == "results.json"]
+    assert any(what in one for one in said), said
 
 
 @pytest.mark.parametrize(
@@ -261,51 +192,6 @@ def test_a_sealed_file_that_no_run_folder_has_is_named(make_run, key, signers, t
     found = verify_folder(tmp_path / "run", signers)
     assert ("kind", name) in kinds(found)
     assert "no run folder has this file" in str(found.faults[0])
-
-
-def test_results_of_thousands_of_poses_are_not_too_large(make_run, key, signers, tmp_path):
-    with make_run(tmp_path / "run") as folder:
-        path = folder.path / "results.json"
-        path.write_bytes(canonical_json(json.loads(path.read_bytes()) | {"padding": "x" * (65 << 20)}))
-        seal(folder, key)
-    assert "results" not in {fault.kind for fault in verify_folder(tmp_path / "run", signers).faults}
-
-
-@pytest.mark.parametrize("sealed_again", [False, True])
-@pytest.mark.parametrize(
-    ("text", "size", "what"),
-    [
-        ("[" * 1_000_000 + "]" * 1_000_000, None, "nested too deeply: more than 100 levels"),
-        ('{"a":' * 900 + "1" + "}" * 900, None, "nested too deeply: more than 100 levels"),
-        ("[" + "{}," * 5_000_000 + "{}]", None, "it has more than 5000000 values"),
-        ("", 100_000_001, "the file has more than 100000000 bytes"),
-    ],
-    ids=["brackets", "mappings", "values", "bytes"],
-)
-def test_results_that_would_fill_memory_or_stack_are_a_fault(
-    sealed, signers, key, text, size, what, sealed_again
-):
-    (sealed / "results.json").write_text(text)
-    os.truncate(sealed / "results.json", size or len(text))
-    if sealed_again:
-        reseal(sealed, key)
-    faults = {fault.kind: fault.what for fault in verify_folder(sealed, signers).faults}
-    assert what in faults["results"]
-
-
-def test_results_lost_before_sealing_are_found(make_run, key, signers, tmp_path):
-    with make_run(tmp_path / "run") as folder:
-        (folder.path / "results.json").unlink()
-        seal(folder, key)
-    found = verify_folder(tmp_path / "run", signers)
-    assert kinds(found) == [("results", "results.json")]
-    assert found.run_id is None
-
-
-def test_a_folder_without_a_seal_is_a_draft(sealed, signers):
-    (sealed / "SHA256SUMS.sig").unlink()
-    assert verify_folder(sealed, signers).state == "DRAFT"
-    assert verify_folder(sealed, signers).to_dict()["ok"] is False
 
 
 def test_of_a_folder_of_another_kind_only_the_seal_is_verified_and_that_is_told(tmp_path, key, signers):
