@@ -23,14 +23,7 @@ def test_the_sample_answers_every_clause():
 
 
 def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
-    lab = sample_lab(NOTHING).value
-    named = {one.clause.number for one in unanswered(lab, sample_results())}
-    by_hand = {
-        clause.number
-        for clause in CLAUSES
-        if "missing" in clause.__dict__ and clause.missing(lab, sample_results())
-    }
-    assert named == by_hand
+    named = {one.clause.number for one in unanswered(sample_lab(NOTHING).value, sample_results())}
     assert {"7.8.2.1 b", "7.8.2.1 c", "7.8.2.1 e", "7.8.2.1 f", "7.8.2.1 g", "7.8.2.1 h", "7.8.2.1 n"} < named
     assert {"7.8.2.1 o", "7.8.2.1 p", "7.8.2.2", "7.8.4.1 b", "7.8.4.1 c", "7.8.4.1 d"} < named
 

@@ -201,13 +201,10 @@ def test_ellipsoid_factor(n, nu, expected):
     assert ellipsoid_factor(n, 0.9545, nu) == pytest.approx(expected, rel=2e-3)
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_numbers_that_are_none_are_refused(value):
-    with pytest.raises(ValueError, match="is not a number"):
-        number_text(value)
-
-
-def test_coverage_factors_have_no_exponent():
+def test_numbers_are_finite_and_coverage_factors_have_no_exponent():
+    for value in (float("nan"), float("inf"), -float("inf")):
+        with pytest.raises(ValueError, match="is not a number"):
+            number_text(value)
     assert [plain_number(one, 4) for one in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
 
 
@@ -257,33 +254,22 @@ def test_a_range_is_stated_with_both_ends():
 # ---------------------------------------------------------------- units
 
 
-@pytest.mark.parametrize("unit", sorted(set(OUR_UNITS.values())))
-def test_our_units_are_units_of_d_si(unit):
-    assert is_unit(unit)
+UNITS = [
+    *sorted(set(OUR_UNITS.values())),
+    r"\metre\per\second\tothe{2}", r"\metre\tothe{-1}", r"\metre\tothe{0.5}", r"\micro\arcsecond", r"\kibi\byte",
+    r"\milli\bar", r"\ppm\per\kelvin", r"\kilogram\metre\second\tothe{-2}", r"\deci\bel",
+]  # fmt: skip
+NO_UNITS = [
+    "", "foo", "metre", r"\pixel", r"\px", r"\foo", r"\milli", r"\milli\milli\metre", r"\metre\per", r"\per\second",
+    r"\metre\per\second\per\second", r"\metre\tothe2", r"\metre\tothe{x}", r"\tothe{2}", r"\metre\tothe{2}\tothe{2}",
+    r"\one\tothe{2}", r"\milli\one", r"\kilo\gram", r"\kilo\kilogram", r"\kibi\metre", r"\milli\tothe{2}",
+    r"\metre \second", "\\metre\n", r"\\metre", r"|pixel", "\\", r"\metre\\second", "mm", "\\µ\\metre",
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "unit",
-    [
-        r"\metre\per\second\tothe{2}", r"\metre\tothe{-1}", r"\metre\tothe{0.5}", r"\micro\arcsecond", r"\kibi\byte",
-        r"\milli\bar", r"\ppm\per\kelvin", r"\kilogram\metre\second\tothe{-2}", r"\deci\bel",
-    ],
-)  # fmt: skip
-def test_units(unit):
-    assert is_unit(unit)
-
-
-@pytest.mark.parametrize(
-    "unit",
-    [
-        "", "foo", "metre", r"\pixel", r"\px", r"\foo", r"\milli", r"\milli\milli\metre", r"\metre\per", r"\per\second",
-        r"\metre\per\second\per\second", r"\metre\tothe2", r"\metre\tothe{x}", r"\tothe{2}", r"\metre\tothe{2}\tothe{2}",
-        r"\one\tothe{2}", r"\milli\one", r"\kilo\gram", r"\kilo\kilogram", r"\kibi\metre", r"\milli\tothe{2}",
-        r"\metre \second", "\\metre\n", r"\\metre", r"|pixel", "\\", r"\metre\\second", "mm", "\\µ\\metre",
-    ],
-)  # fmt: skip
-def test_no_units(unit):
-    assert not is_unit(unit)
+@pytest.mark.parametrize("unit", [*UNITS, *NO_UNITS])
+def test_units_are_those_of_d_si(unit):
+    assert is_unit(unit) is (unit in UNITS)
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,9 @@ import traceback
 from unittest import mock
 
 import pytest
-from authorising import make_key, needs_ssh_keygen, person
 from certificate_lab import FIRST, Lab, quick_files
-from certificate_sample import NOW
 
 from bench.certificate import issue as issue_module
-from bench.evidence.authorisation import authorise
-from bench.evidence.key_trust import Trust, read_trust
-from bench.evidence.keys import rotate, usable_key
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 
@@ -93,19 +88,6 @@ def kills_of(work, folder, backup):
     put_back()
 
 
-def test_a_rotation_killed_anywhere_leaves_a_bench_that_seals(tmp_path):
-    home = tmp_path / "home"
-    old = usable_key(home, NOW).fingerprint
-    seen = set()
-    for _ in kills_of(lambda: rotate(home, NOW, passphrase=None, keep_old=True), home, tmp_path / "backup"):
-        key = usable_key(home, NOW)  # nothing was mended by hand
-        seen.add(key.fingerprint == old)
-        assert read_trust(home)
-        rotate(home, NOW, passphrase=None, keep_old=True)
-        assert usable_key(home, NOW).fingerprint != key.fingerprint
-    assert seen == {True, False}  # the old key at first, later the new one
-
-
 def test_a_ledger_killed_anywhere_has_no_gap_and_takes_the_run_again(lab):
     def begin():
         return lab.ledger.begin(run_id="run8", folder=lab.run, camera="00050423", simulated=True)
@@ -125,19 +107,3 @@ def test_a_certificate_killed_anywhere_has_one_number(lab):
         assert set(found.values()) == {"issued"}, (kill, found)
         assert len(found) == 1 + whole
         assert [path.name for path in lab.path.iterdir() if path.name.endswith(".tmp")] == []
-
-
-@needs_ssh_keygen
-def test_an_authorisation_killed_anywhere_is_there_or_not(lab, tmp_path_factory):
-    folder = lab.run
-    key, line = person(make_key(tmp_path_factory.mktemp("key")))
-    trust = Trust((*read_trust(lab.home).signers, line))
-
-    def sign():
-        authorise(folder, key, trust, NOW)
-
-    for kill in kills_of(sign, folder, tmp_path_factory.mktemp("b") / "backup"):
-        if not (folder / "SHA256SUMS.authorised.sig").exists():
-            sign()
-        assert (folder / "SHA256SUMS.authorised.sig").read_bytes().startswith(b"-----BEGIN SSH"), kill
-        assert not [path for path in folder.iterdir() if ".tmp" in path.name], kill

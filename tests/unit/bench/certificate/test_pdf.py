@@ -74,11 +74,6 @@ class TestSameInputSameBytes:
         keywords = re.search(rb"<pdf:Keywords>([^<]*)</pdf:Keywords>", data)[1].decode()
         assert re.search(r"rendered by Starbench [\d.]+; typst [\d.]+; matplotlib [\w.+-]+$", keywords)
 
-    def test_another_time_of_issue_gives_other_bytes(self):
-        later = changed(small_certificate(), issued_utc="2026-11-21T08:30:01Z")
-        first, second = (render_pdf(one, {}, {}, NO_PLOTS) for one in (small_certificate(), later))
-        assert first != second
-
 
 class TestEveryValueIsPrinted:
     @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])

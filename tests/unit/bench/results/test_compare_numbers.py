@@ -9,8 +9,7 @@ import pytest
 from report_sample import sample
 
 from bench.evidence.findings import Findings
-from bench.results import compare_numbers
-from bench.results.compare_numbers import differences, same_stars, tolerance
+from bench.results.compare_numbers import check_numbers, differences, same_stars, tolerance
 from bench.results.compare_trees import SeenView, tell_views
 from bench.results.results_content import other_software, software
 from bench.results.solution import compare_with_truth
@@ -18,9 +17,17 @@ from calib.view import View
 from simulators.config import bench_config
 
 
-def check_numbers(stored, again, found):
-    other = other_software(stored["run"]["software"])
-    compare_numbers.check_numbers(stored, again, found, other, "recordings")
+def compared(stored, again):
+    """What is said of stored results beside those calculated again: faults, and what was found."""
+    found, other = Findings(), other_software(stored["run"]["software"])
+    check_numbers(stored, again, found, other, "recordings")
+    return [str(fault) for fault in found.faults], found
+
+
+def changed(results, part, name, sigmas):
+    again = copy.deepcopy(results)
+    again["calibration"][part][name] += sigmas * results["calibration"]["sigma"][name]
+    return again
 
 
 @pytest.fixture(scope="module")
@@ -30,29 +37,24 @@ def stored():
     return {name: value for name, value in whole.items() if name != "previous"}
 
 
-def seen(stored, again):
-    found = Findings()
-    check_numbers(stored, again, found)
-    return [str(fault) for fault in found.faults], found.remarks
-
-
-def changed(results, part, name, sigmas):
-    again = copy.deepcopy(results)
-    again["calibration"][part][name] += sigmas * results["calibration"]["sigma"][name]
-    return again
+@pytest.fixture(scope="module")
+def by_another(stored):
+    """The same results, made by another program."""
+    return {**stored, "run": {**stored["run"], "software": {**software(), "program": "an earlier one"}}}
 
 
 def test_the_same_numbers_are_equal_to_the_last_bit(stored):
-    faults, remarks = seen(stored, copy.deepcopy(stored))
+    faults, found = compared(stored, copy.deepcopy(stored))
     assert faults == []
-    assert any("equal to the last bit" in remark for remark in remarks)
+    assert any("equal to the last bit" in remark for remark in found.remarks)
 
 
 @pytest.mark.parametrize(("part", "name"), [("camera", "k2"), ("collimator", "r"), ("sigma", "fx")])
 def test_what_differs_by_more_than_rounding_is_told(stored, part, name):
-    assert seen(stored, changed(stored, part, name, 1e-5))[0] == []
-    (fault,) = seen(stored, changed(stored, part, name, 0.01))[0]
+    assert compared(stored, changed(stored, part, name, 1e-5))[0] == []
+    (fault,) = compared(stored, changed(stored, part, name, 0.01))[0]
     assert f"calibration.{part}.{name} is " in fault
+    assert compared(changed(stored, part, name, float("nan")), stored)[0]
 
 
 @pytest.mark.parametrize(
@@ -74,55 +76,45 @@ def test_every_other_value_is_compared_too(stored, path, value):
         part = part[key]
     assert part[path[-1]] != value
     part[path[-1]] = value
-    faults = seen(stored, again)[0]
+    faults = compared(stored, again)[0]
     assert faults
     assert all(str(path[-2] if isinstance(path[-1], int) else path[-1]) in fault for fault in faults)
 
 
-def test_what_is_no_number_differs(stored):
-    assert seen(changed(stored, "camera", "fx", float("nan")), stored)[0]
-
-
-def test_a_part_that_follows_from_nothing_is_told(stored):
-    (fault,) = seen({**stored, "approved_by": "nobody"}, stored)[0]
+def test_a_part_that_follows_from_nothing_or_was_removed_is_told(stored):
+    (fault,) = compared({**stored, "approved_by": "nobody"}, stored)[0]
     assert 'approved_by is "nobody", which follows from nothing' in fault
-
-
-def test_a_removed_part_is_told(stored):
-    less = {name: value for name, value in stored.items() if name != "gates"}
-    (fault,) = seen(less, stored)[0]
+    (fault,) = compared({name: value for name, value in stored.items() if name != "gates"}, stored)[0]
     assert "gates is missing" in fault
 
 
 def test_the_number_of_iterations_may_differ_by_rounding(stored):
     again = copy.deepcopy(stored)
     again["calibration"]["iterations"] += 1
-    assert seen(stored, again)[0] == []
+    assert compared(stored, again)[0] == []
 
 
-def test_what_another_program_does_not_state_is_not_compared_and_that_is_told(stored):
-    other = {**stored, "run": {**stored["run"], "software": {**software(), "program": "another"}}}
-    less = {name: value for name, value in other.items() if name != "gates"}
-    found = Findings()
-    check_numbers(less, other, found)
-    assert found.faults == []
+def test_what_another_program_does_not_state_is_not_compared_and_that_is_told(by_another):
+    less = {name: value for name, value in by_another.items() if name != "gates"}
+    faults, found = compared(less, by_another)
+    assert faults == []
     assert found.not_compared == [
         "results.json with the recordings: another program calculated it, with differences in gates"
     ]
-    assert seen(changed(other, "camera", "fx", 1), other)[0]  # a number that both state must be the same
+    assert compared(changed(by_another, "camera", "fx", 1), by_another)[
+        0
+    ]  # a number that both state is the same
 
 
-def test_notes_of_another_program_may_have_other_words_but_not_those_of_the_same_program(stored):
-    other = {**stored, "run": {**stored["run"], "software": {**software(), "program": "another"}}}
-    for had, is_fault in ((stored, True), (other, False)):
-        reworded = copy.deepcopy(had)
-        had["calibration"]["notes"], reworded["calibration"]["notes"] = ["As it was."], ["As it is."]
-        found = Findings()
-        check_numbers(reworded, had, found)
-        assert bool(found.faults) == is_fault
-        if not is_fault:
-            assert "calibration.notes[0]" in found.not_compared[0]
-            assert not any("rounding" in remark for remark in found.remarks)
+def test_notes_of_another_program_may_have_other_words_but_not_those_of_the_same_program(stored, by_another):
+    def noted(results, note):
+        return {**results, "calibration": {**results["calibration"], "notes": [note]}}
+
+    assert compared(noted(stored, "As it is."), noted(stored, "As it was."))[0]
+    faults, found = compared(noted(by_another, "As it is."), noted(by_another, "As it was."))
+    assert faults == []
+    assert "calibration.notes[0]" in found.not_compared[0]
+    assert not any("rounding" in remark for remark in found.remarks)
 
 
 # ---------------------------------------------------------------- how far numbers may differ
@@ -177,83 +169,49 @@ def test_the_apparent_centre_is_not_compared_with_that_of_an_ideal_collimator():
 # ---------------------------------------------------------------- another program
 
 
-@pytest.fixture(scope="module")
-def stored_by_another():
-    whole = sample(size=(160, 90)).results
-    whole = {**whole, "run": {**whole["run"], "software": {**software(), "program": "an earlier one"}}}
-    return {name: value for name, value in whole.items() if name != "previous"}
-
-
-def compared(stored_by_another, change):
-    again = copy.deepcopy(stored_by_another)
-    change(again["calibration"])
-    found = Findings()
-    check_numbers(stored_by_another, again, found)
-    return [str(fault) for fault in found.faults], found.not_compared
-
-
-def test_a_value_within_a_quarter_of_its_uncertainty_is_not_compared_and_its_size_is_told(stored_by_another):
-    sigma = stored_by_another["calibration"]["sigma"]["fx"]
-    faults, places = compared(
-        stored_by_another,
-        lambda results: results["camera"].update(
-            fx=stored_by_another["calibration"]["camera"]["fx"] + 0.2 * sigma
-        ),
-    )
+def test_a_value_of_another_program_within_a_quarter_of_its_uncertainty_is_not_compared_beyond_it_is_a_fault(
+    by_another,
+):
+    faults, found = compared(by_another, changed(by_another, "camera", "fx", 0.2))
     assert faults == []
-    assert places == [
+    assert found.not_compared == [
         (
             "results.json with the recordings: another program calculated it, with differences in 1 number (fx differs "
             "most, by 0.2 of its standard uncertainty)"
         )
     ]
-
-
-def test_a_value_beyond_it_is_a_fault_and_the_program_is_named(stored_by_another):
-    again = copy.deepcopy(stored_by_another)
-    again["calibration"]["camera"]["fx"] += 0.3 * stored_by_another["calibration"]["sigma"]["fx"]
-    found = Findings()
-    check_numbers(stored_by_another, again, found)
-    (fault,) = found.faults
-    assert "calibration.camera.fx is " in str(fault)
+    (fault,), found = compared(by_another, changed(by_another, "camera", "fx", 0.3))
+    assert "calibration.camera.fx is " in fault
     assert any("the results were made with program an earlier one" in remark for remark in found.remarks)
 
 
 @pytest.mark.parametrize(
     ("factor", "faulty"), [(1.3, False), (3.9, False), (4.2, True), (0.2, True), (0.0, True)]
 )
-def test_an_uncertainty_may_differ_by_a_factor(stored_by_another, factor, faulty):
-    faults, places = compared(
-        stored_by_another,
-        lambda results: results["sigma"].update(fx=factor * stored_by_another["calibration"]["sigma"]["fx"]),
-    )
+def test_an_uncertainty_may_differ_by_a_factor(by_another, factor, faulty):
+    faults, found = compared(by_another, changed(by_another, "sigma", "fx", factor - 1))
     assert bool(faults) == faulty
-    assert bool(places) != faulty
+    assert bool(found.not_compared) != faulty
 
 
-def test_words_may_hold_other_numbers_but_not_other_words(stored_by_another):
-    had = {**stored_by_another, "gimbal_readings": {"why_not": "They contradict the stars: chi-square 2266."}}
+def test_words_may_hold_other_numbers_but_not_other_words(by_another):
+    had = {**by_another, "gimbal_readings": {"why_not": "They contradict the stars: chi-square 2266."}}
     for words, faulty in (("They contradict the stars: chi-square 2264.", False), ("They agree.", True)):
-        found = Findings()
-        check_numbers(had, {**had, "gimbal_readings": {"why_not": words}}, found)
-        assert bool(found.faults) == faulty
+        assert bool(compared(had, {**had, "gimbal_readings": {"why_not": words}})[0]) == faulty
 
 
-def test_facts_of_devices_have_no_excuse(stored_by_another):
-    found = Findings()
-    again = copy.deepcopy(stored_by_another)
+def test_facts_of_devices_have_no_excuse(by_another):
+    again = copy.deepcopy(by_another)
     again["devices"]["camera"]["serial"] = "00050999"
-    check_numbers(stored_by_another, again, found)
-    assert found.faults
+    assert compared(by_another, again)[0]
 
 
-def test_a_table_is_named_once(stored_by_another):
-    again = copy.deepcopy(stored_by_another)
+def test_a_table_is_named_once(by_another):
+    again = copy.deepcopy(by_another)
     for row in again["calibration"]["budget_rows"]:
         row["name"] = "of another name"
-    found = Findings()
-    check_numbers(stored_by_another, again, found)
-    assert not found.faults
+    faults, found = compared(by_another, again)
+    assert not faults
     assert found.not_compared[0].count("budget_rows") == 1
 
 
