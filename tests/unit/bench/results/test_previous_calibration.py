@@ -9,7 +9,6 @@ import pytest
 from report_sample import SMALL, sample
 
 from bench.records.ledger import Ledger
-from bench.report.pose_plot import camera_of
 from bench.results.result import FIRST, previous_calibration
 
 NOW = datetime(2026, 3, 1, tzinfo=UTC)
@@ -87,46 +86,38 @@ def test_runs_after_this_one_are_not_before_it(bench):
     assert previous_calibration(bench.ledger, place, bench.results) == {"run": None, "why_not": FIRST}
 
 
-@pytest.mark.parametrize(
-    ("spoil", "told"),
-    [
-        (lambda f: (f / "results.json").write_text("{}"), "its results were changed after sealing."),
-        (lambda f: (f / "results.json").unlink(), "its folder cannot be read."),
-        (lambda f: (f / "SHA256SUMS").write_text("\n"), "its folder has another seal than the ledger."),
-    ],
-)
-def test_a_folder_that_was_changed_is_not_believed(bench, spoil, told):
-    bench.run("old")
-    spoil(bench.path / "old")
-    found = bench.of("now")
-    assert found["run"] is None
-    assert found["why_not"] == f"The last calibration of this camera, old, cannot be compared: {told}"
+def in_calibration(**facts):
+    return {"change": lambda results: results["calibration"].update(facts)}
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("run", "spoil", "told"),
     [
-        (lambda r: r["calibration"].update(converged=False), "it did not converge."),
-        (lambda r: r["calibration"].update(image_size=[640, 480]), "its images had another size."),
-        (lambda r: r["devices"]["camera"].update(lens="50 mm"), "the camera had another lens: 50 mm."),
+        ({}, lambda f: (f / "results.json").write_text("{}"), "its results were changed after sealing."),
+        ({}, lambda f: (f / "results.json").unlink(), "its folder cannot be read."),
+        ({}, lambda f: (f / "SHA256SUMS").write_text("\n"), "its folder has another seal than the ledger."),
+        (in_calibration(converged=False), None, "it did not converge."),
+        (in_calibration(image_size=[640, 480]), None, "its images had another size."),
+        (in_calibration(covariance={"names": [], "matrix": []}), None, "its uncertainties are not complete."),
         (
-            lambda r: r["calibration"].update(covariance={"names": [], "matrix": []}),
-            "its uncertainties are not complete.",
+            {"change": lambda r: r["devices"]["camera"].update(lens="50 mm")},
+            None,
+            "the camera had another lens: 50 mm.",
         ),
-        (lambda r: r.pop("calibration"), "its results are not readable."),
+        ({"change": lambda r: r.pop("calibration")}, None, "its results are not readable."),
     ],
 )
-def test_what_cannot_be_compared_gives_way_to_an_earlier_one(bench, change, told):
-    bench.run("bad", change=change)
+def test_what_cannot_be_compared_is_named_and_gives_way_to_an_earlier_one(bench, run, spoil, told):
+    bench.run("bad", **run)
+    if spoil:
+        spoil(bench.path / "bad")
     found = bench.of("now")
     assert found["run"] is None
     assert found["why_not"] == f"The last calibration of this camera, bad, cannot be compared: {told}"
-
-
-def test_an_earlier_run_is_taken_if_the_last_one_cannot_be_compared(bench):
     bench.run("good")
-    bench.run("bad", change=lambda r: r["calibration"].update(converged=False))
-    assert bench.of("now")["run"] == "good"
+    bench.run("worse", **run)
+    if run:
+        assert bench.of("then")["run"] == "good"
 
 
 def test_a_broken_ledger_is_told(bench):
@@ -134,8 +125,3 @@ def test_a_broken_ledger_is_told(bench):
     place = bench.ledger.begin(run_id="now", folder=bench.path / "now", camera="00050423", simulated=True)
     bench.ledger.path.write_text("x\n")
     assert "cannot be read" in previous_calibration(bench.ledger, place, bench.results)["why_not"]
-
-
-def test_values_of_results_are_a_camera_model():
-    camera = camera_of({"fx": 1.0, "fy": 2.0, "cx": 3.0, "cy": 4.0, "k1": 0.1}, [640, 480])
-    assert (camera.image_size, dict(camera.distortion)) == ((640, 480), {"k1": 0.1})
