@@ -15,6 +15,7 @@ from bench.records.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, OwnMark
 BEGIN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 SIGMAS = {"fx": 1.0, "fy": 1.0, "cx": 1.3, "cy": 2.7, "k1": 0.007, "k2": 0.16, "r": 0.08}
 VALUES = {"fx": 3345.0, "fy": 3345.2, "cx": 642.1, "cy": 363.3, "k1": 0.06, "k2": -0.9, "r": 255.0}
+AXES = (("pan", "1"), ("tilt", "2"))
 SOFTWARE = {"starbench": "0.1.0", "python": "3.11.7", "numpy": "2.4.6"}
 
 
@@ -54,8 +55,10 @@ def write_run(
     poses=3,
     operator="ada",
     limits=None,
+    solved=(),
+    deviations=(),
 ):
-    """Write one run; ``values`` None is a run without a result."""
+    """Write one run; ``values`` None is a run without a result, ``solved`` more of what is told of it."""
     folder.mkdir(parents=True)
     moments, seconds = iter(begun + timedelta(seconds=n) for n in range(10_000)), iter(range(10_000))
     with UnsyncedJournal.create(
@@ -69,43 +72,31 @@ def write_run(
         )  # fmt: skip
         camera = {"maker": "Prophesee", "model": camera_model, "sensor": "IMX636", "serial": serial, "firmware": "4.2",
                   "width": 1280, "height": 720, "lens": "16 mm"}  # fmt: skip
-        stage = [
-            {"name": n, "maker": "Zaber", "model": "RST", "serial": s}
-            for n, s in (("pan", "1"), ("tilt", "2"))
-        ]
+        stage = [{"name": n, "maker": "Zaber", "model": "RST", "serial": s} for n, s in AXES]
         light = {"maker": "Keysight", "model": "33250A", "serial": "SG0042"}
         settings = {"biases": {"bias_fo": 0}, "trigger_in": True}
         journal.append(Event.DEVICES, camera=camera, stage=stage, light=light, camera_settings=settings)
         for pose in range(1, poses + 1):
             facts = {"illumination_lux": 90.3, "events": 3_800_000, "bytes": 1_460_000}
             if temperature_c is not None:
-                facts["temperature_c"] = temperature_c
+                facts["temperature_c"] = temperature_c + pose - (poses + 1) / 2
             journal.append(
                 Event.CAPTURE_STORED, capture=f"captures/pose-{pose:03}-attempt-1.raw", size=1_460_000, sha256="d" * 64,
                 pose=pose, pose_name=f"p{pose}", attempt=1, light={"frequency_hz": 60.0}, facts=facts,
             )  # fmt: skip
-            measured = {"flicker_hz": 60.0006}
             journal.append(
-                Event.ATTEMPT_CHECKED,
-                pose=pose,
-                attempt=1,
-                accepted=True,
-                reasons=[],
-                stars=200,
-                gates=[],
-                measured=measured,
-            )
+                Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True, reasons=[], stars=200, gates=[],
+                measured={"flicker_hz": 60.0006},
+            )  # fmt: skip
+        for what in deviations:
+            journal.append(Event.DEVIATION, what=what)
         if values:
             journal.append(
                 Event.SOLVED, model=model, converged=True, rms_px=0.081, values=dict(values), sigma=dict(sigmas),
-                coverage_factor=2.2,
+                coverage_factor=2.2, **dict(solved),
             )  # fmt: skip
-            journal.append(
-                Event.WRITTEN,
-                head="",
-                files={"results.json": results_of(folder, serial, target, limits)},
-                wire={},
-            )
+            files = {"results.json": results_of(folder, serial, target, limits)}
+            journal.append(Event.WRITTEN, head="", files=files, wire={})
         if ended:
             journal.append(Event.RUN_ENDED, how=ended, why="")
     return folder

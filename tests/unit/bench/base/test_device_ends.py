@@ -10,30 +10,19 @@ from drivers.errors import PortNotFound, ReplyTimeout
 
 
 @pytest.mark.parametrize(
-    ("end", "text"),
+    ("device", "state", "said", "text"),
     [
-        (
-            DeviceEnd("light", "confirmed safe", "it was read back as off"),
-            "light: confirmed safe: it was read back as off.",
-        ),
-        (
-            DeviceEnd("light", "not confirmed", "no reply."),
-            "light: not confirmed: no reply. The light may be on.",
-        ),
-        (
-            DeviceEnd("light", "never opened"),
-            "light: never opened. This run did not switch it. The light may be on.",
-        ),
-        (
-            DeviceEnd("stage", "not confirmed", "no reply"),
-            "stage: not confirmed: no reply. The stage may be moving.",
-        ),
-        (DeviceEnd("stage", "never opened"), "stage: never opened. This run did not move it."),
-        (DeviceEnd("camera", "never opened"), "camera: never opened."),
+        ("light", "confirmed safe", "it was read back as off", "it was read back as off."),
+        ("light", "not confirmed", "no reply.", "no reply. The light may be on."),
+        ("light", "never opened", "", "This run did not switch it. The light may be on."),
+        ("stage", "not confirmed", "no reply", "no reply. The stage may be moving."),
+        ("stage", "never opened", "", "This run did not move it."),
+        ("camera", "never opened", "", ""),
     ],
 )
-def test_the_text_says_what_may_be_the_case(end, text):
-    assert end.text == text
+def test_the_text_says_what_may_be_the_case(device, state, said, text):
+    end = DeviceEnd(device, state, said)
+    assert end.text == f"{device}: {state}{':' if said else '.'} {text}".rstrip()
     assert DeviceEnd.from_dict(end.to_dict()) == end
 
 

@@ -272,27 +272,19 @@ def test_what_is_added_can_be_read_by_everybody_whatever_the_umask(sealed):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "stated"),
+    ("name", "text", "is_stated"),
     [
-        ("certificate.json", '{"issued_utc": "2026-03-02T01:00:00+01:00"}', datetime(2026, 3, 2, tzinfo=UTC)),
-        ("certificate.json", '{"issued_utc": "2026-03-02T00:00:00"}', None),
-        ("certificate.json", '{"issued_utc": 7}', None),
-        ("certificate.json", "[" * 100_000, None),
-        (
-            "results.json",
-            '{"run": {"calibrated_utc": "2026-03-02T00:00:00.000Z"}}',
-            datetime(2026, 3, 2, tzinfo=UTC),
-        ),
-        ("results.json", '{"run": []}', None),
-        (
-            "journal.jsonl",
-            '{"utc": "x"}\n{"utc": "2026-03-02T00:00:00Z"}\n',
-            datetime(2026, 3, 2, tzinfo=UTC),
-        ),
-        ("journal.jsonl", '{"utc": "2026-03-02T00:00:00Z"}\n{"ut', None),
-        ("journal.jsonl", "", None),
+        ("certificate.json", '{"issued_utc": "2026-03-02T01:00:00+01:00"}', True),
+        ("certificate.json", '{"issued_utc": "2026-03-02T00:00:00"}', False),
+        ("certificate.json", '{"issued_utc": 7}', False),
+        ("certificate.json", "[" * 100_000, False),
+        ("results.json", '{"run": {"calibrated_utc": "2026-03-02T00:00:00.000Z"}}', True),
+        ("results.json", '{"run": []}', False),
+        ("journal.jsonl", '{"utc": "x"}\n{"utc": "2026-03-02T00:00:00Z"}\n', True),
+        ("journal.jsonl", '{"utc": "2026-03-02T00:00:00Z"}\n{"ut', False),
+        ("journal.jsonl", "", False),
     ],
 )
-def test_the_time_that_a_folder_states(tmp_path, name, text, stated):
+def test_the_time_that_a_folder_states(tmp_path, name, text, is_stated):
     (tmp_path / name).write_text(text)
-    assert stated_time(tmp_path) == stated
+    assert stated_time(tmp_path) == (datetime(2026, 3, 2, tzinfo=UTC) if is_stated else None)

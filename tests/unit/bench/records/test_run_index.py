@@ -5,6 +5,7 @@ from contextlib import closing
 from datetime import UTC, datetime
 
 import pytest
+from many_runs import write_run
 
 from bench.base.errors import StorageError, UsageError
 from bench.records.events import Event
@@ -17,48 +18,11 @@ from bench.results.trends import agreement, compare_runs
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 
 
-def make(
-    path,
-    begun=DAYS[0],
-    *,
-    camera="00050423",
-    ended="finished",
-    fx=3345.0,
-    sigma=0.5,
-    model="spherical",
-    **said,
-):
-    with (
-        RunFolder.create(path) as folder,
-        Journal.create(folder.journal_path, utc_now=lambda: begun, monotonic=lambda: 0.0) as journal,
-    ):
-        journal.append(
-            Event.RUN_STARTED, id=path.name, sequence="Three", station="Bench", **{"simulated": True, **said}
-        )
-        journal.append(Event.DEVICES, camera={"serial": camera})
-        for pose, temperature in ((1, 40.0), (2, 41.0)):
-            facts = {"temperature_c": temperature}
-            journal.append(
-                Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1, capture="c", facts=facts
-            )
-            journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True, reasons=[])
-        journal.append(Event.DEVIATION, what="so")
-        if fx:
-            values = {"fx": fx, "r": 255.0}
-            sigmas = {"fx": sigma, "r": 0.1}
-            journal.append(
-                Event.SOLVED,
-                model=model,
-                rms_px=0.1,
-                values=values,
-                sigma=sigmas,
-                coverage_factor=2.2,
-                coverage_factors={"r": 2.4},
-                shared={"fx": 0.3},
-            )
-        if ended:
-            journal.append(Event.RUN_ENDED, how=ended, why="")
-    return path
+def make(path, begun=DAYS[0], *, fx=3345.0, **facts):
+    told = {"serial": "00050423", "simulated": True, "poses": 2, "deviations": ["so"], **facts}
+    solved = {"coverage_factors": {"r": 2.4}, "shared": {"fx": 0.3}}
+    values = {"fx": fx, "r": 255.0} if fx else None
+    return write_run(path, begun=begun, values=values, sigmas={"fx": 0.5, "r": 0.1}, solved=solved, **told)
 
 
 @pytest.fixture
@@ -69,7 +33,7 @@ def index(tmp_path):
 @pytest.fixture
 def three(tmp_path):
     return [
-        make(tmp_path / "runs" / "c", DAYS[2], camera="00050999"),
+        make(tmp_path / "runs" / "c", DAYS[2], serial="00050999"),
         make(tmp_path / "runs" / "a", DAYS[0]),
         make(tmp_path / "runs" / "night" / "b", DAYS[1], ended="failed", fx=None),
     ]
@@ -78,7 +42,7 @@ def three(tmp_path):
 def test_a_row_is_what_the_journal_says(index, three):
     (run,), faults = index.runs(three[1:2])
     assert faults == []
-    assert (run.id, run.sequence, run.station, run.camera) == ("a", "Three", "Bench", "00050423")
+    assert (run.id, run.sequence, run.station, run.camera) == ("a", "Three poses", "Bench 1", "00050423")
     assert (run.how, run.sealed, run.accepted, run.deviations, run.simulated) == (
         "finished",
         False,
@@ -86,7 +50,7 @@ def test_a_row_is_what_the_journal_says(index, three):
         1,
         True,
     )
-    assert (run.temperature_c, run.model, run.rms_px) == (40.5, "spherical", 0.1)
+    assert (run.temperature_c, run.model, run.rms_px) == (41.5, "radial", 0.081)
     assert run.parameters == {"fx": (3345.0, 0.5, 2.2, 0.3), "r": (255.0, 0.1, 2.4, 0.0)}
     assert run.to_dict()["parameters"]["fx"] == {
         "value": 3345.0,
@@ -196,7 +160,7 @@ def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, thr
     assert [a.name for a in compare_runs([runs["a"], runs["d"]])] == ["fx", "r"]
     with pytest.raises(UsageError, match="different cameras: 00050423, 00050999"):
         compare_runs([runs["a"], runs["c"]])
-    with pytest.raises(UsageError, match="different models: planar, spherical"):
+    with pytest.raises(UsageError, match="different models: planar, radial"):
         compare_runs([runs["a"], runs["e"]])
     real = make(tmp_path / "runs" / "f", simulated=False)
     rehearsed = make(tmp_path / "runs" / "g", rehearsal=True)
