@@ -1,11 +1,11 @@
 """`calibrate --board` and `--reconstruct`: boards become a planar calibration with a report."""
 
 import json
-from functools import cache
 
 import cv2
 import numpy as np
 import pytest
+from board_photographs import photograph
 from calling import call
 
 from bench.commands.calibrate import run_text
@@ -34,33 +34,13 @@ PLACES = [
 ]
 
 
-@cache
-def rays(cells=4):
-    """(cells^2, height * width, 3) rays through places within each pixel."""
-    steps = (np.arange(cells) + 0.5) / cells - 0.5
-    v, u = np.mgrid[: SIZE[1], : SIZE[0]]
-    places = [np.column_stack([(u + du).ravel(), (v + dv).ravel()]) for dv in steps for du in steps]
-    return np.array([CAMERA.rays(each) for each in places])
-
-
-def photograph(turn_deg, shift_mm, seed):
-    """A camera's picture of the board: each pixel asks where its rays meet the board."""
-    rotation = exp_map(np.deg2rad(np.array(turn_deg, float)))
-    centre = np.array([60.0, 40.0, 0.0]) - rotation.T @ np.array([shift_mm, -shift_mm / 2, 300.0])
-    off = rays() @ rotation
-    x, y = (centre[i] - off[:, :, i] * centre[2] / off[:, :, 2] for i in (0, 1))
-    x, y = x / 20.0, y / 20.0
-    inside = (x > -1) & (x < 7) & (y > -1) & (y < 5)
-    dark = inside & ((np.floor(x) + np.floor(y)) % 2 == 0)
-    image = np.where(dark, 20.0, 200.0).mean(axis=0).reshape(SIZE[::-1])
-    return np.uint8(np.clip(image + np.random.default_rng(seed).normal(0, 2, image.shape), 0, 255))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("boards")
     for number, (turn, shift) in enumerate(PLACES):
-        cv2.imwrite(str(folder / f"placement{number}.png"), photograph(turn, shift, number))
+        seen = photograph(CAMERA, (7, 5), turn, (shift, -shift / 2, 300.0), dark=20.0, bright=200.0)
+        noisy = seen + np.random.default_rng(number).normal(0, 2, seen.shape)
+        cv2.imwrite(str(folder / f"placement{number}.png"), np.uint8(np.clip(noisy, 0, 255)))
     cv2.imwrite(str(folder / "nothing.png"), np.full(SIZE[::-1], 90, np.uint8))
     return folder
 
@@ -113,17 +93,9 @@ def test_options_that_contradict_a_board_are_refused(folder, capsys, more, reaso
 # ---------------------------------------------------------------- errors speak of points
 
 ROW = {
-    "folder": "runs/cam7",
-    "state": "done",
-    "values": {"fx": 3345.0},
-    "sigma": {"fx": 1.0},
-    "coverage_factor": 2.0,
-    "views": 12,
-    "stars": 924,
-    "left_out": [],
-    "converged": True,
-    "before": None,
-}
+    "folder": "runs/cam7", "state": "done", "values": {"fx": 3345.0}, "sigma": {"fx": 1.0}, "coverage_factor": 2.0,
+    "views": 12, "stars": 924, "left_out": [], "converged": True, "before": None,
+}  # fmt: skip
 
 
 def test_an_error_keeps_its_class_and_its_place():
@@ -201,17 +173,16 @@ def events(turns_deg):
 def moving_folder(tmp_path_factory):
     moving_folder = tmp_path_factory.mktemp("moving")
     t, x, y, p = events([10, 35, -20, 60])
-    np.savez(
-        moving_folder / "events.npz",
-        t=t,
-        x=x.astype(np.uint16),
-        y=y.astype(np.uint16),
-        p=p.astype(np.uint8),
-        size=np.array(SENSOR),
-        trigger_t=np.zeros(0, np.int64),
-        trigger_value=np.zeros(0, np.uint8),
-        trigger_id=np.zeros(0, np.uint8),
-    )
+    pixels = {
+        "x": x.astype(np.uint16),
+        "y": y.astype(np.uint16),
+        "p": p.astype(np.uint8),
+        "size": np.array(SENSOR),
+    }
+    triggers = {"trigger_t": np.zeros(0, np.int64)} | {
+        f"trigger_{name}": np.zeros(0, np.uint8) for name in ("value", "id")
+    }
+    np.savez(moving_folder / "events.npz", t=t, **pixels, **triggers)
     with pytest.raises(SystemExit) as end:
         main(["convert", str(moving_folder / "events.npz"), str(moving_folder / "moving.raw")])
     assert end.value.code == 0
@@ -219,18 +190,8 @@ def moving_folder(tmp_path_factory):
 
 
 def test_pictures_at_stated_times_become_views(moving_folder, capsys):
-    said = call(
-        capsys,
-        "calibrate",
-        moving_folder / "moving.raw",
-        "--board",
-        PATTERN,
-        "--json",
-        "--pictures-at",
-        "0.03,0.09,0.15,0.21",
-        "--reconstruct",
-        status=0,
-    )
+    words = ("--board", PATTERN, "--json", "--pictures-at", "0.03,0.09,0.15,0.21", "--reconstruct")
+    said = call(capsys, "calibrate", moving_folder / "moving.raw", *words)
     found = json.loads(said.out)
     names = [view["name"] for view in found["views"]]
     assert set(names) <= {f"moving-at-0.{ms}s" for ms in ("030", "090", "150", "210")}
@@ -270,15 +231,8 @@ def test_the_events_of_another_program_are_converted_first(moving_folder, capsys
 
 
 def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_do(moving_folder, capsys):
-    said = call(
-        capsys,
-        "calibrate",
-        moving_folder / "moving.raw",
-        "--board",
-        "checkerboard:9x6:10mm",
-        "--reconstruct",
-        status=1,
-    )
+    words = ("--board", "checkerboard:9x6:10mm", "--reconstruct")
+    said = call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=1)
     assert "Move the camera obliquely" in said.err
 
 
@@ -290,20 +244,11 @@ def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_o
     from calib.boards.board import Board
     from calib.boards.detect import detect_board
 
-    column = ComparisonConfig(
-        format="starbench/comparison/1",
-        name="x",
-        columns=[{"name": "a", "method": "reconstruction", "images": 2, "board": {"focus": "sharp"}}],
-    ).columns[0]
-    screen = {
-        "columns": 11,
-        "rows": 7,
-        "square_mm": 12.0,
-        "position_mm": [0.0, 0.0, 900.0],
-        "turn_deg": [20, -15, 12],
-    }
-    section = {"noise": "typical", "screen": screen}
-    section["optics"] = {"mounting_deg": [0.0, 0.0, 0.0]}
+    shown = {"name": "a", "method": "reconstruction", "images": 2, "board": {"focus": "sharp"}}
+    (column,) = ComparisonConfig(format="starbench/comparison/1", name="x", columns=[shown]).columns
+    screen = {"columns": 11, "rows": 7, "square_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
+    optics = {"mounting_deg": [0.0, 0.0, 0.0]}
+    section = {"noise": "typical", "screen": {**screen, "turn_deg": [20, -15, 12]}, "optics": optics}
     picture = record_moving(column, section, 3345.0, 3, 1)[True]
     view = detect_board(picture, Board("checkerboard", 11, 7, 12.0))
     true = virtual_camera(section, 3).board_corners_px()[view.ids]

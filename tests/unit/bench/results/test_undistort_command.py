@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from board_photographs import photograph
 from calling import call
 
 from calib.model.camera import CameraModel
-from calib.model.rotation import exp_map
 
 SIZE = (400, 300)
 CAMERAS = {
@@ -18,21 +18,6 @@ CAMERAS = {
     "fisheye": CameraModel(280.0, 281.0, 201.0, 148.0, SIZE, {"kb1": -0.05, "kb2": 0.01, "kb3": 0, "kb4": 0}),
 }
 BOARD = "checkerboard:9x6:20mm"
-
-
-def photograph(camera):
-    """A picture of the board, with 16 rays through each pixel."""
-    steps = (np.arange(4) + 0.5) / 4 - 0.5
-    v, u = np.mgrid[: SIZE[1], : SIZE[0]]
-    rotation, picture = exp_map(np.radians([8.0, -6.0, 3.0])), np.zeros((SIZE[1], SIZE[0]))
-    centre = np.array([80.0, 50.0, 0.0]) - rotation.T @ np.array([0.0, 0.0, 175.0])
-    for du, dv in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
-        x, y, z = (camera.rays(np.column_stack([(u + du).ravel(), (v + dv).ravel()])) @ rotation).T
-        column, row = ((centre[i] - one * centre[2] / z) / 20.0 for i, one in ((0, x), (1, y)))
-        inside = (column > -1) & (column < 9) & (row > -1) & (row < 6)
-        dark = inside & ((np.floor(column) + np.floor(row)) % 2 == 0)
-        picture += np.where(dark, 30.0, 220.0).reshape(picture.shape) / 16
-    return picture.astype(np.uint8)
 
 
 @pytest.fixture(params=CAMERAS)
@@ -48,7 +33,10 @@ def calibrated(request, tmp_path):
         "distortion_coefficients": {"rows": 1, "cols": len(lens), "data": lens.tolist()},
     }
     (tmp_path / "info.yaml").write_text(yaml.safe_dump(content))
-    cv2.imwrite(str(tmp_path / "board.png"), photograph(camera))
+    cv2.imwrite(
+        str(tmp_path / "board.png"),
+        photograph(camera, (9, 6), (8.0, -6.0, 3.0), (0.0, 0.0, 175.0)).astype(np.uint8),
+    )
     return camera, tmp_path
 
 

@@ -1,0 +1,27 @@
+"""Photographs of a checkerboard: each pixel asks where its rays meet the board."""
+
+import numpy as np
+
+from calib.model.rotation import exp_map
+
+SQUARE_MM = 20.0
+
+
+def photograph(camera, corners, turn_deg, place_mm, *, dark=30.0, bright=220.0):
+    """What a camera sees of a board of so many inner corners; the middle of the board is at ``place_mm``.
+
+    A pixel is the mean of 16 rays through it.
+    """
+    steps = (np.arange(4) + 0.5) / 4 - 0.5
+    width, height = camera.image_size
+    v, u = np.mgrid[:height, :width]
+    rotation, picture = exp_map(np.radians(np.array(turn_deg, float))), np.zeros((height, width))
+    middle = SQUARE_MM * np.array([corners[0] - 1, corners[1] - 1, 0.0]) / 2
+    centre = middle - rotation.T @ np.array(place_mm, float)
+    for du, dv in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
+        x, y, z = (camera.rays(np.column_stack([(u + du).ravel(), (v + dv).ravel()])) @ rotation).T
+        column, row = ((centre[i] - one * centre[2] / z) / SQUARE_MM for i, one in ((0, x), (1, y)))
+        inside = (column > -1) & (column < corners[0]) & (row > -1) & (row < corners[1])
+        is_dark = inside & ((np.floor(column) + np.floor(row)) % 2 == 0)
+        picture += np.where(is_dark, dark, bright).reshape(picture.shape) / 16
+    return picture
