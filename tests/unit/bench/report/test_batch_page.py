@@ -173,11 +173,6 @@ def test_the_page_holds_the_number_of_each_run_and_the_newest_line_of_the_ledger
     assert "in the ledger" not in render_batch(summary(item("a-001")))
 
 
-def test_the_same_summary_gives_the_same_page():
-    told = summary(item("a-001"), cameras=[of_runs([run(n, temperature_c=40 + n / 10) for n in range(5)])])
-    assert render_batch(told) == render_batch(told)
-
-
 @pytest.mark.parametrize("flag", ["rehearsal", "simulated"])
 def test_what_is_not_measured_says_so_at_the_top(flag):
     html = render_batch(summary(item("a-001"), **{flag: True}))

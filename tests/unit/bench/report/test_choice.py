@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from report_sample import SMALL, of_many_poses
 
 from bench.report.html import ReportData, render_report
-from bench.report.pictures import pose_pictures
 from bench.report.plots import residual_vectors
 from bench.report.view_picture import ViewPicture, pictured_poses, thinned
 from tests.support.printed_text import printed_text
@@ -33,10 +32,6 @@ def places(choice):
     return sorted(int(name[1:]) for name in choice.names)
 
 
-def test_few_poses_are_all_pictured():
-    assert places(pictured_poses(results_of([0.1] * MOST))) == list(range(MOST))
-
-
 def test_the_worst_come_first_then_failed_then_marginal_gates_then_others_evenly():
     rms = [0.1] * 1000
     rms[7] = rms[333] = rms[998] = 0.3
@@ -53,12 +48,6 @@ def test_failed_gates_leave_no_room_for_marginal_ones_and_are_spread_where_too_m
     assert chosen[:3] == [0, 1, 2]
     assert (chosen[3], chosen[-1], len(chosen)) == (101, 199, MOST)
     assert all(place % 2 for place in chosen[3:])
-
-
-def test_a_pose_without_stars_in_the_calibration_has_no_picture():
-    choice = pictured_poses(results_of([None, *[0.1] * 40, None]))
-    assert (choice.shown, choice.total) == (MOST, 40)
-    assert not {"p0", "p41"} & choice.names
 
 
 @given(
@@ -133,11 +122,6 @@ def stars(n, views):
     return [ViewPicture(f"v{i}", None, grid + 0.1, grid, np.arange(n)) for i in range(views)]
 
 
-def test_few_stars_are_all_drawn():
-    views = stars(100, 3)
-    assert thinned(views, 300) is views
-
-
 @pytest.mark.parametrize("n", [100, 240, 310])
 def test_of_many_stars_other_ones_are_drawn_from_view_to_view(n):
     views = stars(n, 200)
@@ -154,7 +138,3 @@ def test_of_many_stars_other_ones_are_drawn_from_view_to_view(n):
 def test_a_plot_of_many_stars_stays_small():
     few, lots = (len(residual_vectors(stars(300, n), SMALL)) for n in (40, 400))
     assert lots < 1.05 * few
-
-
-def test_views_without_an_image_have_no_picture():
-    assert pose_pictures(stars(10, 2)) == []

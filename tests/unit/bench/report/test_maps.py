@@ -76,17 +76,8 @@ def test_the_distortion_curve_is_brown_s_with_the_propagated_uncertainty(data):
 
 
 def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
-    values = {
-        "fx": 300.0,
-        "fy": 300.0,
-        "cx": 319.5,
-        "cy": 239.5,
-        "kb1": 0.01,
-        "kb2": 0.0,
-        "kb3": 0.0,
-        "kb4": 0.0,
-    }
-    camera = camera_of(values, (640, 480))
+    values = {"fx": 300.0, "fy": 300.0, "cx": 319.5, "cy": 239.5, **dict.fromkeys(("kb2", "kb3", "kb4"), 0.0)}
+    camera = camera_of({**values, "kb1": 0.01}, (640, 480))
     shown, sigma = displacement(camera, np.diag([1e-4] * 8), np.array([0.0, 60.0]))
     theta = np.radians(60.0)
     np.testing.assert_allclose(shown, [0, 300 * 0.01 * theta**3], atol=1e-6)
@@ -94,29 +85,19 @@ def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
 
 
 def test_poses_are_drawn_as_used_left_out_or_refused(data):
-    results = copy.deepcopy(dict(data.results))
-    used = results["poses"][0]
-    results["poses"] += [
-        {**used, "index": 4, "name": "left out", "rms_px": None},
-        {
-            **used,
-            "index": 5,
-            "name": "refused",
-            "rms_px": None,
-            "attempts": [{**used["attempts"][0], "accepted": False}],
-        },
-    ]
-    svg = pose_directions(results)
-    assert [
-        text for text in ("3 used", "1 accepted, not used", "1 no recording accepted") if f">{text}<" in svg
-    ] == [
-        "3 used",
-        "1 accepted, not used",
-        "1 no recording accepted",
-    ]
-    assert pose_directions({**results, "poses": [{"index": 1, "name": "a", "commanded_deg": None}]}) == ""
-    assert pose_directions({**results, "poses": [used]}) != ""
-    assert pose_directions({**results, "poses": [used, {**used, "index": 2}]}) == ""
+    used, *others = data.results["poses"]
+    left_out = {**used, "index": 4, "name": "left out", "rms_px": None}
+    refused = {**left_out, "index": 5, "attempts": [{**used["attempts"][0], "accepted": False}]}
+
+    def drawn(*poses):
+        return pose_directions({**data.results, "poses": poses})
+
+    svg = drawn(used, *others, left_out, refused)
+    for text in ("3 used", "1 accepted, not used", "1 no recording accepted"):
+        assert f">{text}<" in svg
+    assert drawn({"index": 1, "name": "a", "commanded_deg": None}) == ""
+    assert drawn(used) != ""
+    assert drawn(used, {**used, "index": 2}) == ""
 
 
 def test_a_thousand_poses_are_one_small_drawing(data):

@@ -55,22 +55,16 @@ def test_it_forbids_all_but_its_own_pictures_and_style(html):
 
 
 def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):
-    code = "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import SMALL, sample; from bench.report.html import render_report; print(render_report(sample(size=SMALL)), end='')"
-    other = subprocess.run(
-        [sys.executable, "-c", code, Path(__file__).parents[3] / "support"],
-        capture_output=True,
-        check=True,
-        env={
-            "PYTHONHASHSEED": "7",
-            "PATH": "",
-            "HOME": "/nonexistent",
-            "TZ": "Asia/Tokyo",
-            "LC_ALL": "C.UTF-8",
-            "MPLCONFIGDIR": str(tmp_path),
-        },
-        cwd=Path(__file__).parents[4],
-    ).stdout.decode()
-    assert other == html
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import SMALL, sample;"
+        "from bench.report.html import render_report; print(render_report(sample(size=SMALL)), end='')"
+    )
+    environment = {"PYTHONHASHSEED": "7", "PATH": "", "HOME": "/nonexistent", "TZ": "Asia/Tokyo"}
+    environment |= {"LC_ALL": "C.UTF-8", "MPLCONFIGDIR": str(tmp_path)}
+    command = [sys.executable, "-c", code, Path(__file__).parents[3] / "support"]
+    root = Path(__file__).parents[4]
+    other = subprocess.run(command, capture_output=True, check=True, env=environment, cwd=root)
+    assert other.stdout.decode() == html
 
 
 def test_names_cannot_become_markup(data):

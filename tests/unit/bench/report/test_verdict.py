@@ -67,19 +67,11 @@ def test_without_convergence_no_value_is_stated(data):
 
 def test_results_of_earlier_versions_still_name_a_worst_corner(data):
     results = {key: value for key, value in data.results.items() if key not in ("projection", "previous")}
-    sentences = verdict(results).sentences
-    assert any(
-        sentence.startswith("Error of an image point in the worst corner: at most 0.9")
-        for sentence in sentences
-    )
+    worst = "Error of an image point in the worst corner: at most 0.9"
+    assert any(sentence.startswith(worst) for sentence in verdict(results).sentences)
     assert change(results) is None
-
-
-def test_the_first_calibration_of_a_camera_is_told(data):
-    found = told(
-        data, previous={"run": None, "why_not": "This is the first calibration of this camera on this bench."}
-    )
-    assert found.sentences[-1] == "This is the first calibration of this camera on this bench."
+    first = {"run": None, "why_not": "This is the first calibration of this camera on this bench."}
+    assert told(data, previous=first).sentences[-1] == first["why_not"]
 
 
 def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
