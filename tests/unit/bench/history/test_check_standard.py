@@ -39,29 +39,23 @@ def measured(home, tmp_path, last=(), **facts):
     return BEGIN + timedelta(days=23 + len(last), hours=1)
 
 
-def test_a_bench_in_control_has_no_problem(home, tmp_path):
-    now = measured(home, tmp_path)
-    assert standard_problem(station(), home, now) == ""
+@pytest.mark.parametrize(
+    ("last", "days_later", "problem"),
+    [
+        ([], 0, ""),
+        ([3347.0], 0, "is out of control in its newest run run-00025: fx."),
+        ([3347.0, *(3345.0 + 0.1 * (n % 3 - 1) for n in range(15))], 0, ""),
+        ([], 7, "was last measured 7.0 days ago; it is due every 7 days."),
+    ],
+    ids=["in control", "shifted", "mended", "not measured in time"],
+)
+def test_a_standard_out_of_control_or_not_measured_in_time_is_a_problem(
+    home, tmp_path, last, days_later, problem
+):
+    now = measured(home, tmp_path, last) + timedelta(days=days_later)
+    said = standard_problem(station(), home, now)
+    assert said == (f"The check standard, camera 00050001, {problem}" if problem else "")
     assert standard_problem(station(""), home, now) == ""
-
-
-def test_a_shift_in_the_newest_run_is_a_problem_until_a_run_is_back_in_its_limits(home, tmp_path):
-    now = measured(home, tmp_path, [3347.0])
-    assert standard_problem(station(), home, now) == (
-        "The check standard, camera 00050001, is out of control in its newest run run-00025: fx."
-    )
-
-
-def test_a_shift_that_was_mended_is_no_problem(home, tmp_path):
-    now = measured(home, tmp_path, [3347.0, *(3345.0 + 0.1 * (n % 3 - 1) for n in range(15))])
-    assert standard_problem(station(), home, now) == ""
-
-
-def test_a_standard_that_was_not_measured_in_time_is_a_problem(home, tmp_path):
-    now = measured(home, tmp_path) + timedelta(days=7)
-    assert standard_problem(station(), home, now) == (
-        "The check standard, camera 00050001, was last measured 7.0 days ago; it is due every 7 days."
-    )
 
 
 @pytest.mark.parametrize("facts", [{"station": "Bench 2"}, {"simulated": False}])

@@ -98,16 +98,6 @@ def test_what_cannot_be_done_is_said_with_what_to_do(tmp_path, capsys, home, wor
     assert what in err
 
 
-def test_simulated_and_measured_runs_of_one_camera_are_in_two_charts(tmp_path, capsys, home):
-    for n in range(6):
-        write_run(tmp_path / "runs" / f"s{n}", begun=BEGIN + timedelta(hours=n), simulated=True)
-        write_run(tmp_path / "runs" / f"m{n}", begun=BEGIN + timedelta(hours=n), temperature_c=None)
-    status, out, _ = call(capsys, "runs", "--chart", "fx")
-    assert status == 0
-    assert out.count("Camera 00050001, Prophesee EVK4: 6 runs") == 2
-    assert out.count("SIMULATED: Camera") == 1
-
-
 # ---------------------------------------------------------------- capability
 
 LIMITS = [{"result": "fx", "lower": 3300.0, "upper": 3390.0}, {"result": "cx", "lower": None, "upper": 700.0}]
