@@ -1,6 +1,7 @@
 """A sealed run of the simulated bench, made once, and copies of it that can be changed and sealed again."""
 
 import pytest
+from authorising import Authority, make_key, person
 
 from bench.evidence.keys import load_key
 from bench.evidence.signers import read_signers
@@ -45,3 +46,15 @@ def job(run_once):
 def forger(run_once, bench_key, tmp_path):
     """A copy of the run, and the key to seal it again."""
     return Forger(copied(run_once, tmp_path / "run"), bench_key)
+
+
+@pytest.fixture(scope="session")
+def ada(tmp_path_factory):
+    """A person's key, and the line that trusts it."""
+    return person(make_key(tmp_path_factory.mktemp("ada")))
+
+
+@pytest.fixture(scope="session")
+def authority(tmp_path_factory):
+    """A time stamping authority."""
+    return Authority.create(tmp_path_factory.mktemp("tsa") / "tsa")

@@ -26,12 +26,6 @@ NOW = datetime(2026, 5, 1, tzinfo=UTC)
 pytestmark = needs_ssh_keygen
 
 
-@pytest.fixture(scope="module")
-def ada(tmp_path_factory):
-    """A person's key, and the line that trusts it."""
-    return person(make_key(tmp_path_factory.mktemp("ada")))
-
-
 @pytest.fixture
 def trust(signers, ada):
     return Trust((*signers, ada[1]))

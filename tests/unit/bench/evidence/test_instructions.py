@@ -7,7 +7,7 @@ import subprocess
 from datetime import UTC, datetime
 
 import pytest
-from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen, person
+from authorising import needs_openssl, needs_ssh_keygen
 
 from bench.evidence.authorisation import authorise
 from bench.evidence.key_trust import Trust
@@ -18,16 +18,6 @@ pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not ins
 pytestmark = [needs_ssh_keygen, needs_openssl]
 
 NOW = datetime.now(UTC)
-
-
-@pytest.fixture(scope="module")
-def authority(tmp_path_factory):
-    return Authority.create(tmp_path_factory.mktemp("tsa") / "tsa")
-
-
-@pytest.fixture(scope="module")
-def ada(tmp_path_factory):
-    return person(make_key(tmp_path_factory.mktemp("ada")))
 
 
 @pytest.fixture
@@ -44,11 +34,9 @@ def lists(tmp_path, home, ada, authority):
 
 def make_folder(path, key, kind, ada):
     path.mkdir()
-    content = {
-        "authorised_by": {"name": "Ada", "role": "head", "key_fingerprint": fingerprint(ada.public_key)}
-    }
+    named = {"name": "Ada", "role": "head", "key_fingerprint": fingerprint(ada.public_key)}
     marker = next((name for name, its in KINDS.items() if its == kind), "any.txt")
-    (path / marker).write_text(json.dumps(content) + "\n")
+    (path / marker).write_text(json.dumps({"authorised_by": named}) + "\n")
     (path / "exports").mkdir()
     (path / "exports" / "opencv.yaml").write_text("fx: 1\n")
     assert kind_of(path) == kind
@@ -79,12 +67,9 @@ def test_every_command_succeeds_on_an_authorised_and_stamped_folder(
 
     folder = make_folder(tmp_path / kind, key, kind, ada[0])
     authorise(folder, ada[0], Trust((*signers, ada[1])), NOW)
-    for name, of in (
-        ("SHA256SUMS.tsr", "SHA256SUMS.sig"),
-        ("SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig"),
-    ):
-        request = make_request((folder / of).read_bytes(), nonce=False).data
-        add_beside(folder, name, authority.reply(request))
+    for name in ("SHA256SUMS", "SHA256SUMS.authorised"):
+        request = make_request((folder / f"{name}.sig").read_bytes(), nonce=False).data
+        add_beside(folder, f"{name}.tsr", authority.reply(request))
     commands = commands_of(folder)
     assert len(commands) == 9
     found = [run(command, folder, lists) for command in commands]

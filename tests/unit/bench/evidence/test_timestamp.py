@@ -10,7 +10,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
 import pytest
-from authorising import Authority, make_key, needs_openssl, person
+from authorising import Authority, needs_openssl
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,11 +35,6 @@ pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not ins
 pytestmark = needs_openssl
 
 NOW = datetime.now(UTC)
-
-
-@pytest.fixture(scope="module")
-def authority(tmp_path_factory):
-    return Authority.create(tmp_path_factory.mktemp("tsa") / "tsa")
 
 
 @pytest.fixture(scope="module")
@@ -300,8 +295,8 @@ def expiring(signers):
     return tuple(replace(one, valid_before=datetime.now(UTC) + timedelta(hours=1)) for one in signers)
 
 
-def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, authority, others, tmp_path):
-    key, line = person(make_key(tmp_path))
+def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, authority, others, ada):
+    key, line = ada
     trust = Trust((*expiring(signers), line), (), others)
     authorise(sealed, key, trust, NOW)
     later = datetime.now(UTC) + timedelta(days=1)
@@ -321,11 +316,9 @@ def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, au
 @pytest.mark.parametrize(
     "by", ["a person of another seal", "somebody who is not trusted", "a key that fits any message"]
 )
-def test_a_stamped_signature_that_is_not_accepted_proves_nothing(
-    sealed, signers, authority, others, tmp_path, by
-):
+def test_a_stamped_signature_that_is_not_accepted_proves_nothing(sealed, signers, authority, others, ada, by):
     """Otherwise an old time stamp could be put beside a new seal by an expired key."""
-    key, line = person(make_key(tmp_path))
+    key, line = ada
     of = b"another seal" if by == "a person of another seal" else (sealed / "SHA256SUMS.sig").read_bytes()
     data = key.sign(of, "starbench-authorisation@v1")
     if by == "a key that fits any message":
