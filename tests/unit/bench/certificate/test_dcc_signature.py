@@ -46,11 +46,6 @@ def test_signed_twice_gives_the_same_bytes(kind):
     assert check_dcc(signed) == []
 
 
-def test_without_signature_of_an_unsigned_dcc_is_the_dcc():
-    assert without_signature(certificate_sample.small_dcc()) == certificate_sample.small_dcc()
-    assert verify_signature(certificate_sample.small_dcc(), "dcc.xml") is None
-
-
 def test_a_chain_is_put_in_order_and_leads_to_the_authority():
     key, chain = lab_pki.long_chain()
     signed = sign_dcc(certificate_sample.small_dcc(), key, chain[1::-1], signed_utc=WHEN)
@@ -88,8 +83,12 @@ def move_first(root):
     root.insert(0, signature_of(root))
 
 
-def twice(root):
-    root.append(etree.fromstring(etree.tostring(signature_of(root))))
+def text_of(tag, new):
+    return lambda root: setattr(next(root.iter(tag)), "text", new)
+
+
+def method(algorithm):
+    return lambda root: next(root.iter(f"{DS}SignatureMethod")).set("Algorithm", algorithm)
 
 
 def wrap_original(root):
@@ -119,61 +118,27 @@ def only_a_part(root):
     reference.set("URI", f"#{next(root.iter(f'{DS}KeyInfo')).get('Id')}")
 
 
-def other_certificate(root):
-    _, certificate = lab_pki.seal("P-384")
-    text = "".join(lab_pki.pem(certificate).decode().splitlines()[1:-1])
-    next(root.iter(f"{DS}X509Certificate")).text = text
-
-
-def no_certificate(root):
-    next(root.iter(f"{DS}X509Certificate")).text = "AAAA"
-
-
-def weak(root):
-    next(root.iter(f"{DS}SignatureMethod")).set("Algorithm", "http://www.w3.org/2000/09/xmldsig#rsa-sha1")
-
-
-def hmac(root):
-    method = "http://www.w3.org/2001/04/xmldsig-more#hmac-sha256"
-    next(root.iter(f"{DS}SignatureMethod")).set("Algorithm", method)
-
-
-def no_time(root):
-    time = next(root.iter("{*}SigningTime"))
-    time.text = "yesterday"
-
-
-def other_time(root):
-    next(root.iter("{*}SigningTime")).text = "2026-09-01T00:00:00Z"
-
-
-def text_of(path, new):
-    def change(root):
-        next(root.iter(f"{{https://ptb.de/{path}")).text = new
-
-    return change
-
-
+OTHER_CERTIFICATE = "".join(lab_pki.pem(lab_pki.seal("P-384")[1]).decode().splitlines()[1:-1])
 ATTACKS = {
-    "value": text_of("si}value", "3346.5"),
-    "customer": text_of("dcc}street", "Elsewhere 1"),
+    "value": text_of("{https://ptb.de/si}value", "3346.5"),
+    "customer": text_of("{https://ptb.de/dcc}street", "Elsewhere 1"),
     "attribute": lambda root: root.set("schemaVersion", "3.2.1 "),
     "added element": lambda root: etree.SubElement(root[0], "{https://ptb.de/dcc}statements"),
     "text behind the signature": lambda root: setattr(signature_of(root), "tail", "\n\n"),
     "comment in a value": add_comment,
     "signature first": move_first,
-    "signature twice": twice,
+    "signature twice": lambda root: root.append(etree.fromstring(etree.tostring(signature_of(root)))),
     "signed document moved": wrap_original,
     "reference dropped": drop_reference,
     "only a part signed": only_a_part,
-    "another certificate": other_certificate,
-    "no certificate": no_certificate,
-    "SHA-1": weak,
-    "HMAC": hmac,
-    "no time": no_time,
-    "another time": other_time,
+    "another certificate": text_of(f"{DS}X509Certificate", OTHER_CERTIFICATE),
+    "no certificate": text_of(f"{DS}X509Certificate", "AAAA"),
+    "SHA-1": method("http://www.w3.org/2000/09/xmldsig#rsa-sha1"),
+    "HMAC": method("http://www.w3.org/2001/04/xmldsig-more#hmac-sha256"),
+    "no time": text_of("{*}SigningTime", "yesterday"),
+    "another time": text_of("{*}SigningTime", "2026-09-01T00:00:00Z"),
     "empty signature": lambda root: signature_of(root).clear(),
-    "signature value": lambda root: setattr(next(root.iter(f"{DS}SignatureValue")), "text", "AAAA"),
+    "signature value": text_of(f"{DS}SignatureValue", "AAAA"),
 }
 
 
@@ -187,14 +152,13 @@ def test_attacks(signed, attack):
     assert len(str(caught.value)) < 500
 
 
-def test_a_signature_cut_off_leaves_the_dcc_without_one(signed):
+def test_without_its_signature_a_dcc_is_as_it_was_and_text_hidden_behind_it_is_not_lost(signed):
+    small = certificate_sample.small_dcc()
+    assert without_signature(small) == small
+    assert verify_signature(small, "dcc.xml") is None
     bare = edited(signed, lambda root: root.remove(signature_of(root)))
     assert verify_signature(bare, "dcc.xml") is None
-
-
-def test_text_hidden_behind_a_signature_is_not_lost(signed):
-    changed = signed.replace(b"</ds:Signature>\n", b"</ds:Signature>more\n")
-    assert b"more" in without_signature(changed)
+    assert b"more" in without_signature(signed.replace(b"</ds:Signature>\n", b"</ds:Signature>more\n"))
 
 
 @pytest.mark.parametrize(
@@ -259,20 +223,20 @@ def test_keys_are_loaded(tmp_path):
         load_signing_key(locked, ask_passphrase=lambda _: b"shut")
 
 
-@pytest.mark.parametrize(
-    ("content", "mode", "said"),
-    [
-        (lambda: lab_pki.key_pem(lab_pki.new_key("P-256")), 0o644, "Other users can read the key"),
-        (lambda: lab_pki.key_pem(lab_pki.new_key("ed25519")), 0o600, "cannot sign XML"),
-        (lambda: lab_pki.key_pem(lab_pki.new_key("rsa-1024")), 0o600, "cannot sign XML"),
-        (lambda: b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n", 0o600, "cannot be read"),
-        (lambda: b"", 0o600, "cannot be read"),
-        (lambda: lab_pki.pem(lab_pki.authority()[1]), 0o600, "cannot be read"),
-    ],
-)
+UNFIT_KEYS = [
+    (lab_pki.key_pem(lab_pki.new_key("P-256")), 0o644, "Other users can read the key"),
+    (lab_pki.key_pem(lab_pki.new_key("ed25519")), 0o600, "cannot sign XML"),
+    (lab_pki.key_pem(lab_pki.new_key("rsa-1024")), 0o600, "cannot sign XML"),
+    (b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n", 0o600, "cannot be read"),
+    (b"", 0o600, "cannot be read"),
+    (lab_pki.pem(lab_pki.authority()[1]), 0o600, "cannot be read"),
+]
+
+
+@pytest.mark.parametrize(("content", "mode", "said"), UNFIT_KEYS)
 def test_unfit_keys_are_refused(tmp_path, content, mode, said):
     with pytest.raises(EvidenceError, match=said) as caught:
-        load_signing_key(write(tmp_path / "key.pem", content(), mode))
+        load_signing_key(write(tmp_path / "key.pem", content, mode))
     assert caught.value.where.endswith("key.pem")
 
 
@@ -325,26 +289,22 @@ def attack(signed_certificate, tmp_path, change):
     shutil.copytree(signed_certificate, folder)
     for path in (folder, *folder.rglob("*")):
         path.chmod(0o755)
-    data = (folder / "dcc.xml").read_bytes()
-    (folder / "dcc.xml").write_bytes(change(data))
+    (folder / "dcc.xml").write_bytes(change((folder / "dcc.xml").read_bytes()))
     return check_certificate(folder).faults
 
 
-def test_a_changed_or_missing_signature_is_a_fault(signed_certificate, tmp_path):
-    assert attack(
-        signed_certificate, tmp_path / "1", lambda data: data.replace(b"Mill Lane 3", b"Mill Lane 4")
-    )
-    assert attack(signed_certificate, tmp_path / "2", without_signature), (
-        "the PDF has the signed DCC attached"
-    )
+def signed_by_another(data):
+    key, certificate = lab_pki.seal("P-384")
+    return sign_dcc(without_signature(data), key, [certificate], signed_utc=NOW)
 
-    def other(data):
-        key, certificate = lab_pki.seal("P-384")
-        return sign_dcc(without_signature(data), key, [certificate], signed_utc=NOW)
 
-    assert attack(signed_certificate, tmp_path / "3", other), (
-        "the PDF has the DCC with the first signature attached"
-    )
+@pytest.mark.parametrize(
+    "change",
+    [lambda data: data.replace(b"Mill Lane 3", b"Mill Lane 4"), without_signature, signed_by_another],
+)
+def test_a_changed_or_missing_signature_is_a_fault(signed_certificate, tmp_path, change):
+    """The PDF has the signed DCC attached."""
+    assert attack(signed_certificate, tmp_path, change)
 
 
 def test_a_key_that_cannot_sign_is_refused_before_a_number_is_taken(tmp_path):

@@ -125,26 +125,15 @@ def test_on_an_ideal_bench_the_first_poses_suffice():
     )
 
 
-def test_on_the_simulated_bench_a_smaller_goal_takes_more_poses_but_fewer_than_allowed():
+def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
     (course,) = courses(expanded_fx_px=1.8)
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
-
-
-def test_a_goal_below_a_stated_term_is_refused_with_its_name():
-    (course,) = courses(expanded_fx_px=0.5)
-    assert course.poses is None
-    assert "the goal of 0.5 px for U(fx) cannot be reached" in course.text
-    assert "scale and eccentricity of the gimbal" in course.text
-
-
-def test_a_goal_that_the_poses_allowed_do_not_reach_is_said():
-    (course,) = courses(station="simulated_ideal", expanded_fx_px=0.001)
-    assert course.poses is None
-    assert course.text.startswith("Expected: ")
-    assert "25 poses do not suffice" in course.text or "cannot be reached" in course.text
-
-
-@pytest.mark.parametrize("sequence", ["three_pose", "nine_pose"])
-def test_a_plan_without_such_a_step_expects_none(sequence):
-    assert courses(sequence) == []
+    (below,) = courses(expanded_fx_px=0.5)
+    assert "the goal of 0.5 px for U(fx) cannot be reached" in below.text
+    assert "scale and eccentricity of the gimbal" in below.text
+    (beyond,) = courses(station="simulated_ideal", expanded_fx_px=0.001)
+    assert (below.poses, beyond.poses) == (None, None)
+    assert beyond.text.startswith("Expected: ")
+    assert "25 poses do not suffice" in beyond.text or "cannot be reached" in beyond.text
+    assert courses("three_pose") == courses("nine_pose") == []

@@ -44,13 +44,7 @@ def coarse(monkeypatch):
 
 
 def wish(**changes):
-    given = {
-        "wanted": WANTED,
-        "now": {},
-        "roll": False,
-        "needs_tag": True,
-        "min_stars": 40,
-    }
+    given = {"wanted": WANTED, "now": {}, "roll": False, "needs_tag": True, "min_stars": 40}
     return Wish(**(given | changes))
 
 
@@ -65,34 +59,22 @@ class HistoryOf(History):
 
     def __init__(self, accepted, chosen=0, worked_s=0.0):
         super().__init__()
-        self._accepted = {
-            index: SimpleNamespace(
-                stored={"measured_deg": {"pan": float(index), "tilt": 0.0}}, pose_index=index
-            )
-            for index in accepted
-        }
+        for index in accepted:
+            stored = {"measured_deg": {"pan": float(index), "tilt": 0.0}}
+            self._accepted[index] = SimpleNamespace(stored=stored, pose_index=index)
         self.worked_s = {5: worked_s, 1: 1000.0}
-        first = {"step": 0, "until": 2, "until_last": 999}
-        self.decisions = [
-            {**first, "chosen": {"pose": 4 + i, "angles_deg": {"pan": 9.0 - i, "tilt": 0.0}}}
-            for i in range(chosen)
-        ]
+        poses = [{"pose": 4 + i, "angles_deg": {"pan": 9.0 - i, "tilt": 0.0}} for i in range(chosen)]
+        self.decisions = [{"step": 0, "until": 2, "until_last": 999, "chosen": pose} for pose in poses]
 
 
 def calibration(fx=1.0, corner=0.2, gimbal=None, **parts):
     """A calibration with these contributions to the standard uncertainty of fx; a tenth of each at the corners."""
-    return SimpleNamespace(
-        coverage_factor=2.0,
-        model="radial",
-        gimbal=gimbal,
-        budget_rows=[
-            BudgetRow(
-                name.replace("_", " "), "A", "test", contribution={"fx": part, "worst_corner": part / 10}
-            )
-            for name, part in (parts or {"stars": fx / 2}).items()
-        ],
-        told=(fx, corner),
-    )
+    rows = [
+        BudgetRow(name.replace("_", " "), "A", "test", contribution={"fx": part, "worst_corner": part / 10})
+        for name, part in (parts or {"stars": fx / 2}).items()
+    ]
+    told = (fx, corner)
+    return SimpleNamespace(coverage_factor=2.0, model="radial", gimbal=gimbal, budget_rows=rows, told=told)
 
 
 @pytest.fixture
@@ -116,24 +98,15 @@ def decided(job, history, found, *, last=False):
 
 
 @pytest.mark.usefixtures("numbers")
-def test_it_ends_when_every_goal_is_met(job):
+def test_it_chooses_while_one_goal_is_missed_and_ends_when_every_goal_is_met(job):
+    told = decided(job, HistoryOf([1, 2, 3], worked_s=7.5), calibration(1.9, 0.31))
+    assert "ended" not in told
+    pose = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.25, "tilt": -2.0}}
+    assert told["chosen"] == {**pose, "expected": {"expanded_fx_px": 1.5}, "why": "it"}
+    assert (told["recorded"], told["poses"], told["worked_s"]) == (3, 3, 7.5)
     told = decided(job, HistoryOf([1, 2, 3]), calibration(1.9, 0.3))
     assert (told["ended"], told["why"]) == ("met", "The goals are met.")
     assert "chosen" not in told
-
-
-@pytest.mark.usefixtures("numbers")
-def test_it_chooses_while_one_goal_is_missed(job):
-    told = decided(job, HistoryOf([1, 2, 3], worked_s=7.5), calibration(1.9, 0.31))
-    assert "ended" not in told
-    assert told["chosen"] == {
-        "pose": 4,
-        "pose_name": "chosen 1",
-        "angles_deg": {"pan": 1.25, "tilt": -2.0},
-        "expected": {"expanded_fx_px": 1.5},
-        "why": "it",
-    }
-    assert (told["recorded"], told["poses"], told["worked_s"]) == (3, 3, 7.5)
 
 
 @pytest.mark.usefixtures("numbers")
@@ -148,13 +121,8 @@ def test_a_goal_below_what_no_pose_lowers_is_named_with_its_parts(job):
 
 
 def test_what_poses_lower_is_no_fixed_part():
-    reduced = {
-        "stars": 1.0,
-        "known_beforehand": 1.0,
-        "disagreement_of_the_views": 1.0,
-        "readings_of_the_gimbal": 1.0,
-    }
-    parts = fixed_parts(calibration(**reduced, thermal=1.0).budget_rows)
+    lowered = ("stars", "known_beforehand", "disagreement_of_the_views", "readings_of_the_gimbal")
+    parts = fixed_parts(calibration(**dict.fromkeys(lowered, 1.0), thermal=1.0).budget_rows)
     assert parts == {"expanded_fx_px": {"thermal": 2.0}, "worst_corner_px": {"thermal": 0.2}}
 
 
