@@ -20,6 +20,7 @@ from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
 from bench.evidence.sshsig import fingerprint, sign
 from bench.evidence.states import State, shown_state, standing_of, stated_time
 from bench.evidence.verify import verify_folder
+from tests.unit.bench.evidence.resealed import copied, reseal, writable
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 
@@ -112,16 +113,11 @@ def test_only_the_named_person_authorises_a_certificate(certificate, tmp_path, a
     everyone = Trust((*trust.signers, line))
     with pytest.raises(EvidenceError, match="names Ada Example with the key"):
         authorise(certificate, bea, everyone, NOW)
-    copy = tmp_path / "copy"
-    shutil.copytree(certificate, copy)
+    copy = copied(certificate, tmp_path / "copy")
     authorise(certificate, ada[0], everyone, NOW)
     assert standing_of(certificate, everyone, NOW).state is State.AUTHORISED
-    copy.chmod(0o755)
-    command = ["ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / "bea", "-n", AUTHORISATION_NAMESPACE]
-    signed = subprocess.run(
-        command, input=(copy / "SHA256SUMS.sig").read_bytes(), check=True, capture_output=True
-    )
-    (copy / "SHA256SUMS.authorised.sig").write_bytes(signed.stdout)
+    signed = bea.sign((copy / "SHA256SUMS.sig").read_bytes(), AUTHORISATION_NAMESPACE)
+    (copy / "SHA256SUMS.authorised.sig").write_bytes(signed)
     assert "names Ada Example" in faults(copy, everyone)[0][2]
     assert standing_of(copy, everyone, NOW).state is State.SEALED
 
@@ -144,41 +140,34 @@ def test_a_key_that_may_not_authorise_now_signs_nothing(sealed, signers, ada, ch
     assert not (sealed / "SHA256SUMS.authorised.sig").exists()
 
 
-@pytest.mark.parametrize(
-    "damage", ["of another seal", "another purpose", "no signature", "link", "large", "empty"]
-)
+DAMAGE = {
+    "of another seal": lambda key, seal, _: key.sign(seal + b" ", AUTHORISATION_NAMESPACE),
+    "another purpose": lambda key, seal, _: key.sign(seal, NAMESPACE),
+    "no signature": lambda *_: b"yes",
+    "large": lambda _, __, good: good + b"\n" * (1 << 21),
+    "empty": lambda *_: b"",
+}
+
+
+@pytest.mark.parametrize("damage", [*DAMAGE, "link"])
 def test_an_authorisation_that_does_not_hold_is_a_fault(sealed, ada, trust, damage, tmp_path):
     path = sealed / "SHA256SUMS.authorised.sig"
     authorise(sealed, ada[0], trust, NOW)
-    signed = (sealed / "SHA256SUMS.sig").read_bytes()
     sealed.chmod(0o755)
     path.chmod(0o644)
-    good = path.read_bytes()
-    if damage == "of another seal":
-        (tmp_path / "m").write_bytes(signed + b" ")
-    elif damage == "another purpose":
-        (tmp_path / "m").write_bytes(signed)
-    if damage in {"of another seal", "another purpose"}:
-        purpose = NAMESPACE if damage == "another purpose" else AUTHORISATION_NAMESPACE
-        path.write_bytes(ada[0].sign((tmp_path / "m").read_bytes(), purpose))
-    elif damage == "link":
-        (tmp_path / "elsewhere").write_bytes(good)
-        path.unlink()
+    if damage == "link":
+        path.rename(tmp_path / "elsewhere").chmod(0o644)
         path.symlink_to(tmp_path / "elsewhere")
     else:
-        path.write_bytes({"no signature": b"yes", "large": good + b"\n" * (1 << 21), "empty": b""}[damage])
+        seal = (sealed / "SHA256SUMS.sig").read_bytes()
+        path.write_bytes(DAMAGE[damage](ada[0], seal, path.read_bytes()))
     assert [f[:2] for f in faults(sealed, trust)] == [("authorisation", "SHA256SUMS.authorised.sig")]
     assert standing_of(sealed, trust, NOW).state is State.SEALED
 
 
 def test_a_new_seal_is_not_authorised_by_the_old_authorisation(sealed, ada, trust, key):
-    from tests.unit.bench.evidence.resealed import reseal
-
     authorise(sealed, ada[0], trust, NOW)
-    sealed.chmod(0o755)
-    for name in ("results.json", "SHA256SUMS", "SHA256SUMS.sig"):
-        (sealed / name).chmod(0o644)
-    (sealed / "results.json").write_text("{}")
+    (writable(sealed) / "results.json").write_text("{}")
     reseal(sealed, key)
     assert "does not match this SHA256SUMS.sig" in faults(sealed, trust)[0][2]
 
@@ -210,21 +199,15 @@ def test_a_failure_leaves_the_folder_as_it_was(sealed_once, tmp_path, monkeypatc
         with pytest.raises(StorageError, match="disk is full"):
             add_beside(folder, RESERVED[0], b"signature")
     assert modes(folder) == before
+    folder.chmod(0o755)
+    (folder / f".{RESERVED[0]}.tmp").write_bytes(b"what a killed process left behind")
+    folder.chmod(0o555)
     add_beside(folder, RESERVED[0], b"signature")
     assert set(modes(folder)) == set(before) | {folder / RESERVED[0]}
+    assert modes(folder)[folder] == before[folder]
     with pytest.raises(EvidenceError, match="never replaced"):
         add_beside(folder, RESERVED[0], b"another")
     assert (folder / RESERVED[0]).read_bytes() == b"signature"
-
-
-def test_what_a_killed_process_left_behind_is_removed(sealed_once, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(sealed_once, folder)
-    folder.chmod(0o755)
-    (folder / f".{RESERVED[0]}.tmp").write_bytes(b"half")
-    add_beside(folder, RESERVED[0], b"signature")
-    assert not (folder / f".{RESERVED[0]}.tmp").exists()
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o555
 
 
 @pytest.mark.parametrize("broken", ["list", "purpose"])
