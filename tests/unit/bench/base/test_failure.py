@@ -37,27 +37,33 @@ def test_errors_of_all_packages_have_one_shape(base):
     assert str(base("It is dark.")) == "It is dark."
 
 
-def test_a_failure_says_what_its_error_says():
+def test_a_failure_says_what_its_error_says_and_one_that_nobody_foresaw_is_a_defect():
     error = JournalBroken("Line 3 is cut off.", where="journal.jsonl", remedy="Restore it.")
-    failure = Failure.of(error)
-    assert failure.kind == "JournalBroken"
-    assert failure.message == str(error)
-
-
-def test_an_error_that_nobody_foresaw_is_a_defect():
-    failure = Failure.of(ZeroDivisionError("division by zero"))
-    assert failure.kind == "ZeroDivisionError"
-    assert "defect" in failure.remedy
+    assert (Failure.of(error).kind, Failure.of(error).message) == ("JournalBroken", str(error))
+    defect = Failure.of(ZeroDivisionError("division by zero"))
+    assert defect.kind == "ZeroDivisionError"
+    assert "defect" in defect.remedy
     assert ZeroDivisionError not in FORESEEN
 
 
-def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tmp_path, capsys):
-    def hook(name):
-        if name == "stage.move_to":
-            raise MoveFailed(SLIPPED["what"], where=SLIPPED["where"], remedy=SLIPPED["remedy"])
+def scene_with(folder, errors):
+    """A run on devices whose calls raise these errors, by the name of the call."""
+    scene = Scene(folder)
 
-    scene = Scene(tmp_path)
+    def hook(name):
+        if name in errors:
+            raise errors[name]
+
     scene.hook = hook
+    return scene
+
+
+def slipped():
+    return MoveFailed(SLIPPED["what"], where=SLIPPED["where"], remedy=SLIPPED["remedy"])
+
+
+def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tmp_path, capsys):
+    scene = scene_with(tmp_path, {"stage.move_to": slipped()})
     end = scene.run()
     assert end.failure == Failure(**SLIPPED)
     (told,) = scene.told(Event.RUN_ENDED)
@@ -75,13 +81,7 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
     ],
 )
 def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsys, where, opened, text):
-    def hook(name):
-        if name == where:
-            raise MoveFailed(SLIPPED["what"])
-
-    scene = Scene(tmp_path)
-    scene.hook = hook
-    end = scene.run()
+    end = scene_with(tmp_path, {where: slipped()}).run()
     assert (end.how, end.opened) == ("failed", opened)
     assert show_run(end) == 1
     assert text in capsys.readouterr().err.splitlines()
@@ -94,14 +94,8 @@ def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsy
 
 
 def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, capsys):
-    def hook(name):
-        if name == "stage.move_to":
-            raise MoveFailed(SLIPPED["what"])
-        if name == "light.off":
-            raise ReplyTimeout("no complete reply within 2 s.")
-
-    scene = Scene(tmp_path)
-    scene.hook = hook
+    silent = ReplyTimeout("no complete reply within 2 s.")
+    scene = scene_with(tmp_path, {"stage.move_to": slipped(), "light.off": silent})
     end = scene.run()
     (told,) = scene.told(Event.RUN_ENDED)
     states = {one["device"]: one["state"] for one in told["devices"]}
@@ -164,15 +158,10 @@ def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):
 
 
 def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
-    failures = [MoveFailed(SLIPPED["what"], where=SLIPPED["where"], remedy=SLIPPED["remedy"])]
-
-    def hook(name):
-        if name == "stage.move_to" and failures:
-            raise failures.pop()
-
-    scene = Scene(tmp_path)
-    scene.hook = hook
+    errors = {"stage.move_to": slipped()}
+    scene = scene_with(tmp_path, errors)
     assert scene.run().how == "failed"
+    errors.clear()
     assert scene.run().how == "finished"
     assert replay(read_journal(scene.folder / "journal.jsonl")[0]).failures == [SLIPPED]
 

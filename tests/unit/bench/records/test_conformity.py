@@ -8,15 +8,10 @@ from sequences.schema import ResultLimitConfig
 
 
 def calibration(**changes):
-    stated = {
-        "converged": True,
-        "camera": {"fx": 1600.0, "k1": -0.1},
-        "collimator": {"r": 255.0},
-        "sigma": {"fx": 1.0, "k1": 0.001, "r": 0.1},
-        "coverage_factor": 2.0,
-        "coverage_factors": {"k1": 3.0},
-    }
-    return {**stated, **changes}
+    values = {"camera": {"fx": 1600.0, "k1": -0.1}, "collimator": {"r": 255.0}}
+    sigma = {"fx": 1.0, "k1": 0.001, "r": 0.1}
+    factors = {"coverage_factor": 2.0, "coverage_factors": {"k1": 3.0}}
+    return {"converged": True, **values, "sigma": sigma, **factors, **changes}
 
 
 def judged(*limits, failed=(), **changes):
@@ -37,6 +32,7 @@ def test_a_value_passes_only_if_it_is_inside_by_its_expanded_uncertainty(upper, 
 def test_each_value_has_the_guard_band_of_its_own_coverage_factor():
     assert judged({"result": "k1", "upper": -0.097})["passed"]
     assert not judged({"result": "k1", "upper": -0.0971})["passed"]
+    assert judged() is None
 
 
 def test_limits_of_the_station_count_as_those_of_the_sequence():
@@ -67,10 +63,6 @@ def test_values_that_must_not_be_used_do_not_pass(changes, reason):
     assert found["statements"][0]["verdict"] == "pass"
     assert not found["passed"]
     assert reason in conformity_sentences(found)
-
-
-def test_without_limits_there_is_no_verdict():
-    assert judged() is None
 
 
 def test_the_words_begin_with_what_is_not_kept():

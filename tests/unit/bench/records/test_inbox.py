@@ -65,11 +65,14 @@ def test_a_folder_that_is_gone_holds_no_message_and_takes_none(inbox):
 
 
 def test_a_poller_calls_until_it_is_closed_and_passes_on_an_error_once():
-    calls, errors, called = [], [], threading.Event()
+    calls, errors, called, told = [], [], threading.Event(), threading.Event()
 
     def look():
         calls.append(1)
         called.set()
+
+    def fail():
+        raise ValueError("broken")
 
     poller = Poller(look, errors.append, name="test", period_s=0.001)
     poller.start()
@@ -78,11 +81,6 @@ def test_a_poller_calls_until_it_is_closed_and_passes_on_an_error_once():
     count = len(calls)
     assert poller.closed
     assert not errors
-
-    def fail():
-        raise ValueError("broken")
-
-    told = threading.Event()
     failing = Poller(fail, lambda error: (errors.append(error), told.set()), name="test", period_s=0.001)
     failing.start()
     assert told.wait(10)
