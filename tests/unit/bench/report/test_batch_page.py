@@ -42,10 +42,10 @@ def test_a_drift_is_seen_where_there_is_one(drift_px_h):
 def test_slopes_of_noise_scatter_as_their_uncertainties_say():
     drawn = np.random.default_rng(2)
     x, sigma = np.linspace(0, 10, 25), 0.7
-    z = [
-        (s := fit_slope(x.tolist(), (sigma * drawn.normal(size=25)).tolist(), [sigma] * 25)).value / s.sigma
-        for _ in range(400)
+    slopes = [
+        fit_slope(x.tolist(), (sigma * drawn.normal(size=25)).tolist(), [sigma] * 25) for _ in range(400)
     ]
+    z = [slope.value / slope.sigma for slope in slopes]
     assert 0.85 < math.sqrt(np.mean(np.square(z))) < 1.1
     assert sum(abs(v) > 3.5 for v in z) <= 2
 
@@ -114,33 +114,24 @@ def of_runs(runs):
 
 def test_nothing_in_a_summary_becomes_markup():
     evil = "<script>alert(1)</script>"
-    html = render_batch(
-        summary(
-            item("a-001", "failed", evil),
-            queue=evil,
-            requests=[{"word": "add", "by": evil, "taken": True, "why": "", "job": "x"}],
-        )
-    )
+    request = {"word": "add", "by": evil, "taken": True, "why": "", "job": "x"}
+    html = render_batch(summary(item("a-001", "failed", evil), queue=evil, requests=[request]))
     assert "script" not in Tags(html).tags
     assert html.count("&lt;script&gt;") >= 3
 
 
 def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
-    html = render_batch(
-        summary(item("a-001", report="runs/a-001/report.html"), cameras=[of_runs([run(n) for n in range(4)])])
-    )
-    links = [link for link in Tags(html).links if not link.startswith("#")]
-    assert links == ["runs/a-001/report.html"]
+    cameras = [of_runs([run(n) for n in range(4)])]
+    html = render_batch(summary(item("a-001", report="runs/a-001/report.html"), cameras=cameras))
+    assert [link for link in Tags(html).links if not link.startswith("#")] == ["runs/a-001/report.html"]
     assert "@import" not in html
+    assert "expanded uncertainty with k = 2.2, 2.3" in html
 
 
 def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
-    html = render_batch(
-        summary(
-            item("a-001", "failed", "the lamp is dark"),
-            item("b-001", "not begun", begun_utc=None, ended_utc=None, took_s=None, tries=[]),
-        )
-    )
+    begun = item("a-001", "failed", "the lamp is dark")
+    not_begun = item("b-001", "not begun", begun_utc=None, ended_utc=None, took_s=None, tries=[])
+    html = render_batch(summary(begun, not_begun))
     assert "the lamp is dark" in html
     assert "<b>Not begun:</b> b-001." in html
     assert "2026-03-01 20:00 to 2026-03-02 04:00" in html  # Berlin
@@ -149,25 +140,20 @@ def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
 
 
 def test_the_page_says_in_words_what_changed_and_what_did_not():
+    def page(*runs):
+        return render_batch(summary(cameras=[of_runs(runs)]))
+
     noise = np.random.default_rng(3).normal(size=(12, 2))
-    steady = render_batch(
-        summary(cameras=[of_runs([run(n, fx=0.5 * a, k1=0.001 * b) for n, (a, b) in enumerate(noise)])])
-    )
+    steady = page(*(run(n, fx=0.5 * a, k1=0.001 * b) for n, (a, b) in enumerate(noise)))
     assert "All 12 results agree within their uncertainties" in steady
-    drifting = render_batch(summary(cameras=[of_runs([run(n, fx=2.0 * n) for n in range(12)])]))
-    assert "fx changed during the batch" in drifting
-    single = render_batch(summary(cameras=[of_runs([run(0)])]))
-    assert "there is no comparison" in single
+    assert "fx changed during the batch" in page(*(run(n, fx=2.0 * n) for n in range(12)))
+    assert "there is no comparison" in page(run(0))
 
 
 def test_the_page_holds_the_number_of_each_run_and_the_newest_line_of_the_ledger():
-    html = render_batch(
-        summary(
-            item("a-001", ledger_number=9, ledger_head="a" * 64),
-            item("b-001", ledger_number=10, ledger_head="b" * 64),
-            item("c-001", ledger_number=None, ledger_head=None),
-        )
-    )
+    places = {"a-001": (9, "a" * 64), "b-001": (10, "b" * 64), "c-001": (None, None)}
+    items = [item(key, ledger_number=number, ledger_head=head) for key, (number, head) in places.items()]
+    html = render_batch(summary(*items))
     assert f"Newest run in the ledger: run 10 of this bench, line {'b' * 64}" in html
     assert '<td class="n">9</td>' in html
     assert "in the ledger" not in render_batch(summary(item("a-001")))
@@ -194,8 +180,3 @@ def test_runs_that_differ_much_less_than_they_say_are_told_and_their_mean_is_not
     assert "agree within" not in page
     assert '<span class="pill marginal">repeats</span>' in page
     assert trends_of(runs)[0].agreed.sigma == pytest.approx(0.5, rel=0.01)
-
-
-def test_the_page_has_the_k_of_each_value():
-    page = render_batch(summary(cameras=[of_runs([run(n) for n in range(4)])]))
-    assert "expanded uncertainty with k = 2.2, 2.3" in page

@@ -13,35 +13,20 @@ WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
 
 
 def decided(poses, fx, corner, *, until=5, **more):
-    told = {
-        "step": until + 9 + 4 * (poses - 3),
-        "until": until,
-        "until_last": 200,
-        "recorded": poses,
-        "poses": poses,
-        "worked_s": 60.0 * poses,
-        "wanted": WANTED,
-        "now": {"expanded_fx_px": fx, "worst_corner_px": corner} if fx else {},
-        "fixed": {"expanded_fx_px": {"certificate": 1.1}, "worst_corner_px": {"certificate": 0.2}}
-        if fx
-        else {},
-        "coverage_factor": 2.1 if fx else None,
-        "model": "radial" if fx else "",
-        "lacks": "",
-    }
-    return told | more
+    step = until + 9 + 4 * (poses - 3)
+    head = {"step": step, "until": until, "until_last": 200, "wanted": WANTED, "lacks": ""}
+    counts = {"recorded": poses, "poses": poses, "worked_s": 60.0 * poses}
+    fixed = {"expanded_fx_px": {"certificate": 1.1}, "worst_corner_px": {"certificate": 0.2}}
+    reached = {"now": {}, "fixed": {}, "coverage_factor": None, "model": ""}
+    if fx:
+        now = {"expanded_fx_px": fx, "worst_corner_px": corner}
+        reached = {"now": now, "fixed": fixed, "coverage_factor": 2.1, "model": "radial"}
+    return {**head, **counts, **reached, **more}
 
 
 def chosen(number, expected, why="it lowers U(fx) most"):
-    return {
-        "chosen": {
-            "pose": number,
-            "pose_name": f"chosen {number - 3}",
-            "angles_deg": {"pan": -1.25, "tilt": 4.0},
-            "expected": expected,
-            "why": why,
-        }
-    }
+    pose = {"pose": number, "pose_name": f"chosen {number - 3}", "angles_deg": {"pan": -1.25, "tilt": 4.0}}
+    return {"chosen": {**pose, "expected": expected, "why": why}}
 
 
 COURSE = [
@@ -103,14 +88,10 @@ def test_two_of_them_are_two_courses_with_plots_of_their_own():
     assert 'id="course-300-' in second.plot
 
 
-def test_one_that_a_stop_cut_off_says_so():
+def test_one_that_a_stop_cut_off_says_so_and_names_are_escaped():
     (course,) = courses(COURSE[:2], draw=False)
     assert course.end == "The step did not end."
-
-
-def test_names_are_escaped():
-    told = [decided(4, 2.5, 0.4, **chosen(5, {}, "<script>"))]
-    assert "<script>" not in page(told)
+    assert "<script>" not in page([decided(4, 2.5, 0.4, **chosen(5, {}, "<script>"))])
 
 
 def test_lines_for_people():

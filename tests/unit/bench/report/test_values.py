@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 
 from bench.report.html import ReportData, render_report
+from bench.report.pose_plot import camera_of
 from bench.report.text import with_uncertainty
-from calib.model.camera import CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from tests.support.printed_text import printed_text
 
@@ -109,39 +109,24 @@ def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(data):
     assert any("model “pupil”" in word for word in words)
 
 
+def shown_of(html, title):
+    """What a map of the report states: its largest value."""
+    return re.findall(rf">{title}, px</text>\s*<text[^>]*>median [\d.e+\-]+, at most ([\d.e+\-]+)<", html)
+
+
 def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html):
     # of the shown digits, "at most" is k times what the engine's own map says
-    camera = CameraModel(
-        *(data.results["calibration"]["camera"][n] for n in ("fx", "fy", "cx", "cy")),
-        SMALL,
-        {
-            "k1": data.results["calibration"]["camera"]["k1"],
-            "k2": data.results["calibration"]["camera"]["k2"],
-        },
-    )
-    covariance = np.array(data.results["calibration"]["covariance"]["matrix"])[:6, :6]
-    found = projection_uncertainty(camera, covariance)
-    titles = re.findall(
-        r">U of an image point, px</text>\s*<text[^>]*>median [\d.e+]+, at most ([\d.e+]+)<", html
-    )
-    assert titles == [f"{2 * found.worst_px:.2g}"]
+    calibration = data.results["calibration"]
+    covariance = np.array(calibration["covariance"]["matrix"])[:6, :6]
+    found = projection_uncertainty(camera_of(calibration["camera"], SMALL), covariance)
+    assert shown_of(html, "U of an image point") == [f"{2 * found.worst_px:.2g}"]
 
 
 def test_beside_it_stands_how_far_halves_of_the_poses_lie_apart(data, html):
-    halves = data.results["halves"]["cameras"]
-    first, second = (
-        CameraModel(
-            *(half[name] for name in ("fx", "fy", "cx", "cy")),
-            SMALL,
-            {name: half[name] for name in ("k1", "k2")},
-        )
-        for half in halves
-    )
+    first, second = (camera_of(half, SMALL) for half in data.results["halves"]["cameras"])
     worst = camera_difference(first, second).worst_px
-    title = r">Difference of the halves, px</text>\s*<text[^>]*>median [\d.e\-]+, at most ([\d.e\-]+)<"
-    assert re.findall(title, html) == [f"{worst:.2g}"]
-    alone = copy.deepcopy(dict(data.results))
-    del alone["halves"]
+    assert shown_of(html, "Difference of the halves") == [f"{worst:.2g}"]
+    alone = {name: part for name, part in data.results.items() if name != "halves"}
     assert "Difference of the halves" not in render_report(ReportData(alone, data.views))
 
 
