@@ -1,6 +1,7 @@
 """Changes of a sealed run by somebody who has the bench's own key, and the verification that must find them."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -72,30 +73,13 @@ def drop(*events):
     return told(lambda f: f.edit_journal(lambda one: None if one[0] in events else one))
 
 
-def both(*path, key, to, event):
-    """Set a value in the journal and in results.json alike."""
-
-    def attack(f):
-        f.edit_line(event, lambda data: data.__setitem__(key, to))
-        result(*path, to=to)(f)
-
-    return attack
-
-
 def shifted_clock(f):
     """An hour less between the recordings: the run seems to have been quicker, or at another time."""
-
-    def change(one):
-        seq, hour = len(seen), one[1][11:13]
-        seen.append(one)
-        return (
-            one
-            if seq < 20
-            else [one[0], one[1].replace(f"T{hour}:", f"T{(int(hour) + 1) % 24:02d}:"), *one[2:]]
-        )
-
-    seen = []
-    f.edit_journal(change)
+    lines = f.lines
+    for line in lines[20:]:
+        hour = int(line[1][11:13])
+        line[1] = line[1].replace(f"T{hour:02d}:", f"T{(hour + 1) % 24:02d}:")
+    f.chain(lines)
     f.tell_of_files()
 
 
@@ -112,26 +96,20 @@ def without_results(f):
     remove("results.json", "views.h5", "report.html")(f)
     shutil.rmtree(f / "exports")
     (f / "exports").mkdir()
-
-    def change(one):
-        is_report = one[0] == "written" or one[3].get("state") == "reporting"
-        return None if is_report else one
-
-    f.edit_journal(change)
-    last = max(one[3]["step"] for one in f.lines if one[0] == "step_done")
-    f.edit_journal(lambda one: None if one[0] == "step_done" and one[3]["step"] == last else one)
+    lines = [one for one in f.lines if one[0] != "written" and one[3].get("state") != "reporting"]
+    last = max(one[3]["step"] for one in lines if one[0] == "step_done")
+    f.chain([one for one in lines if one[0] != "step_done" or one[3]["step"] != last])
 
 
 def other_serial(f):
     """Another camera, in the journal, the facts of each recording and the results; not in the files' heads."""
-    for _ in range(1):
-        lines = f.lines
-        for event, _, _, data in lines:
-            if event == "devices":
-                data["camera"]["serial"] = "00050999"
-            if event == "capture_stored":
-                data["facts"]["serial"] = "00050999"
-        f.chain(lines)
+    lines = f.lines
+    for event, _, _, data in lines:
+        if event == "devices":
+            data["camera"]["serial"] = "00050999"
+        if event == "capture_stored":
+            data["facts"]["serial"] = "00050999"
+    f.chain(lines)
     result("devices", "camera", "serial", to="00050999")(f)
 
 
@@ -143,11 +121,7 @@ def other_stage(f):
 
 def not_simulated(f):
     """The station with real ports; everything says that the run was real."""
-    text = "".join(
-        line
-        for line in (f / "station.yaml").read_text().splitlines(True)
-        if not line.startswith("simulation:")
-    )
+    text = re.sub(r"(?m)^simulation:.*\n", "", (f / "station.yaml").read_text())
     for old, new in (
         ("sim:gimbal", "/dev/ttyUSB0"),
         ("sim:light", "/dev/ttyUSB1"),
@@ -260,8 +234,8 @@ def other_truth(f):
     f.tell_of_files()
 
 
-def forged_focal_length(f, job):
-    """fx is 2 px longer in every file that states it; plots, exports and hashes follow."""
+def forged_focal_length(f):
+    """fx is 2 px longer in results and journal."""
 
     def change(results):
         results["calibration"]["camera"]["fx"] += 2.0
@@ -274,7 +248,6 @@ def forged_focal_length(f, job):
     f.edit_results(change)
     fx = f.results["calibration"]["camera"]["fx"]
     f.edit_line("solved", lambda data: data["values"].__setitem__("fx", fx))
-    rederive(f, job)
 
 
 def rederive(f, job):

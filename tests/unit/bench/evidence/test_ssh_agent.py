@@ -16,14 +16,8 @@ from bench.evidence.sshsig import fingerprint, is_valid, read_signature
 needs_agent = pytest.mark.skipif(
     not all(map(shutil.which, ("ssh-agent", "ssh-add", "ssh-keygen"))), reason="ssh-agent is not installed"
 )
-_MODULE = next(
-    (
-        p
-        for p in map(Path, ("/usr/lib/softhsm/libsofthsm2.so", "/usr/lib64/softhsm/libsofthsm2.so"))
-        if p.exists()
-    ),
-    None,
-)
+_PLACES = map(Path, ("/usr/lib/softhsm/libsofthsm2.so", "/usr/lib64/softhsm/libsofthsm2.so"))
+_MODULE = next(filter(Path.exists, _PLACES), None)
 needs_token = pytest.mark.skipif(
     _MODULE is None or not all(map(shutil.which, ("softhsm2-util", "pkcs11-tool", "ssh-agent"))),
     reason="SoftHSM2 and OpenSC are not installed",

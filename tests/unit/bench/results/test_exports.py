@@ -16,21 +16,14 @@ from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.target import StarTarget
 
+RADIAL = {"k1": 0.06, "k2": -0.9}
+BROWN = {**RADIAL, "p1": 1e-5, "p2": -0.0002}
 LENSES = {
     "none": {},
-    "k1k2": {"k1": 0.06, "k2": -0.9},
-    "k1k2p1p2": {"k1": 0.06, "k2": -0.9, "p1": 1e-5, "p2": -0.0002},
-    "k1k2k3p1p2": {"k1": 0.06, "k2": -0.9, "p1": 1e-5, "p2": -0.0002, "k3": 0.3},
-    "rational": {
-        "k1": 0.06,
-        "k2": -0.9,
-        "p1": 1e-5,
-        "p2": -0.0002,
-        "k3": 0.3,
-        "k4": 0.01,
-        "k5": 0.02,
-        "k6": -0.1,
-    },
+    "k1k2": RADIAL,
+    "k1k2p1p2": BROWN,
+    "k1k2k3p1p2": {**BROWN, "k3": 0.3},
+    "rational": {**BROWN, "k3": 0.3, "k4": 0.01, "k5": 0.02, "k6": -0.1},
 }
 FISHEYES = {
     "fisheye": {"kb1": 0.03, "kb2": -0.02, "kb3": 1e-5, "kb4": 0.004},
