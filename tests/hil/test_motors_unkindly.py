@@ -18,9 +18,9 @@ from drivers.stage import AxisLimits
 from drivers.stage import thorlabs_controller as apt
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
-from simulators.faults.line_faults import FaultLine, LineFault
+from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
-from simulators.stages.dynamixel import DynamixelBus, ServoModel, status_packet
+from simulators.stages.dynamixel import DynamixelBus, ServoModel
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
     FAMILIES,
@@ -89,24 +89,6 @@ def test_homing_holds_an_axis_where_it_stands(gimbal) -> None:
     stage.close()
     assert gimbal.table()[64] == 1, "without torque, an axis could fall"
     assert gimbal.open().is_homed()
-
-
-def test_an_adapter_that_hears_itself_and_noise_before_every_packet_are_no_trouble(gimbal) -> None:
-    gimbal.faults.inject(LineFault("echo", count=None))
-    gimbal.faults.inject(LineFault("preceded", count=None, replacement=b"\xff\xff\xfd\x01?\x00\xff"))
-    stage = gimbal.open()
-    stage.home()
-    stage.move_to({"pan": 10.0, "tilt": -5.0})
-    assert stage.position_deg() == pytest.approx({"pan": 10.0, "tilt": -5.0}, abs=0.05)
-
-
-def test_a_packet_of_the_other_servo_in_between_is_no_answer(gimbal) -> None:
-    stage = gimbal.open()
-    stage.home()
-    other = status_packet(3, 0, bytes(83))
-    gimbal.faults.inject(LineFault("preceded", count=None, replacement=other))
-    stage.move_to({"pan": -7.0})
-    assert stage.position_deg()["pan"] == pytest.approx(-7.0, abs=0.05)
 
 
 def test_lost_power_is_noticed_and_the_angle_is_right_again_after_homing() -> None:
@@ -247,25 +229,6 @@ def test_a_silent_servo_does_not_delay_the_stop_of_the_other(gimbal) -> None:
     assert gimbal.true_deg(2) < 12.0
 
 
-def test_a_late_state_is_not_taken_for_the_next_one(gimbal) -> None:
-    stage = gimbal.open()
-    stage.home()
-    stage.move_to({"pan": -14.0})
-    for number in range(0, 60, 3):
-        gimbal.faults.inject(LineFault("late", skip=number, delay_s=0.63))
-        target = 14.0 if number % 2 else -14.0
-        try:
-            stage.move_to({"pan": target})
-        except DriverError:
-            gimbal.clock.sleep(2.0)
-        told = stage.position_deg()["pan"]
-        assert told == pytest.approx(
-            gimbal.bus.servos[1].axis.pointing.angle_deg(gimbal.clock.now_s), abs=0.2
-        )
-        gimbal.faults.clear()
-        stage.home()
-
-
 # ---------------------------------------------------------------- Thorlabs
 
 
@@ -313,14 +276,6 @@ def test_a_command_that_is_lost_is_no_homing_and_no_move(rig) -> None:
     with pytest.raises(MoveFailed, match="stopped at"):
         rig.stage.move_to({"pan": 5.0})
     assert rig.true_deg() == pytest.approx(0.0, abs=1e-6)
-
-
-def test_a_changed_bit_gives_no_reference(rig) -> None:
-    rig.line.device.inject(
-        LineFault("replaced", skip=0, pattern=rb"(?s)(\x2a\x04.{7}).", replacement=b"\\g<1>\x05")
-    )
-    with pytest.raises((NotHomed, ReplyError)):
-        rig.stage.move_to({"pan": 5.0})
 
 
 @pytest.mark.parametrize("lost", [0, 1])

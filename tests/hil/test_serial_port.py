@@ -70,23 +70,6 @@ def port(plug) -> Iterator[SerialPort]:
     port.close()
 
 
-def test_bytes_go_both_ways(plug, port) -> None:
-    port.write(b"to the device\n")
-    assert os.read(plug.ours, 100) == b"to the device\n"
-    os.write(plug.ours, b"from it\n")
-    data = b""
-    while len(data) < 8:
-        data += port.read(5.0)
-    assert data == b"from it\n"
-
-
-def test_reading_returns_nothing_when_nothing_comes(port) -> None:
-    began_s = time.monotonic()
-    assert port.read(0.0) == b""
-    assert port.read(0.12) == b""
-    assert time.monotonic() - began_s >= 0.12
-
-
 def test_opening_sends_nothing(plug, port) -> None:
     os.set_blocking(plug.ours, False)
     with pytest.raises(BlockingIOError):
@@ -108,13 +91,6 @@ def test_a_port_is_opened_once_only_in_one_process(plug, port) -> None:
         SerialPort(str(plug.link), baudrate=9600)
 
 
-def test_a_refused_opening_does_not_touch_the_holders_line(plug, port) -> None:
-    before = termios.tcgetattr(plug.theirs)
-    with pytest.raises(PortBusy):
-        SerialPort(str(plug.link), baudrate=9600)
-    assert termios.tcgetattr(plug.theirs) == before
-
-
 def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(plug.link)], stdout=subprocess.PIPE, text=True)
     try:
@@ -131,14 +107,6 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
         holder.kill()
         holder.wait()
         holder.stdout.close()
-
-
-def test_a_closed_port_can_be_opened_again(plug, port) -> None:
-    port.close()
-    port.close()
-    again = SerialPort(str(plug.link), baudrate=9600)
-    assert again.name == str(plug.link)
-    again.close()
 
 
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:

@@ -15,7 +15,6 @@ import serial
 
 from simulators.bench import Bench, main
 from simulators.config import bench_config
-from simulators.errors import ConfigError
 from simulators.faults.catalogue import fault_order_from_text
 
 
@@ -103,36 +102,6 @@ def test_an_invalid_configuration_ends_in_one_line(tmp_path, capsys, monkeypatch
     assert errors.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("given", "where"),
-    [
-        ({"stag": {}}, "stag"),
-        ({"stage": {}}, "stage"),
-        ({"stage": {"yaw": {}}}, "stage.yaw"),
-        ({"stage": {"pan": {"limits": 5}}}, "stage.pan.limits"),
-        ({"stage": {"pan": {"limit_deg": -5}}}, "stage.pan.limit_deg"),
-        ({"stage": {"pan": {"settle_s": -1}}}, "stage.pan.settle_s"),
-        ({"stage": {"pan": {"start_deg": 50}}}, "stage.pan.start_deg"),
-        ({"stage": {"pan": {"microsteps_per_deg": 1.5}}}, "stage.pan.microsteps_per_deg"),
-        ({"light": {"error_queue": 1}}, "light.error_queue"),
-        ({"light": 5}, "light"),
-        ({"light": {"kind": "candle"}}, "light.kind"),
-        ({"stage": {"kind": "hand"}}, "stage.kind"),
-        ({"stage": {"kind": "ximc", "pan": {"serial": "A1"}}}, "stage.pan.serial"),
-        ({"ports": "usb"}, "ports"),
-        ({"camera": {"fx": "wide"}}, "camera.fx"),
-        ({"camera_seed": None}, "camera_seed"),
-        ({"paced": "yes"}, "paced"),
-        ({"faults": {}}, "faults"),
-        ({"faults": [{"device": "pan", "fault": "hiccup"}]}, "faults[0].fault"),
-    ],
-)
-def test_an_invalid_configuration_names_its_key(given, where):
-    with pytest.raises(ConfigError) as caught:
-        bench_config(given)
-    assert caught.value.where == where
-
-
 def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
     process = start(tmp_path, "--seed", "3")
     endpoints = json.loads(process.stdout.readline())["endpoints"]
@@ -209,62 +178,6 @@ def test_faults_of_the_configuration_happen(tmp_path):
         deadline = time.monotonic() + 10.0
         while bench.world.light(bench.world.now_s()).high > 0.0:
             assert time.monotonic() < deadline
-
-
-def test_the_configuration_can_shift_the_camera_during_a_run_and_the_truth_file_names_its_errors(tmp_path):
-    config = {
-        "gimbal": {"scale": 1e-3, "backlash_deg": {"pan": 0.02}},
-        "mount": {"shift_mm": [0.5, 0]},
-        "reticle": {"bow_mm": 0.01},
-        "collimator": "like-bench",
-        "faults": [{"device": "mount", "fault": "shift", "x_mm": 3, "after_s": 0.3}],
-    }
-    with Bench(tmp_path, bench_config(config), seed=6) as bench:
-        truth = json.loads(bench.truth_path.read_text(encoding="utf-8"))
-        assert truth["gimbal"]["scale"] == {"pan": 1e-3, "tilt": 1e-3, "roll": 1e-3}
-        assert truth["gimbal"]["backlash_deg"] == {"pan": 0.02, "tilt": 0.0, "roll": 0.0}
-        assert truth["gimbal"]["seed"] == 6
-        assert truth["mount"]["shift_mm"] == [0.5, 0.0]
-        assert truth["reticle"] == {
-            "bow_mm": 0.01,
-            "bow_radius_mm": 40.0,
-            "print_scale": 0.0,
-            "polarity": "positive",
-        }
-        assert truth["collimator"]["disc_walk"] == [-2.0, -2.0]
-        shift = bench.world.camera_shift_mm
-        assert shift(bench.world.now_s() - 60.0) == (0.5, 0.0)
-        deadline = time.monotonic() + 10.0
-        while shift(bench.world.now_s()) != (3.0, 0.0):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
-
-def test_commands_at_the_ports_change_the_world(tmp_path):
-    with (
-        Bench(tmp_path, bench_config({"paced": False})) as bench,
-        serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=5.0) as gimbal,
-        serial.Serial(bench.endpoints["light"], 9600, timeout=5.0) as light,
-    ):
-        world = bench.world
-        assert world.angles_deg(world.now_s())["pan"] == pytest.approx(2.4)
-        for request in ("/1 0 00 home", "/2 0 00 home"):
-            ask(gimbal, request)
-        deadline = time.monotonic() + 30.0
-        while "BUSY" in ask(gimbal, "/1 0 00") + ask(gimbal, "/2 0 00"):
-            assert time.monotonic() < deadline
-        ask(gimbal, "/1 1 00 move abs 12801")
-        ask(gimbal, "/2 1 00 move abs -6400")
-        assert not world.is_settled(world.now_s())
-        while not world.is_settled(world.now_s()):
-            assert time.monotonic() < deadline
-        now = world.now_s()
-        assert world.angles_deg(now) == {"pan": 12801 / 6400, "tilt": -1.0, "roll": 0.0}
-        assert world.resting_microsteps(now) == {"pan": 12801, "tilt": -6400}
-        light.write(b"FUNC SQU;:FREQ 60;:OUTP ON\n")
-        assert ask(light, "*OPC?") == "1"
-        assert world.light(world.now_s()).output
-        assert world.light(world.now_s()).frequency_hz == 60.0
 
 
 def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):

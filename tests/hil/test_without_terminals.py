@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 from quick_runs import write_sequence
 from running import PATIENCE_S, STARBENCH, environment, journal, results
-from station_texts import PLAIN
 
 BARE = """
 import fcntl, os, select, signal, stat, subprocess, sys, types
@@ -90,11 +89,6 @@ def python(bare: dict[str, str], *words, **more) -> subprocess.CompletedProcess[
     )  # fmt: skip
 
 
-def test_it_is_such_a_computer(bare) -> None:
-    for name in ("fcntl", "termios", "tty", "pty"):
-        assert "ModuleNotFoundError" in python(bare, "-c", f"import {name}").stderr
-
-
 def test_a_file_is_locked_once_and_freed_by_the_death_of_its_process(bare, tmp_path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"")
@@ -157,18 +151,3 @@ def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tm
         process.wait()
         os.close(ours)
         os.close(theirs)
-
-
-@pytest.mark.slow
-def test_the_same_run_with_terminals_may_be_asked_to_go_over_tcp(tmp_path) -> None:
-    assert "simulation: {}\n" in PLAIN
-    station = tmp_path / "tcp.yaml"
-    station.write_text(PLAIN.replace("simulation: {}\n", "simulation: {ports: tcp}\n"))
-    folder = tmp_path / "run"
-    words = ["run", "three_pose", "-s", station, "--seed", 7, "-o", folder]
-    said = subprocess.run(
-        [*STARBENCH, *map(str, words)], env=environment(tmp_path / "home"), capture_output=True, text=True,
-        timeout=PATIENCE_S, stdin=subprocess.DEVNULL, check=False,
-    )  # fmt: skip
-    assert said.returncode == 0, said.stderr
-    assert "socket://127.0.0.1:" in (folder / "wire.jsonl").read_text()

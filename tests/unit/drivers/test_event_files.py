@@ -68,29 +68,6 @@ def test_recordings_of_every_length_come_back(tmp_path, export, suffix, n):
     assert np.array_equal(import_events(tmp_path / f"pose.{suffix}").events.x, recording.read()[0].x)
 
 
-@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
-def test_a_file_that_is_there_is_not_overwritten(recording, tmp_path, export, suffix):
-    path = tmp_path / f"pose.{suffix}"
-    path.write_bytes(b"precious")
-    with pytest.raises(RecordingFileError, match="file exists already"):
-        export(recording, path)
-    assert path.read_bytes() == b"precious"
-
-
-@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
-def test_a_broken_recording_leaves_no_half_written_file(tmp_path, export, suffix):
-    recording = make(tmp_path, [*words(50_000), 0x9000])
-    with pytest.raises(RecordingCorrupt):
-        export(recording, tmp_path / f"pose.{suffix}")
-    assert not (tmp_path / f"pose.{suffix}").exists()
-
-
-@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
-def test_a_missing_folder_is_told(recording, tmp_path, export, suffix):
-    with pytest.raises(RecordingFileError, match="cannot be written"):
-        export(recording, tmp_path / "none" / f"pose.{suffix}")
-
-
 def test_a_metavision_file_is_laid_out_as_its_reader_expects(recording, tmp_path):
     path = tmp_path / "pose.h5"
     export_metavision(recording, path)
@@ -126,38 +103,12 @@ def test_the_index_leads_to_the_events_of_a_time(recording, tmp_path):
         assert 2000 * k <= since < 2000 * (k + 1)
 
 
-def test_windows_without_events_repeat_the_entry_before(tmp_path):
-    recording = make(tmp_path, words(60, step_us=3000))
-    export_metavision(recording, tmp_path / "pose.h5")
-    with h5py.File(tmp_path / "pose.h5") as file:
-        ids = file["CD/indexes"]["id"].tolist()
-    assert ids == [0, 0, 10, 10, 20, 30, 30, 40, 50]
-
-
 def test_times_that_step_back_are_moved_and_counted_in_metavision_files_only(tmp_path):
     recording = make(tmp_path, [0x8001, 0x6014, 0x0005, 0x2001, 0x6010, 0x2002, 0x6020, 0x2003])
     assert export_metavision(recording, tmp_path / "a.h5").moved_events == 1
     export_hdf5(recording, tmp_path / "b.h5")
     assert import_events(tmp_path / "a.h5").events.t.tolist() == [4116, 4116, 4128]
     assert import_events(tmp_path / "b.h5").events.t.tolist() == [4116, 4112, 4128]
-
-
-def test_the_header_goes_along(recording, tmp_path):
-    for export, name in ((export_metavision, "a.h5"), (export_hdf5, "b.h5")):
-        export(recording, tmp_path / name)
-        assert import_events(tmp_path / name).header["serial_number"] == "00051234"
-
-
-def test_a_metavision_file_without_compression_is_read_as_well(recording, tmp_path):
-    export_metavision(recording, tmp_path / "a.h5")
-    events = recording.read()[0]
-    rows = np.zeros(len(events.t), CD_TYPE)
-    for name, values in events._asdict().items():
-        rows[name] = values
-    with h5py.File(tmp_path / "a.h5", "a") as file:
-        del file["CD/events"]
-        file["CD"].create_dataset("events", data=rows, compression="gzip")
-    assert np.array_equal(import_events(tmp_path / "a.h5").events.t, events.t)
 
 
 def test_a_damaged_chunk_is_told_with_its_place(recording, tmp_path):
@@ -219,19 +170,6 @@ def test_a_file_that_holds_no_events_is_refused_by_name(tmp_path, content):
 def test_a_missing_file_is_told(tmp_path):
     with pytest.raises(RecordingFileError, match="cannot be read"):
         import_events(tmp_path / "none.h5")
-
-
-@pytest.mark.parametrize("place", [1, 3, 7])
-def test_a_spoilt_npz_is_told_in_our_words(recording, tmp_path, place):
-    """A byte turned within the compressed arrays breaks the compression before its check sum is looked at."""
-    path = tmp_path / "a.npz"
-    export_numpy(recording, path)
-    data = bytearray(path.read_bytes())
-    at = len(data) * (place + 1) // 40
-    data[at : at + 8] = bytes(byte ^ 0xFF for byte in data[at : at + 8])
-    path.write_bytes(data)
-    with pytest.raises(RecordingFileError):
-        import_events(path)
 
 
 def test_a_group_where_the_events_belong_is_told(tmp_path):

@@ -136,16 +136,6 @@ def test_stop_ends_a_capture_early(folder, tmp_path):
     assert (facts.frames, facts.complete) == (1, False)
 
 
-def test_an_interrupt_leaves_no_file(folder, tmp_path):
-    class InterruptingClock(SystemClock):
-        def sleep(self, seconds):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        FolderFrameCamera.open(folder, clock=InterruptingClock()).capture(tmp_path / "a.tiff", 2)
-    assert not (tmp_path / "a.tiff").exists()
-
-
 def test_a_video_source_is_read_to_its_end(folder, tmp_path):
     camera = OpenCvFrameCamera.open(str(folder / "%03d.png"), clock=SystemClock())
     assert (camera.identify().width, camera.identify().height) == (64, 48)
@@ -223,10 +213,6 @@ def test_pictures_that_a_video_device_still_holds_are_dropped(webcam, tmp_path):
     assert (read_frames(tmp_path / "a.tiff") == STALE_FRAMES + 1).all()
 
 
-def test_a_video_device_is_known_by_its_serial_number(webcam):
-    assert webcam.identify().serial == "8A0A3C5F"
-
-
 def test_another_camera_under_that_name_is_refused_and_never_opened(video, monkeypatch):
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
     with pytest.raises(WrongDevice, match="This is camera 8A0A3C5F, not 12345"):
@@ -293,6 +279,22 @@ def test_a_video_device_that_is_gone_is_lost_and_not_taken_for_another_one(video
     webcam.close()
     with pytest.raises(CameraNotFound, match="no such video device"):
         OpenCvFrameCamera.open("/dev/video7", serial="8A0A3C5F", clock=SystemClock(), system=system)
+
+
+def test_a_video_device_that_has_stalled_is_waited_for_once(video, clock, tmp_path):
+    """OpenCV waits ten seconds for each picture."""
+    live, system = video
+
+    def stall():
+        clock.now_s += 10.0
+        return False
+
+    live.grab, live.read = stall, lambda: (stall(), None)
+    camera = OpenCvFrameCamera.open("/dev/video7", clock=clock, system=system)
+    with pytest.raises(CameraLost, match="sends no more frames"):
+        camera.capture(tmp_path / "a.tiff", 4)
+    camera.close()
+    assert clock.now_s == 10.0
 
 
 def network_camera(monkeypatch, lives):
@@ -376,3 +378,21 @@ def test_the_clock_is_used_while_frames_are_written(folder, tmp_path, monkeypatc
     clock.uses = 0
     assert camera.capture(tmp_path / "a.tiff", 2).complete
     assert clock.uses >= 3
+
+
+def test_every_page_of_a_file_is_a_picture(clock, tmp_path):
+    """A capture of ours is one file of many pages: the pages of a pose are not those of the next one."""
+    folder = tmp_path / "poses"
+    folder.mkdir()
+    for pose in range(2):
+        write_frames(
+            folder / f"pose-{pose}.tiff", [np.full((4, 6), 10 * pose + page, "u1") for page in range(3)]
+        )
+    camera = FolderFrameCamera.open(folder, clock=clock)
+    for pose in range(2):
+        camera.capture(tmp_path / f"{pose}.tiff", 3)
+        assert [int(page[0, 0]) for page in read_frames(tmp_path / f"{pose}.tiff")] == [
+            10 * pose + page for page in range(3)
+        ]
+    with pytest.raises(RecordingFailed, match="All 6 images have been used"):
+        camera.capture(tmp_path / "more.tiff", 1)

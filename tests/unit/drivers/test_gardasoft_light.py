@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, WrongDevice
+from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from simulators.faults.line_faults import FaultLine
@@ -87,16 +87,6 @@ def test_a_light_that_is_on_stays_on_when_it_is_set_anew(light, bench) -> None:
     assert bench.states[-1].frequency_hz == 50.0
 
 
-def test_the_light_is_switched_by_its_trigger(light, bench) -> None:
-    light.apply(FLICKER)
-    light.on()
-    assert light.is_on()
-    assert bench.lit()
-    light.off()
-    assert not light.is_on()
-    assert not bench.lit()
-
-
 def test_without_sync_the_second_channel_is_dark(light, bench) -> None:
     light.apply(LightSettings(sync_output=False))
     assert (bench.device.outputs[2].mode, bench.device.outputs[2].percent) == (CONTINUOUS, 0.0)
@@ -175,39 +165,6 @@ def test_a_trigger_that_does_not_obey_is_a_fault(light, bench) -> None:
         light.off()
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda reply: reply[:-1],
-        lambda reply: b"VR\r" + reply,
-        lambda reply: reply + b">",
-        lambda reply: b"\xff" + reply,
-        lambda reply: b"TP 20.00ms>" if b"TM" in reply else reply,
-    ],
-    ids=["no prompt", "echo", "prompt twice", "eighth bit", "field missing"],
-)
-def test_a_controller_with_one_thing_wrong_is_refused(bench, spoil) -> None:
-    bench.line.spoil = spoil
-    with pytest.raises(DriverError):
-        bench.open().apply(FLICKER)
-    assert not bench.was_lit()
-
-
-STEADY = LightSettings("steady", low_v=2.5, high_v=2.5, sync_output=False)
-
-
-def test_a_steady_light_is_dark_until_switched_on_and_dark_again_after(light, bench) -> None:
-    assert light.apply(LightSettings("steady", high_v=2.5)) == STEADY
-    assert not bench.was_lit()
-    light.on()
-    assert (bench.lit(), bench.states[-1].low_v, bench.states[-1].high_v) == (True, 2.5, 2.5)
-    assert light.is_on()
-    assert light.read() == STEADY
-    light.off()
-    assert not light.is_on()
-    assert not bench.lit()
-
-
 def test_a_steady_light_is_switched_off_by_who_did_not_switch_it_on(light, bench) -> None:
     light.apply(LightSettings("steady", high_v=2.5))
     light.on()
@@ -222,14 +179,6 @@ def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, bench)
     bench.turn("RS1,50.0", "RS1,40.0")
     with pytest.raises(SettingRefused, match=r"a steady level of 50\.0 % was asked for"):
         light.on()
-
-
-def test_a_flicker_follows_a_steady_light(light, bench) -> None:
-    light.apply(LightSettings("steady", high_v=2.5))
-    light.apply(FLICKER)
-    light.on()
-    assert bench.lit()
-    assert light.read().waveform == "square"
 
 
 def test_a_period_beyond_all_numbers_is_no_period(light, bench) -> None:

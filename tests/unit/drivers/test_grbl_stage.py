@@ -141,16 +141,6 @@ def test_identity_is_what_the_board_says(bench) -> None:
     assert {axis.serial.lower() for axis in bench.open(serial="gimbal-7").identify()} == {"gimbal-7"}
 
 
-def test_homing_waits_for_the_board_which_is_silent_meanwhile(bench) -> None:
-    stage = bench.open()
-    assert not stage.is_homed()
-    assert stage.faults() == ["board: in alarm (Alarm)", "board: no reference"]
-    stage.home()
-    assert stage.is_homed()
-    assert stage.faults() == []
-    assert stage.position_deg() == {"pan": 17.0, "tilt": 17.0}
-
-
 def test_axes_go_together_and_where_one_stands_already_is_a_move_too(bench) -> None:
     stage = bench.homed()
     for _ in range(2):
@@ -197,14 +187,6 @@ def test_a_setting_that_reads_back_otherwise_is_refused(bench) -> None:
     bench.line.device.receive = lambda data: receive(b"\n" if data.startswith(b"$110=") else data)
     with pytest.raises(DeviceRefused, match=r"\$110: asked 600\.000, got"):
         bench.open()
-
-
-def test_without_reference_nothing_is_moved(bench) -> None:
-    stage = bench.open()
-    bench.somebody_says(b"$X\n")
-    with pytest.raises(NotHomed):
-        stage.move_to({"pan": 1.0})
-    assert bench.motions() == []
 
 
 @pytest.mark.parametrize("state", ["Run", "Hold:0", "Door:0", "Check", "Sleep"])
@@ -371,12 +353,3 @@ def test_a_refusal_is_not_taken_for_the_ok_that_shows_the_line_in_step(bench) ->
     bench.line.spoil = lambda reply: b"error:2\r\n" if bench.line.sent[-1] == b"\n" else reply
     with pytest.raises(ReplyGarbled, match="answers an empty line"):
         bench.open()
-
-
-def test_a_lost_ok_to_a_jog_is_not_followed_by_a_second_one(bench) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: b"" if bench.line.sent[-1].startswith(b"$J") else reply
-    with pytest.raises(ReplyError):
-        stage.move_to({"pan": 5.0})
-    assert len(bench.motions()) == 1
-    assert bench.at_rest()

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from drivers.errors import PortLost, ReplyError, ReplyGarbled, ReplyTimeout
+from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.link import LONGEST_LINE, Link, ReplyReader
 from drivers.stage import zaber
 from drivers.stage.zaber import ZaberChain
@@ -41,13 +41,6 @@ def make(port, clock, **more) -> tuple[Link, Resync]:
     return Link(port, clock=clock, resynchronise=resync, **more), resync
 
 
-def test_an_exchange_returns_what_receive_made_of_the_reply(scripted, clock) -> None:
-    link, resync = make(scripted([(b"a\n", b"1\n"), (b"b\n", b"2\n")]), clock)
-    assert link.exchange(b"a\n", line, deadline_s=1.0) == b"1\n"
-    assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"
-    assert resync.times == 0
-
-
 def test_a_timeout_brings_the_line_into_step_before_the_next_request(scripted, clock) -> None:
     link, resync = make(scripted([(b"a\n", b""), (b"b\n", b"2\n")]), clock)
     with pytest.raises(ReplyTimeout, match="scripted: no complete reply within 1 s"):
@@ -61,17 +54,6 @@ def test_a_cut_reply_is_a_timeout_that_shows_what_came(scripted, clock) -> None:
     link, _ = make(scripted([(b"a\n", b"12")]), clock)
     with pytest.raises(ReplyTimeout, match="only b'12' came"):
         link.exchange(b"a\n", line, deadline_s=1.0)
-
-
-def test_a_late_reply_never_answers_the_next_request(scripted, clock) -> None:
-    port = scripted([(b"a\n", b""), (b"b\n", b"2\n")])
-    drained = []
-    link = Link(port, clock=clock, resynchronise=lambda: drained.append(link.drain()))
-    with pytest.raises(ReplyTimeout):
-        link.exchange(b"a\n", line, deadline_s=1.0)
-    port.ready = b"1\n1"
-    assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"
-    assert drained == [b"1"]
 
 
 def test_a_doubled_reply_is_noticed_before_the_next_request(scripted, clock) -> None:
@@ -141,29 +123,12 @@ def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
         link.drain()
 
 
-def test_a_count_of_bytes_can_be_received(scripted, clock) -> None:
-    link, _ = make(scripted([(b"geti", b"getixyz")]), clock)
-    assert link.exchange(b"geti", lambda reader: reader.read_exactly(7), deadline_s=1.0) == b"getixyz"
-
-
 def test_every_byte_is_logged_with_its_time_and_direction(scripted, clock) -> None:
     log = Log()
     link, _ = make(scripted([(b"a\n", b"1\n")]), clock, wire_log=log)
     clock.sleep(2.5)
     link.exchange(b"a\n", line, deadline_s=1.0)
     assert log.lines == [(2.5, "scripted", ">", b"a\n"), (2.5, "scripted", "<", b"1\n")]
-
-
-def test_a_lost_port_passes_through(clock) -> None:
-    class Gone:
-        name = "gone"
-
-        def read(self, timeout_s: float) -> bytes:
-            raise PortLost("it is gone.", where="gone")
-
-    link, _ = make(Gone(), clock)
-    with pytest.raises(PortLost):
-        link.exchange(b"a\n", line, deadline_s=1.0)
 
 
 # ---------------------------------------------------------------- the wire log

@@ -22,7 +22,7 @@ from drivers.camera.usb_permission import (
     slow_cameras,
     unreadable_cameras,
 )
-from drivers.errors import CameraSoftwareMissing, DriverError, PortDenied, PortError, PortNotFound
+from drivers.errors import CameraSoftwareMissing, PortDenied, PortError, PortNotFound
 from drivers.file_lock import DeviceHold
 from drivers.serial_port import SerialPort
 
@@ -92,7 +92,7 @@ def test_a_folder_that_knows_no_locks_is_not_called_busy(tmp_path, monkeypatch) 
     assert "STARBENCH_LOCKS" in caught.value.remedy
 
 
-@pytest.mark.parametrize("kind", ["spy", "SPY", "alt", "hwgrep", "loop", "cp2110"])
+@pytest.mark.parametrize("kind", ["spy", "SPY", "alt", "hwgrep", "loop", "cp2110", "gopher"])
 def test_a_url_that_reaches_no_device_server_is_refused_before_pyserial_sees_it(tmp_path, kind) -> None:
     """``spy://`` opens the file that its URL names for writing, and so empties it."""
     victim = tmp_path / "victim.txt"
@@ -101,13 +101,6 @@ def test_a_url_that_reaches_no_device_server_is_refused_before_pyserial_sees_it(
         SerialPort(f"{kind}:///dev/null?file={victim}", baudrate=9600)
     assert "rfc2217://" in caught.value.remedy
     assert victim.read_text() == "keep me"
-
-
-def test_a_url_of_no_known_kind_is_refused_with_what_to_give() -> None:
-    with pytest.raises(PortNotFound) as caught:
-        SerialPort("gopher://somewhere", baudrate=9600)
-    assert isinstance(caught.value, DriverError)
-    assert "socket://" in caught.value.remedy
 
 
 # ---------------------------------------------------------------- rights to a USB device

@@ -65,13 +65,6 @@ def test_chunks_hold_no_more_than_asked_for_and_all_together(raw):
     assert np.concatenate([chunk.x for chunk in chunks]).tolist() == list(range(1000))
 
 
-def test_a_file_longer_than_a_block_is_read_whole(raw):
-    n = 700_000
-    words = np.full(n + 3, 0x2007)
-    words[:3] = 0x8001, 0x6002, 0x0005
-    assert len(RawFile.open(raw(words)).read()[0].t) == n
-
-
 def test_a_long_file_is_streamed_in_little_memory(raw):
     words = np.full(12_000_000, 0x2007, "<u2")
     words[:3] = 0x8001, 0x6002, 0x0005
@@ -84,12 +77,6 @@ def test_a_long_file_is_streamed_in_little_memory(raw):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 8e6
-
-
-def test_a_file_that_ends_in_a_word_is_read_up_to_it_and_says_so(raw):
-    recording = RawFile.open(raw(tail=b"\x01"))
-    assert recording.scan().truncated
-    assert len(recording.read()[0].t) == 2
 
 
 @pytest.mark.parametrize("kept", range(2 * len(WORDS) + 1))
@@ -206,13 +193,6 @@ def test_a_file_without_permission_says_so(raw, monkeypatch):
     monkeypatch.setattr("pathlib.Path.open", refuse)  # a mode would not keep root out
     with pytest.raises(RecordingFileError, match="no permission to read"):
         RawFile.open(path)
-
-
-def test_a_file_that_vanishes_after_opening_is_told(raw):
-    recording = RawFile.open(raw())
-    recording.path.unlink()
-    with pytest.raises(RecordingFileError, match="no such file"):
-        recording.read()
 
 
 def test_a_new_header_reads_back(tmp_path):

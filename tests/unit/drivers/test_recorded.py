@@ -73,13 +73,6 @@ def test_the_end_of_the_files_is_told(play, folder, tmp_path):
     assert not (tmp_path / "c.raw").exists()
 
 
-def test_a_file_shorter_than_asked_is_not_complete(play, folder, tmp_path):
-    facts = play(folder).record(tmp_path / "a.raw", 1.0)
-    assert not facts.complete
-    assert facts.duration_s == pytest.approx(0.05)
-    assert (tmp_path / "a.raw").read_bytes() == (folder / "pose-001.raw").read_bytes()
-
-
 def test_stop_ends_a_recording_early(folder, tmp_path):
     class StoppingClock(SystemClock):
         def sleep(self, seconds):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import PortLost, ReplyGarbled, ReplyTimeout
+from drivers.errors import ReplyGarbled, ReplyTimeout
 from drivers.link import RESYNCHRONISE_TRIES, TRIES, Link, repeat
 
 
@@ -42,20 +42,6 @@ def bring_into_step(line: Line, *outcomes: bool | Exception, **more) -> None:
     line.prove_in_step(answers(line, *outcomes), **more)
 
 
-def test_a_request_is_repeated_until_its_reply_is_good() -> None:
-    outcomes = iter([ReplyTimeout("late"), ReplyGarbled("cut"), 5])
-    pauses: list[int] = []
-
-    def attempt() -> int:
-        outcome = next(outcomes)
-        if isinstance(outcome, Exception):
-            raise outcome
-        return outcome
-
-    assert repeat(attempt, before_next=lambda: pauses.append(1)) == 5
-    assert len(pauses) == 2
-
-
 def test_the_error_of_the_last_attempt_is_passed_on() -> None:
     errors = [ReplyTimeout(str(number)) for number in range(TRIES)]
     left = list(errors)
@@ -68,18 +54,6 @@ def test_the_error_of_the_last_attempt_is_passed_on() -> None:
         repeat(attempt, before_next=lambda: pauses.append(1))
     assert caught.value is errors[-1]
     assert len(pauses) == TRIES - 1
-
-
-def test_a_lost_port_ends_the_attempts_at_once() -> None:
-    calls: list[int] = []
-
-    def attempt() -> None:
-        calls.append(1)
-        raise PortLost("gone")
-
-    with pytest.raises(PortLost):
-        repeat(attempt)
-    assert len(calls) == 1
 
 
 def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step() -> None:

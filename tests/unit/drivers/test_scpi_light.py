@@ -28,10 +28,6 @@ def light(bench) -> ScpiLight:
 FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
 
 
-def test_opening_sets_and_switches_nothing(light, bench) -> None:
-    assert bench.commands() == []
-
-
 def test_identity_is_what_the_generator_says(light) -> None:
     identity = light.identify()
     assert (identity.maker, identity.model) == ("Keysight Technologies", "33250A")
@@ -128,21 +124,6 @@ def test_errors_from_before_us_are_not_ours(bench) -> None:
     assert bench.open().apply(FLICKER) == FLICKER
 
 
-def test_the_output_is_switched_and_seen_to_be(light, bench) -> None:
-    assert not light.is_on()
-    light.on()
-    assert light.is_on()
-    light.off()
-    assert not light.is_on()
-    assert bench.commands() == ["OUTP ON", "OUTP OFF"]
-
-
-@pytest.mark.parametrize(("word", "on"), [("1", True), ("ON", True), ("0", False), ("OFF", False)])
-def test_on_and_off_are_read_in_either_dialect(light, bench, word, on) -> None:
-    bench.answer({"OUTP": word})
-    assert light.is_on() is on
-
-
 def test_an_output_that_does_not_come_on_is_a_fault(light, bench) -> None:
     bench.turn("OUTP ON", "OUTP OFF")
     with pytest.raises(LightFault, match="switched on, but reads off"):
@@ -172,41 +153,6 @@ def test_another_waveform_is_told_not_taken_for_one_of_ours(light, bench) -> Non
     bench.answer({"FUNC": "RAMP"})
     with pytest.raises(LightFault, match="waveform is 'RAMP'"):
         light.read()
-
-
-def test_a_late_reply_never_becomes_another_setting(light, bench) -> None:
-    light.apply(FLICKER)
-    held = []
-
-    def hold_one(line: bytes) -> bytes:
-        if not held and b"E+" in line:
-            held.append(line)
-            return b""
-        return line
-
-    def release(_request: bytes) -> None:
-        if held and held[0]:
-            bench.line.ready += held[0]
-            held[0] = b""
-
-    bench.line.spoil, bench.line.before = hold_one, release
-    assert light.read() == FLICKER
-    assert held == [b""]
-
-
-def test_a_digit_changed_on_the_line_is_not_believed(light, bench) -> None:
-    light.apply(FLICKER)
-    hit = []
-
-    def spoil(line: bytes) -> bytes:
-        if b"+6.0" in line and not hit:
-            hit.append(line)
-            return line.replace(b"+6.0", b"+6.1")
-        return line
-
-    bench.line.spoil = spoil
-    assert light.read() == FLICKER
-    assert hit
 
 
 @pytest.mark.parametrize(
@@ -247,35 +193,7 @@ def test_an_error_queue_that_never_ends_is_given_up(bench) -> None:
         line.read_errors()
 
 
-def test_closing_switches_nothing(light, bench) -> None:
-    light.on()
-    light.close()
-    assert bench.line.closed
-    assert bench.lit()
-
-
 # ---------------------------------------------------------------- other makes
-OTHERS = pytest.mark.parametrize("dialect", ["numbered", "siglent"])
-SINE = LightSettings("sine", 59.94, low_v=1.0, high_v=2.0, sync_output=False)
-
-
-@OTHERS
-@pytest.mark.parametrize("settings", [FLICKER, SINE])
-def test_other_makes_are_set_read_back_and_switched(dialect, settings) -> None:
-    bench = Bench(dialect)
-    light = bench.open()
-    assert light.apply(settings) == settings
-    assert not light.is_on()
-    light.on()
-    assert bench.lit()
-    light.off()
-    assert not bench.lit()
-
-
-@OTHERS
-def test_other_makes_are_refused_when_they_clip(dialect) -> None:
-    with pytest.raises(SettingRefused, match="frequency"):
-        Bench(dialect).open().apply(LightSettings(frequency_hz=1e9))
 
 
 def test_the_siglent_way_is_one_command() -> None:
@@ -318,14 +236,6 @@ STEADY = LightSettings("steady", low_v=3.3, high_v=3.3, sync_output=False)
 def test_a_steady_light_is_the_generators_direct_voltage(light, bench) -> None:
     assert light.apply(LightSettings("steady", high_v=3.3)) == STEADY
     assert bench.settings_sent() == ["OUTP:LOAD INF", "FUNC DC", "VOLT:OFFS 3.3"]
-
-
-@OTHERS
-def test_a_steady_light_and_a_flicker_follow_each_other_in_other_dialects(dialect) -> None:
-    other = Bench(dialect).open()
-    assert other.apply(LightSettings("steady", high_v=3.3)) == STEADY
-    assert other.apply(FLICKER) == FLICKER
-    assert other.apply(LightSettings("steady", high_v=3.3)) == STEADY
 
 
 def test_a_steady_level_that_reads_back_lower_is_refused(light, bench) -> None:

@@ -22,7 +22,7 @@ from drivers.errors import (
 )
 from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
-from drivers.stage.ximc_protocol import MoveSettings, Status, check_data, crc16, move_data, request
+from drivers.stage.ximc_protocol import MoveSettings, check_data, crc16, move_data, request
 from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
@@ -114,16 +114,6 @@ def test_a_reply_the_makers_library_takes_is_taken() -> None:
         check_data("gser", b"91\0\0\x0c\xb7", "port")
 
 
-def test_a_status_is_taken_apart() -> None:
-    data = struct.pack("<5Bihqih5hIIB4x", 1, 0x81, 3, 4, 0x33, -5, -7, -99, 0, 0, 0, 0, 0, 0, 0, 0x60, 0, 1)
-    status = Status.unpack(data)
-    assert (status.steps, status.microsteps, status.encoder) == (-5, -7, -99)
-    assert status.running
-    assert status.homed
-    assert status.command == "move"
-    assert status.faults == ["alarm"]
-
-
 def test_settings_keep_what_they_do_not_change() -> None:
     data = bytes(range(24))
     assert MoveSettings.unpack(data).pack() == data
@@ -140,12 +130,6 @@ def test_opening_moves_nothing_and_programs_speed_and_borders(bench) -> None:
     assert bench.settings(0, b"gmov")[9:] == before[9:]
     assert struct.unpack("<BBihih6x", bench.settings(0, b"geds"))[2:6] == (-1200, 0, 1200, 0)
     assert struct.unpack("<BBihih6x", bench.settings(1, b"geds"))[2:6] == (-1120, 0, 1280, 0)
-
-
-def test_borders_at_limit_switches_are_left_alone(bench) -> None:
-    switches = bench.set_borders(0, 0x06, -2000, 2000)
-    bench.open()
-    assert bench.settings(0, b"geds") == switches
 
 
 def test_identity_is_what_the_controllers_say(bench) -> None:

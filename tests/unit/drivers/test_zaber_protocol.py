@@ -41,12 +41,6 @@ def test_requests_are_the_makers_clients(device, axis, message_id, words, sent) 
     assert request(device, axis, message_id, words) == sent
 
 
-def test_a_reply_is_taken_apart() -> None:
-    reply = parse_reply(b"@02 0 00 OK IDLE WR 0:BD\r\n")
-    assert (reply.device, reply.axis, reply.message_id) == (2, 0, 0)
-    assert (reply.accepted, reply.busy, reply.flag, reply.data) == (True, False, "WR", "0")
-
-
 @given(
     st.integers(1, 99),
     st.integers(0, 9),
@@ -76,27 +70,6 @@ def test_noise_is_refused_and_nothing_else_happens(noise) -> None:
     with pytest.raises(ReplyGarbled):
         parse_reply(noise)
     assert parse_unsolicited(noise) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "line"),
-    [
-        ("no checksum", b"@01 1 05 OK IDLE -- 0\r\n"),
-        ("wrong checksum", b"@01 1 05 OK IDLE -- 0:00\r\n"),
-        ("LF only", sealed("01 1 05 OK IDLE -- 0").replace(b"\r", b"")),
-        ("CR only", sealed("01 1 05 OK IDLE -- 0").replace(b"\n", b"")),
-        ("no id", sealed("01 1 OK IDLE -- 0")),
-        ("one-digit address", sealed("1 1 05 OK IDLE -- 0")),
-        ("lower-case verdict", sealed("01 1 05 ok IDLE -- 0")),
-        ("other state word", sealed("01 1 05 OK Idle -- 0")),
-        ("no flag field", sealed("01 1 05 OK IDLE 0")),
-        ("no data", sealed("01 1 05 OK IDLE --")),
-        ("echo", b"/1 1 05 get pos:27\n"),
-    ],
-)
-def test_what_breaks_the_form_is_refused(name, line) -> None:
-    with pytest.raises(ReplyGarbled):
-        parse_reply(line, "port")
 
 
 def test_a_missing_checksum_comes_with_its_remedy() -> None:

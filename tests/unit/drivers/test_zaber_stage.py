@@ -174,16 +174,6 @@ def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> No
         stage.move_to({"pan": 9.0})
 
 
-def test_a_restart_is_noticed_even_when_the_target_is_the_restarts_position(bench) -> None:
-    stage = bench.homed()
-    stage.move_to({"tilt": 9.0})
-    bench.line.once_moving(b" move ", lambda: bench.tilt.restart(bench.clock.now_s))
-    with pytest.raises((MoveFailed, ReplyError)):
-        stage.move_to({"tilt": 0.0})
-    bench.clock.sleep(1.0)
-    assert not stage.is_homed()
-
-
 def test_a_controller_that_stays_busy_is_stopped_and_the_power_is_named(bench) -> None:
     stage = bench.homed()
     bench.line.once_moving(b" move ", lambda: setattr(bench.pan.axis, "stuck_busy", True))
@@ -251,14 +241,3 @@ def test_a_stop_that_one_device_did_not_hear_is_sent_again(bench) -> None:
     bench.line.spoil = lose_one
     stage.stop()
     assert len(bench.said("stop")) == 2
-
-
-def test_a_stop_among_the_ruins_of_a_reply_is_heard(bench) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: reply.replace(b"@01 0", b"@01 1 4@01 0")
-    bench.go("pan")
-    with pytest.raises(ReplyError):
-        stage.stop()
-    assert len(bench.said("stop")) == 3
-    bench.clock.sleep(1.0)
-    assert not bench.busy()

@@ -143,44 +143,6 @@ def test_a_screen_with_a_refresh_rate_has_its_own_clock(tmp_path):
     assert light.duty_percent == pytest.approx(100 / 3)
 
 
-@pytest.mark.parametrize(
-    ("board", "where", "word"),
-    [
-        ({"kind": "rings"}, "board.kind", "checkerboard"),
-        ({**CHECKER, "columns": 1}, "board.columns", "at least 2"),
-        ({**CHECKER, "columns": 8.5}, "board.columns", "whole number"),
-        ({"kind": "circles", "columns": 5, "rows": 4}, "board.pitch_mm", "missing"),
-        ({**CHECKER, "size": 3}, "board.size", "Unknown key"),
-        ({**CHECKER, "pixel_mm": 0.27}, "board.pitch_mm", "Give 19.98"),
-        ({**CHECKER, "surface": "print", "pixel_mm": 0.25}, "board.pixel_mm", "no screen"),
-        ({**CHECKER, "fill": 1.5}, "board.fill", "more than 1"),
-        ({**CHECKER, "scan": 0.9}, "board.scan", "refresh_hz"),
-        ({"kind": "circles", "columns": 5, "rows": 4, "pitch_mm": 9, "dot_mm": 9}, "board.dot_mm", "touch"),
-        ({**CHECKER, "frequencies_hz": [1, 2]}, "board.frequencies_hz", "Only blinking dots"),
-        ({"kind": "blinking-dots", "columns": 2, "rows": 2, "pitch_mm": 9, "frequencies_hz": [200]},
-         "board.frequencies_hz", "4 numbers"),
-        ({**CHECKER, "placements": [{"turn_deg": [0, 0, 0]}]}, "board.placements[0]", "position_mm"),
-        ({**CHECKER, "placements": [{"position_mm": [0, 0, -9]}]}, "board.placements[0].position_mm", "in front"),
-        ({**CHECKER, "placements": [{"position_mm": [0, 0, 80], "turn_deg": [0, 85, 0]}]},
-         "board.placements[0]", "further away"),
-        ({**CHECKER, "placements": [{"position_mm": [0, 0, 900], "tilt": 3}]}, "board.placements[0].tilt", "turn_deg"),
-        ({**CHECKER, "anywhere": {"distance_mm": 300}}, "board.anywhere.distance_mm", "does not fit"),
-        ({**CHECKER, "hand": {"shake_mm": -1}}, "board.hand.shake_mm", "negative"),
-        ({**CHECKER, "hand": {"shake_spectrum": [[5, 1], [4, 1]]}}, "board.hand.shake_spectrum", "rise"),
-        (7, "board", "mapping"),
-    ],
-)  # fmt: skip
-def test_a_wrong_key_is_named(board, where, word):
-    with pytest.raises(ConfigError, match=word) as error:
-        bench_config({"board": board})
-    assert error.value.where == where
-
-
-def test_a_screen_and_a_board_exclude_each_other():
-    with pytest.raises(ConfigError, match="Remove one"):
-        bench_config({"board": CHECKER, "screen": {"columns": 8}})
-
-
 def test_a_star_target_is_placed_by_its_tag():
     truth = bench_config(
         {"board": {"kind": "stars", "placements": [{"position_mm": [10, 5, 700]}]}}

@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from simulators.config import bench_config
-from simulators.errors import ConfigError
-from simulators.optics import scene
 from simulators.optics.picture import true_rotation
 from simulators.world.gimbal import (
     AXES,
@@ -23,7 +21,7 @@ from simulators.world.gimbal import (
     rotation_matrix,
     true_angles_deg,
 )
-from simulators.world.truth import CameraTruth, OpticsTruth, Truth
+from simulators.world.truth import OpticsTruth, Truth
 
 ANGLE = st.floats(-180.0, 180.0)
 ANGLES = st.fixed_dictionaries(dict.fromkeys(AXES, ANGLE))
@@ -57,15 +55,6 @@ def test_without_errors_the_rotation_has_the_very_bits_of_the_product_of_its_fac
     product = product @ rotation_matrix(np.radians(np.asarray(optics.mounting_deg, np.float64)))
     perfect = Truth(optics=optics, gimbal=GimbalTruth(seed=seed))
     assert true_rotation(angles, perfect).tobytes() == product.tobytes()
-
-
-def test_the_cameras_picture_shows_where_the_errors_of_the_gimbal_lead_it():
-    small = CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72)
-    truth = Truth(camera=small, gimbal=GimbalTruth(scale=(0.1, -0.1, 0.0)))
-    perfect = Truth(camera=small)
-    seen = scene.picture(truth, {"pan": 6.0, "tilt": 4.0})
-    np.testing.assert_allclose(seen, scene.picture(perfect, {"pan": 6.6, "tilt": 3.6}), atol=1e-6)
-    assert np.abs(seen - scene.picture(perfect, {"pan": 6.0, "tilt": 4.0})).max() > 0.1
 
 
 @given(ANGLES)
@@ -185,9 +174,6 @@ def test_backlash_stands_in_either_section_but_not_in_both():
         0.01,
         0.0,
     )
-    with pytest.raises(ConfigError) as error:
-        bench_config({"stage": {"pan": {"backlash_deg": 0.03}}, "gimbal": {"backlash_deg": 0.01}})
-    assert error.value.where == "stage.pan.backlash_deg"
 
 
 def test_without_a_seed_of_its_own_the_gimbal_has_that_of_the_bench():
@@ -208,27 +194,3 @@ def test_the_truth_file_holds_what_is_needed_to_compute_the_errors():
     wobble = written["drawn"]["tilt"]["wobble"][0]
     assert wobble["first"] ** 2 + wobble["second"] ** 2 == pytest.approx(1.0)
     assert "wobble" in written["law"]
-
-
-@pytest.mark.parametrize(
-    ("section", "key"),
-    [
-        ({"wobble": 1}, "gimbal.wobble"),
-        ({"wobble_deg": -0.1}, "gimbal.wobble_deg"),
-        ({"eccentricity_deg": -0.1}, "gimbal.eccentricity_deg"),
-        ({"reading_sigma_deg": -1}, "gimbal.reading_sigma_deg"),
-        ({"scale": 1.001}, "gimbal.scale.pan"),
-        ({"scale": {"yaw": 0.1}}, "gimbal.scale.yaw"),
-        ({"scale": {"tilt": "much"}}, "gimbal.scale.tilt"),
-        ({"scale": [0.1, 0.1]}, "gimbal.scale"),
-        ({"backlash_deg": {"roll": -0.1}}, "gimbal.backlash_deg.roll"),
-        ({"nonorthogonality_deg": float("inf")}, "gimbal.nonorthogonality_deg"),
-        ({"seed": 0}, "gimbal.seed"),
-        ({"camera_on_head_deg": 3}, "gimbal.camera_on_head_deg"),
-        (5, "gimbal"),
-    ],
-)
-def test_a_wrong_configuration_of_the_gimbal_names_its_key(section, key):
-    with pytest.raises(ConfigError) as error:
-        bench_config({"gimbal": section})
-    assert error.value.where == key

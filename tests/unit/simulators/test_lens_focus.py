@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.config import bench_config
-from simulators.errors import ConfigError
 from simulators.optics.lens_focus import (
     blur_px,
     brightness,
@@ -23,7 +22,6 @@ from simulators.optics.lens_focus import (
 )
 from simulators.optics.picture import project, projection_of, render, true_rotation
 from simulators.optics.scene import picture
-from simulators.rehearsed_world import RehearsedWorld
 from simulators.world.truth import CameraTruth, CollimatorTruth, LensTruth, MountTruth, OpticsTruth, Truth
 
 PIXEL_MM = 4.86e-3
@@ -137,28 +135,6 @@ def test_closing_the_aperture_sharpens_and_darkens():
     np.testing.assert_allclose(picture(dark, pose), picture(light, pose) / 4, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("section", "where", "word"),
-    [
-        ({"focus_distance_m": 0.1}, "lens.focus_distance_m", "at least 0.2"),
-        ({"focus_distance_m": -1.0}, "lens.focus_distance_m", "Beyond infinity"),
-        ({"focus_distance_m": "far"}, "lens.focus_distance_m", "infinity"),
-        ({"focus_distance_m": float("nan")}, "lens.focus_distance_m", "does not reach"),
-        ({"focus_distance_m": True}, "lens.focus_distance_m", "distance is expected"),
-        ({"f_number": 0.5}, "lens.f_number", "from 1 to 32"),
-        ({"f_number": "wide"}, "lens.f_number", "finite number"),
-        ({"pixel_um": -4.86}, "lens.pixel_um", "not positive"),
-        ({"pixel_um": 60}, "lens.pixel_um", "at most 100 mm"),
-        ({"focus": 1}, "lens.focus", "focus_distance_m"),
-        (3, "lens", "mapping"),
-    ],
-)
-def test_a_wrong_key_is_named(section, where, word):
-    with pytest.raises(ConfigError, match=word) as error:
-        bench_config({"lens": section})
-    assert error.value.where == where
-
-
 def test_every_word_for_infinity_means_the_same():
     for word in ("infinity", "Infinity", ".inf", math.inf, -math.inf):
         assert bench_config({"lens": {"focus_distance_m": word}}).truth.lens.focus_distance_m == math.inf
@@ -172,18 +148,6 @@ def test_the_truth_file_has_strict_numbers():
         assert told["blur_px"] == pytest.approx(
             19.74 if lens.get("focus_distance_m") == 1.0 else 0.0, abs=0.01
         )
-
-
-def test_the_rehearsed_world_breathes_too():
-    near = RehearsedWorld({"lens": {"focus_distance_m": 1.0}}, 1)
-    record = near.truth_record(0.0)
-    assert record["camera"]["fx"] == pytest.approx(3345.06 * 1.01653, rel=1e-4)
-    far = RehearsedWorld({}, 1)
-    views = [dict(zip(v.ids, v.points_px, strict=True)) for v in (w.record({}, 0.0, 0) for w in (near, far))]
-    both = sorted(set(views[0]) & set(views[1]))
-    assert len(both) > 50
-    spread = [np.ptp([view[name] for name in both], axis=0).max() for view in views]
-    assert spread[0] / spread[1] == pytest.approx(1.01653, abs=5e-4)
 
 
 def test_a_camera_turned_in_its_mount_sees_the_target_turned():

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.config import bench_config
-from simulators.errors import ConfigError
 from simulators.optics.collimator_errors import disc_of
 from simulators.optics.picture import beam_of, project, projection_of, true_rotation
 from simulators.optics.scene import corners
@@ -60,9 +59,6 @@ def test_drift_goes_on_from_recording_to_recording():
 def test_both_are_set_in_the_simulation_section_of_a_station():
     section = {"vibration_arcsec": 5, "vibration_hz": 40, "drift_arcsec_per_min": [2, -1]}
     assert bench_config({"mount": section}).truth.mount == MountTruth(5.0, 40.0, (2.0, -1.0))
-    with pytest.raises(ConfigError) as error:
-        bench_config({"mount": {"vibration_hz": -1}})
-    assert error.value.where == "mount.vibration_hz"
 
 
 def stream(mount, asked_s):
@@ -151,37 +147,6 @@ def test_a_shifted_camera_sees_a_screen_from_another_place():
 
 def test_the_shift_is_set_in_the_simulation_section_of_a_station():
     assert bench_config({"mount": {"shift_mm": [3, -1]}}).truth.mount.shift_mm == (3.0, -1.0)
-    with pytest.raises(ConfigError) as error:
-        bench_config({"mount": {"shift_mm": 3}})
-    assert error.value.where == "mount.shift_mm"
-
-
-def shaded(shift_mm, *, later_mm=None):
-    """Words of 40 ms with a camera shifted before the recording, or in the middle of it."""
-    truth = Truth(
-        camera=CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72),
-        collimator=CollimatorTruth(defocus=0.5),
-        noise=NOISE_LEVELS["none"],
-    )
-    now = [0.0]
-    world = World(truth, clock=lambda: now[0])
-    world.set_light(LightState(output=True))
-    world.change_setup(lambda setup: replace(setup, shift_mm=shift_mm))
-    now[0] = 1.0
-    taken = SensorStream(world, CameraState(dict(FACTORY)), {})
-    words = [taken.next_frame() for _ in range(10)]
-    if later_mm is not None:
-        now[0] = 1.03
-        world.change_setup(lambda setup: replace(setup, shift_mm=later_mm), since_s=taken.covered_s)
-    return words + [taken.next_frame() for _ in range(10)]
-
-
-def test_a_camera_can_be_shifted_before_and_during_a_recording():
-    still, shifted, pushed = shaded((0.0, 0.0)), shaded((4.0, 0.0)), shaded((0.0, 0.0), later_mm=(4.0, 0.0))
-    assert still == shaded((0.0, 0.0))
-    assert still != shifted
-    assert pushed[:10] == still[:10]
-    assert pushed[10] != still[10]
 
 
 def test_the_world_remembers_where_the_camera_stood():
