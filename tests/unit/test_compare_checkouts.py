@@ -7,9 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from comparison.differences import Expected, compare, read_expected, relative, sort_out
-from comparison.inputs import replaced
 from comparison.reading import read_folder
-from comparison.rules import normal_text
 
 SEALED = "5e" * 32
 
@@ -99,19 +97,6 @@ def test_a_file_an_event_and_a_byte_on_the_wire_that_are_missing_are_found(tmp_p
     assert "move abs 6" in found["run/wire.jsonl/gimbal"]
 
 
-def test_a_type_or_an_order_of_keys_that_changes_is_found(tmp_path):
-    for name, text in (("old", '{"a": 1, "b": 2}'), ("new", '{"b": 2, "a": 1.0}')):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "told.json").write_text(text)
-    read = [read_folder(tmp_path / name, []) for name in ("old", "new")]
-    assert [one.place for one in compare("made_up", *read)] == ["told.json (order of keys)", "told.json/a"]
-
-
-def test_a_time_stamp_that_is_gone_is_a_difference():
-    assert normal_text("Begun 2026-03-01T20:00:00Z") == normal_text("Begun 2027-12-31T23:59:59Z")
-    assert normal_text("Begun 2026-03-01T20:00:00Z") != normal_text("Begun ")
-
-
 def test_differences_on_purpose_are_told_apart_by_place_words_and_size(differences):
     found = differences(fx=1671.25 * (1 + 1e-9), said="The port is missing.")
     entries = [
@@ -123,11 +108,6 @@ def test_differences_on_purpose_are_told_apart_by_place_words_and_size(differenc
     assert reasons["run/results.json/calibration/camera/fx"] == "one loop"
     assert reasons["said.stderr"] is None
     assert [entry.matched for entry in entries] == [1, 0, 0]
-
-
-def test_a_larger_relative_difference_than_announced_stays_a_surprise(differences):
-    entries = [Expected("*", "*", "one loop", relative=1e-10)]
-    assert {reason for _, reason in sort_out(differences(fx=1671.25 * (1 + 1e-9)), entries)} == {None}
 
 
 def test_relative_differences_are_those_of_the_largest_number():
@@ -142,9 +122,3 @@ def test_an_entry_without_a_reason_is_refused(tmp_path):
     (tmp_path / "listed.yaml").write_text('- {scenario: "*", place: "*"}\n')
     with pytest.raises(TypeError, match="reason"):
         read_expected(tmp_path / "listed.yaml")
-
-
-def test_an_input_whose_shipped_text_has_changed_is_refused():
-    assert replaced("a: 1", ("a: 1", "a: 2")) == "a: 2"
-    with pytest.raises(ValueError, match="b: 1"):
-        replaced("a: 1", ("b: 1", "b: 2"))

@@ -46,30 +46,3 @@ def fit(points: Array, weights: Array | None, /, *, loss: str) -> Array:
         "no Returns section",
         "ValueError is raised and not listed",
     ]
-
-
-def test_the_check_passes_what_is_complete():
-    source = '''
-def fit(points: Array, weights: Array | None, /, *, loss: str) -> Array:
-    """Fit.
-
-    Parameters
-    ----------
-    points, weights
-        (N, 2) image points, px, and (N,) weights.
-    loss
-        Name of the loss.
-
-    Returns
-    -------
-    Array
-        (3, 3) homography.
-
-    Raises
-    ------
-    ValueError
-        Always.
-    """
-    raise ValueError("no")
-'''
-    assert gaps(source) == []

@@ -14,17 +14,6 @@ from simulators.world.world import LightState
 
 LIGHT = LightState(output=True, sync=True)
 WINDOW_US = 33_400.0
-#: Placements of the screen: its turn, degrees, and distance, mm.
-PLACES = [
-    ((0, 0, 0), 1000),
-    ((35, 0, 5), 1000),
-    ((-35, 5, -8), 1050),
-    ((0, 35, 0), 1000),
-    ((5, -35, 80), 1000),
-    ((28, 28, 30), 1050),
-    ((-28, 28, -40), 1000),
-    ((28, -28, 10), 1000),
-]
 
 
 def station(turn_deg, distance_mm, noise="typical"):
@@ -79,27 +68,6 @@ def test_opencv_finds_the_board_on_event_images(name, rms_px):
     error = in_order(found_corners(image), true) - true
     assert np.sqrt((error**2).mean()) < rms_px
     assert np.abs(error.mean(axis=0)).max() < 0.06
-
-
-@pytest.mark.slow
-def test_planar_calibration_of_the_board_gives_the_camera():
-    objects, points = [], []
-    for number, (turn, distance) in enumerate(PLACES):
-        config = station(turn, distance)
-        images, true = seen(config, seed=number)
-        points.append(in_order(found_corners(images.best().image), true).astype(np.float32)[:, None])
-        board = scene.board_of(config.truth.screen)
-        objects.append(np.column_stack([board.corners_mm, np.zeros(40)]).astype(np.float32)[:, None])
-    camera = config.truth.camera
-    guess = np.array([[3000.0, 0, 639.5], [0, 3000.0, 359.5], [0, 0, 1.0]])
-    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
-    rms, matrix, _, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
-        objects, points, (camera.width, camera.height), guess, None, flags=flags
-    )
-    assert rms < 0.25
-    found, true = matrix[[0, 1, 0, 1], [0, 1, 2, 2]], [camera.fx, camera.fy, camera.cx, camera.cy]
-    assert (np.abs(found - true) < 3.5 * sigma[:4, 0]).all()
-    assert (sigma[:2, 0] < 0.005 * camera.fx).all()
 
 
 @pytest.mark.parametrize(

@@ -157,19 +157,6 @@ def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
     assert devices.stage.at["pan"] < 2
 
 
-def test_stops_of_many_threads_do_not_wait_for_each_other(opened):
-    session, devices = opened
-    session.jog("pan", 5.0)
-    threads = [threading.Thread(target=session.stop) for _ in range(8)]
-    began_s = time.monotonic()
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert time.monotonic() - began_s < 1
-    assert devices.stage.stops >= 8
-
-
 def test_a_failed_move_is_shown_and_the_next_one_is_possible(opened):
     session, devices = opened
     devices.stage.fault = "pan: stalled"
@@ -233,28 +220,32 @@ def test_values_alone_do_not_switch_the_light_on(opened):
     assert "on" not in devices.light.calls
 
 
-def test_an_unplugged_light_is_shown_and_comes_back(opened):
+GONE = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+
+
+@pytest.mark.parametrize(
+    ("device", "unplugged", "plugged", "used"),
+    [
+        ("light", {"lost": True}, {"lost": False}, lambda session: session.light(on=True)),
+        ("stage", {"lost": True}, {"lost": False}, lambda session: session.jog("pan", 0.5)),
+        ("camera", {"fault": GONE}, {"fault": None}, None),
+    ],
+)
+def test_an_unplugged_device_is_shown_and_comes_back(opened, device, unplugged, plugged, used):
     session, devices = opened
-    devices.light.lost = True
-    with pytest.raises(DriverError):
-        session.light(on=True)
-    assert session.state()["light"]["failure"]["remedy"] == "Plug it in."
-    assert session.state()["light"]["on"] is None
-    devices.light.lost = False
+    wait_until(lambda: session.picture().number >= 1)
+    vars(getattr(devices, device)).update(unplugged)
+    if used is not None:
+        with pytest.raises(DriverError):
+            used(session)
+    wait_until(lambda: session.state()[device]["failure"] is not None)
+    assert session.state()[device]["failure"]["remedy"] == "Plug it in."
+    assert session.state()["stage"]["answers"] == (device != "stage")
+    assert (session.state()["light"]["on"] is None) == (device == "light")
+    vars(getattr(devices, device)).update(plugged)
     session.bench.light.look()
-    assert session.state()["light"]["failure"] is None
-
-
-def test_an_unplugged_stage_is_shown(opened):
-    session, devices = opened
-    assert session.state()["stage"]["answers"]
-    devices.stage.lost = True
-    wait_until(lambda: session.state()["stage"]["failure"] is not None)
-    assert not session.state()["stage"]["answers"]
-    with pytest.raises(PortLost):
-        session.jog("pan", 0.5)
-    devices.stage.lost = False
-    wait_until(lambda: session.state()["stage"]["failure"] is None)
+    seen = session.picture().number
+    wait_until(lambda: session.state()[device]["failure"] is None and session.picture().number > seen)
 
 
 def test_biases_change_between_two_slices_and_are_read_back(opened):
@@ -269,18 +260,6 @@ def test_biases_change_between_two_slices_and_are_read_back(opened):
         session.bias("bias_x", 0)
     seen = session.picture().number
     wait_until(lambda: session.picture().number > seen + 1)
-
-
-def test_a_lost_camera_is_shown_and_pictures_go_on_when_it_is_back(opened):
-    session, devices = opened
-    wait_until(lambda: session.picture().number >= 1)
-    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
-    wait_until(lambda: session.state()["camera"]["failure"] is not None)
-    assert session.state()["camera"]["failure"]["remedy"] == "Plug it in."
-    devices.camera.fault = None
-    seen = session.picture().number
-    wait_until(lambda: session.picture().number > seen)
-    assert session.state()["camera"]["failure"] is None
 
 
 def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opened):

@@ -284,14 +284,6 @@ def test_what_somebody_should_know_is_said_and_forbids_nothing():
     ]
 
 
-def test_faults_of_unfolding_and_of_the_station_come_together():
-    said = faults(
-        "steps: [light, {move: {pan_deg: 99}}, {repeat: {poses: none, steps: [record]}}, solve, report]\n"
-    )
-    assert len(said) == 3
-    assert said[0].startswith("s.yaml:3:33: steps[1].move.pan_deg: pan 99 deg")
-
-
 def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
     sequence = tmp_path / "sequence.yaml"
     sequence.write_text(

@@ -72,28 +72,6 @@ def test_a_recording_takes_its_duration_and_holds_its_stars(clock, tmp_path):
     assert np.allclose(view.covariances_px2, 0.03**2 * np.eye(2))
 
 
-def test_a_rehearsed_camera_sees_the_station_s_own_target(clock, tmp_path):
-    own = StarTarget(squares_x=20, squares_y=22, pitch_mm=6.0, tag_square=(8, 9), tag_family="25h9")
-    held = devices(
-        clock,
-        b"simulation: {}\ntarget: {squares: [20, 22], pitch_mm: 6, tag_square: [8, 9], tag_family: 25h9}",
-    )
-    held.stage.home()
-    held.light.apply(LightSettings(frequency_hz=100.0))
-    held.light.on()
-    held.camera.record(tmp_path / "r", 0.05)
-    view, _ = read_view(tmp_path / "r", "middle", own)
-    assert len(view) > 50
-    assert np.abs(view.target_mm.mean(axis=0) - own.tag_centre_mm).max() < 3.0
-    assert np.abs(view.points_px.mean(axis=0) - [640, 360]).max() < 60
-
-
-def test_a_recording_in_the_dark_has_no_sync_edges(clock, tmp_path):
-    held = devices(clock)
-    held.stage.home()
-    assert held.camera.record(tmp_path / "r", 0.05).triggers == 0
-
-
 def test_a_rehearsed_fault_raises_the_error_of_a_camera(clock, tmp_path):
     held = devices(clock, b"simulation: {rehearsal: {lost_share: 1}}")
     held.stage.home()

@@ -95,12 +95,6 @@ def test_a_lost_device_is_waited_for_identified_and_used_again(tmp_path, when, e
     )
 
 
-def test_without_that_interlock_a_lost_device_ends_the_run(tmp_path):
-    scene = Scene(tmp_path)
-    lost_at(scene, "stage.move_to", PortLost("gone"), 0)
-    assert scene.run().how == "failed"
-
-
 def test_a_device_that_stays_lost_ends_the_run_in_time(tmp_path):
     scene = Scene(tmp_path, station=LOST_WORDS)
     lost_at(scene, "stage.move_to", PortLost("gone"), 1e9)

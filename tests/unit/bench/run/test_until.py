@@ -72,18 +72,6 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path):
     assert results["untils"][-1]["ended"] == "at_most"
 
 
-def test_the_pose_is_journaled_before_the_stage_moves_there(tmp_path):
-    scene = until_scene(tmp_path, NEVER)
-    scene.run()
-    lines = scene.events()
-    for place, (event, data) in enumerate(lines):
-        if event == Event.UNTIL_DECIDED and "chosen" in data:
-            rest = lines[place:]
-            slew = next(d for e, d in rest if e == Event.ENTERING and d["state"] == "slewing")
-            assert slew["target_deg"] == data["chosen"]["angles_deg"]
-            assert slew["pose"] == data["chosen"]["pose"]
-
-
 def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
     scene = until_scene(tmp_path, f"{{expanded_fx_px: 500, worst_corner_px: 500, start: {THREE}}}")
     assert scene.run().how == "finished"
