@@ -68,11 +68,12 @@ def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(t
     ("request_", "why"),
     [
         (add("a"), "has or had a job a"),
+        (add("A"), "the batch already has or had a job A"),
         (withdraw("c"), "no job c"),
         (withdraw("a"), "all runs of a have begun"),
         (add("x", sequence="no_such"), "no_such"),
     ],
-    ids=["doubled", "unknown", "nothing left", "no such sequence"],
+    ids=["doubled", "doubled in capitals", "unknown", "nothing left", "no such sequence"],
 )
 def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, request_, why):
     clock = NightClock()
@@ -101,12 +102,12 @@ def test_requests_left_while_no_process_works_are_taken_when_the_batch_goes_on(t
 
 
 def test_what_is_no_request_is_answered_and_removed(tmp_path):
-    (tmp_path / REQUESTS).mkdir()
+    (tmp_path / REQUESTS / "stray" / "deep").mkdir(parents=True)
     (tmp_path / REQUESTS / "0-x.json").write_bytes(b"{")
     (tmp_path / REQUESTS / "1-big.json").write_bytes(b" " * 100_000)
     clock = NightClock()
     Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()
-    assert [(a["word"], a["taken"]) for a in asked(tmp_path)] == [("unknown", False)] * 2
+    assert [(a["word"], a["taken"]) for a in asked(tmp_path)] == [("unknown", False)] * 3
     assert not any((tmp_path / REQUESTS).iterdir())
 
 
@@ -192,22 +193,6 @@ def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
     ended = read_batch_status(tmp_path, clock.utc_now)
     assert (ended.running, ended.ended) == (False, "stopped")
     assert json.loads(json.dumps(ended.to_dict()))["coming"] == []
-
-
-def test_a_folder_among_the_requests_is_answered_and_gone_and_the_night_goes_on(tmp_path):
-    (tmp_path / REQUESTS / "stray" / "deep").mkdir(parents=True)
-    clock = NightClock()
-    summary = Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()
-    assert summary["how"] == "finished"
-    assert [(data["word"], data["taken"]) for data in asked(tmp_path)] == [("unknown", False)]
-    assert not (tmp_path / REQUESTS / "stray").exists()
-
-
-def test_a_job_whose_name_differs_in_capitals_alone_is_refused(tmp_path):
-    clock = NightClock()
-    workers = Asked(clock, tmp_path, [add("A")])
-    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, workers).run()
-    assert [data["why"] for data in asked(tmp_path)] == ["the batch already has or had a job A"]
 
 
 def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, monkeypatch):

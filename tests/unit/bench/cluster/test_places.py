@@ -109,55 +109,6 @@ def test_a_run_behind_a_url_gives_what_it_gives_on_a_disk(remote, run, monkeypat
     assert "starbench-" not in far.files["results.json"].decode() + far.files["sources.json"].decode()
 
 
-class Slow:
-    """A file system of threads' own loop, whose requests are answered when so many are under way."""
-
-    def __init__(self, system, at_once, *, async_impl=True):
-        self._system, self.async_impl = system, async_impl
-        self._together = threading.Barrier(at_once, timeout=5)
-
-    def __getattr__(self, name):
-        return getattr(self._system, name)
-
-    def get_file(self, *arguments):
-        self._together.wait()
-        return self._system.get_file(*arguments)
-
-    def exists(self, path):
-        self._together.wait()
-        return self._system.exists(path)
-
-
-@pytest.fixture
-def memory_runs(memory, run):
-    url, system = memory
-    for number in range(8):
-        system.put(str(run), f"{url}/run{number}", recursive=True)
-    return url, system
-
-
-def test_the_small_files_of_a_run_are_read_side_by_side(memory_runs, run, monkeypatch):
-    url, system = memory_runs
-    place = Place(f"{url}/run1")
-    slow = Slow(system, 3)
-    monkeypatch.setattr("bench.cluster.tasks.file_system", lambda _: (slow, "/bench/run1"))
-    assert list_recordings(place, TASK) == list_recordings(Place(str(run)), TASK)
-    one_by_one = Slow(system, 1, async_impl=False)  # its threads may not share it
-    monkeypatch.setattr("bench.cluster.tasks.file_system", lambda _: (one_by_one, "/bench/run1"))
-    with place.folder(only=["journal.jsonl", "plan.json"]) as copy:
-        assert sorted(path.name for path in copy.iterdir()) == ["journal.jsonl", "plan.json"]
-
-
-def test_folders_are_looked_into_side_by_side(memory_runs, monkeypatch):
-    url, system = memory_runs
-    real = Slow(system, 8)
-    monkeypatch.setattr(
-        real, "exists", lambda path: path != "/bench/journal.jsonl" and Slow.exists(real, path)
-    )
-    monkeypatch.setattr("bench.cluster.tasks.file_system", lambda _: (real, "/bench"))
-    assert [place.base_name for place in find_places([url])] == [f"run{number}" for number in range(8)]
-
-
 def test_runs_behind_a_url_are_listed_ahead_in_their_order(monkeypatch):
     listed, together = [], threading.Barrier(8, timeout=5)
 
@@ -183,17 +134,6 @@ def test_runs_behind_a_url_are_listed_ahead_in_their_order(monkeypatch):
     together.abort()
     source.close()
     assert len(listed) <= 32
-
-
-def test_runs_on_a_disk_are_listed_when_their_turn_comes(monkeypatch):
-    listed = []
-    monkeypatch.setattr(
-        "bench.cluster.recalculation.list_recordings", lambda place, _: listed.append(place.name)
-    )
-    for number, _, listed_by in listed_ahead([Place("/a"), Place("/b")], TASK):
-        assert len(listed) == number
-        listed_by()
-    assert listed == ["/a", "/b"]
 
 
 def test_a_url_that_is_not_there_is_told(remote):

@@ -35,17 +35,6 @@ def drawn(tmp_path_factory):
     return rig, folder
 
 
-def test_rotation_and_translation_come_with_u(capsys, drawn):
-    rig, folder = drawn
-    told = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", *BOARD, "--json"))
-    off = np.array(told["translation"]) - rig.translation
-    assert (np.abs(off) < 4.0 * np.array(told["sigma_mm"])).all()
-    assert np.array(told["rotation"]) == pytest.approx(rig.rotation, abs=2e-3)
-    shown = out_of(capsys, "rig", folder / "left", folder / "right", *BOARD)
-    assert "by 10 boards that both cameras saw" in shown
-    assert "translation x" in shown
-
-
 def star_files(rig, folder):
     """Write what both cameras see behind a collimator, in four poses with noise."""
     rng = np.random.default_rng(4)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import time
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import pytest
 from journals import BEGIN, MadeRun
@@ -238,21 +237,6 @@ def test_a_folder_without_a_process_is_looked_at(tmp_path):
     found = look_at_process(run.folder, "slewing")
     assert found == ProcessState()
     assert "No such file" in look_at_process(tmp_path / "none", "idle").fault
-
-
-def test_thousands_of_poses_are_told_in_small_parts(tmp_path):
-    run = MadeRun(tmp_path / "run", 2000).begin().record_all()
-    model = _read(run)
-    assert model.lines > 14_000
-    line = model.lines
-    run.record(1, attempt=2)
-    model.refresh()
-    begin = time.process_time()
-    for _ in range(20):
-        assert len(model.changed_rows(line)) == 1
-        model.log_after(line, 300)
-        head_of(model, RUNNING, datetime.now(UTC))
-    assert (time.process_time() - begin) / 20 < 0.02
 
 
 def test_the_final_uncertainties_come_from_the_results(tmp_path):
