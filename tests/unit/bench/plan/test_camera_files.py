@@ -9,7 +9,6 @@ from solved_run import write_solved_run
 
 from bench.plan.camera_files import NotACamera, read_camera_file
 from bench.records.storage import read_json
-from calib.model.camera import CameraModel
 
 GEOMETRY = {
     "type": "pinhole",
@@ -55,13 +54,6 @@ def test_a_run_and_its_opencv_export_state_the_covariance(run, stated, place):
     sigmas = np.sqrt(np.diag(found.covariance))
     expected = [stated["sigma"][name] for name in found.camera.parameter_names]
     assert sigmas == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_camera_geometry_of_metavision_sdk_5_is_read(tmp_path):
-    (tmp_path / "camera-geometry.json").write_text(json.dumps(GEOMETRY))
-    camera = read_camera_file(tmp_path / "camera-geometry.json").camera
-    lens = {"k1": 0.06, "k2": -0.9, "p1": 3e-4, "p2": -2e-4, "k3": 0.1}
-    assert camera == CameraModel(3345.0, 3346.0, 643.0, 364.0, (1280, 720), lens)
 
 
 KALIBR = {
