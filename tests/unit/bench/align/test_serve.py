@@ -16,6 +16,20 @@ from drivers.errors import CameraBusy
 from sequences.errors import DocumentFaults
 
 
+@pytest.fixture
+def aligned(monkeypatch):
+    """Serve the page of a session until a condition holds and a task is done; return the status."""
+
+    def serve_until(session, condition, first=lambda: None):
+        monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
+        thread = _interrupt_when(condition, first=first)
+        status = serve.align_on_page("simulated", token=None, open_browser=False)
+        thread.join()
+        return status
+
+    return serve_until
+
+
 def _interrupt_when(condition, *, first=lambda: None):
     """Send SIGINT to this process as soon as a condition holds."""
 
@@ -29,9 +43,8 @@ def _interrupt_when(condition, *, first=lambda: None):
     return thread
 
 
-def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, capsys):
+def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(aligned, capsys):
     session, devices = fake_session()
-    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     asked = {}
 
     def move():
@@ -48,10 +61,8 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, c
 
         devices.stage.stop = stop
 
-    thread = _interrupt_when(lambda: session.is_open, first=move)
     before = signal.getsignal(signal.SIGINT)
-    assert serve.align_on_page("simulated", token=None, open_browser=False) == 0
-    thread.join()
+    assert aligned(session, lambda: session.is_open, move) == 0
     assert asked["stop_s"] - asked["s"] < 0.5
     assert asked["by"] == "align-signal-stop"  # not only when the server has ended
     assert devices.stage.at["pan"] < 5
@@ -67,32 +78,27 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, c
     ]
 
 
-def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(monkeypatch, capsys):
+def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(aligned, capsys):
     session, devices = fake_session()
-    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     devices.stage.stop_fails = True
-    _interrupt_when(lambda: session.is_open)
-    assert serve.align_on_page("simulated", token=None, open_browser=False) == 1
+    assert aligned(session, lambda: session.is_open) == 1
     assert "CHECK THE BENCH: stage: NOT CONFIRMED" in capsys.readouterr().out
 
 
-def test_a_busy_camera_is_named_and_the_page_stays(monkeypatch, capsys):
+def test_a_busy_camera_is_named_and_the_page_stays(aligned, capsys):
     def opener(*_):
         raise CameraBusy("another program holds it.", where="camera", remedy="Close that program.")
 
     session, _ = fake_session(opener=opener)
-    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
-    _interrupt_when(lambda: session.state()["devices"]["state"] == "failed")
-    assert serve.align_on_page("simulated", token=None, open_browser=False) == 0
+    assert aligned(session, lambda: session.state()["devices"]["state"] == "failed") == 0
     out = capsys.readouterr().out
     assert "camera: another program holds it. Close that program." in out
     assert out.splitlines()[-1] == "No device was open."
 
 
-def test_the_page_answers_while_the_devices_open(monkeypatch):
+def test_the_page_answers_while_the_devices_open(aligned, monkeypatch):
     release, answers = threading.Event(), []
     session, _ = fake_session(opener=lambda *_: release.wait(5) and FakeDevices())
-    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     urls = []
     monkeypatch.setattr(serve, "announce_url", urls.append)
 
@@ -100,8 +106,7 @@ def test_the_page_answers_while_the_devices_open(monkeypatch):
         answers.append(httpx.get(f"{urls[0]}state").json()["devices"]["state"])
         release.set()
 
-    _interrupt_when(lambda: urls and session.state()["devices"]["state"] == "opening", first=look)
-    serve.align_on_page("simulated", token=None, open_browser=False)
+    aligned(session, lambda: urls and session.state()["devices"]["state"] == "opening", look)
     assert answers == ["opening"]
 
 

@@ -46,6 +46,12 @@ class Asked(Workers):
         return super().__call__(item, run, log)
 
 
+def one_run(folder, workers=None, say=lambda _: None, **more):
+    """A batch of one job."""
+    workers = workers or Workers(NightClock())
+    return Batch(folder, queue(("a", "")), workers.clock, say, workers, **more)
+
+
 def asked(folder):
     return [e.data for e in read_journal(folder / "journal.jsonl")[0] if e.event == "requested"]
 
@@ -76,10 +82,7 @@ def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(t
     ids=["doubled", "doubled in capitals", "unknown", "nothing left", "no such sequence"],
 )
 def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, request_, why):
-    clock = NightClock()
-    summary = Batch(
-        tmp_path, queue(("a", "")), clock, lambda _: None, Asked(clock, tmp_path, [request_])
-    ).run()
+    summary = one_run(tmp_path, Asked(NightClock(), tmp_path, [request_])).run()
     (answer,) = asked(tmp_path)
     assert not answer["taken"]
     assert why in answer["why"]
@@ -87,17 +90,16 @@ def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, requ
 
 
 def test_requests_left_while_no_process_works_are_taken_when_the_batch_goes_on(tmp_path):
-    jobs, clock = queue(("a", "")), NightClock()
-    Batch(tmp_path, jobs, clock, lambda _: None, Workers(clock)).run()
+    one_run(tmp_path).run()
     request = add("late", times=2)
     assert send_request(tmp_path, request, patience_s=0.5) is None
     assert "when it continues" in answer_text(None)
-    workers = Workers(clock)
-    summary = Batch(tmp_path, jobs, clock, lambda _: None, workers).run()
+    workers = Workers(NightClock())
+    summary = one_run(tmp_path, workers).run()
     assert begun(workers) == ["run late-001", "run late-002"]
     assert not any((tmp_path / REQUESTS).iterdir())
     leave(tmp_path, request)  # the process died between its answer and the removal of the file
-    assert Batch(tmp_path, jobs, clock, lambda _: None, Workers(clock)).run()["items"] == summary["items"]
+    assert one_run(tmp_path).run()["items"] == summary["items"]
     assert len(asked(tmp_path)) == 1
 
 
@@ -105,8 +107,7 @@ def test_what_is_no_request_is_answered_and_removed(tmp_path):
     (tmp_path / REQUESTS / "stray" / "deep").mkdir(parents=True)
     (tmp_path / REQUESTS / "0-x.json").write_bytes(b"{")
     (tmp_path / REQUESTS / "1-big.json").write_bytes(b" " * 100_000)
-    clock = NightClock()
-    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()
+    one_run(tmp_path).run()
     assert [(a["word"], a["taken"]) for a in asked(tmp_path)] == [("unknown", False)] * 3
     assert not any((tmp_path / REQUESTS).iterdir())
 
@@ -117,24 +118,22 @@ def test_a_job_added_at_midnight_counts_its_repetitions_from_then(tmp_path):
             self.clock.now_s = max(self.clock.now_s, 4 * 3600.0)
             return super().__call__(item, run, log)
 
-    clock = NightClock()
-    workers = At(clock, tmp_path, [add("late", times=2, every_min=60)])
-    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, workers).run()
+    workers = At(NightClock(), tmp_path, [add("late", times=2, every_min=60)])
+    one_run(tmp_path, workers).run()
     times_h = [at_s / 3600 for _, _, at_s in workers.begun]
     assert times_h == pytest.approx([4, 4 + 600 / 3600, 5], abs=2e-3)
 
 
 def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
     """The sender's side, with the batch in a thread."""
-    clock, gate, answers = NightClock(), threading.Event(), []
+    gate, answers = threading.Event(), []
 
     class Held(Workers):
         def __call__(self, item, run, log):
             assert gate.wait(30)
             return super().__call__(item, run, log)
 
-    batch = Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Held(clock))
-    thread = threading.Thread(target=batch.run)
+    thread = threading.Thread(target=one_run(tmp_path, Held(NightClock())).run)
     thread.start()
     try:
         deadline = time.monotonic() + 20
@@ -201,25 +200,22 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
 
     monkeypatch.setattr("bench.batch.batch_plan.job_faults", broken)
     leave(tmp_path, add("b"))
-    clock = NightClock()
-    assert Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()["how"] == "finished"
+    assert one_run(tmp_path).run()["how"] == "finished"
     assert [data["why"] for data in asked(tmp_path)] == [
         "the request cannot be processed: ZeroDivisionError: nobody foresaw this"
     ]
 
 
 def test_a_rehearsal_that_has_ended_takes_no_request(tmp_path):
-    clock = NightClock()
-    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock), rehearsal=True).run()
+    one_run(tmp_path, rehearsal=True).run()
     with pytest.raises(RunFolderError, match="is a rehearsal, which cannot be continued"):
         send_request(tmp_path, withdraw("nobody"))
     assert not list((tmp_path / REQUESTS).glob("*.json"))
 
 
 def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
-    clock, said = NightClock(), []
-    Batch(tmp_path, queue(("a", "")), clock, said.append, Workers(clock), rehearsal=True).run()
-    said.clear()
+    one_run(tmp_path, rehearsal=True).run()
+    said = []
     with pytest.raises(RunFolderError, match="cannot continue in the same folder"):
-        Batch(tmp_path, queue(("a", "")), clock, said.append, Workers(clock)).run()
+        one_run(tmp_path, say=said.append).run()
     assert said == []

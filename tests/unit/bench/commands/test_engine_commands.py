@@ -223,20 +223,6 @@ def test_a_recording_is_converted_completely_and_never_overwrites_a_file(
     out_of(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=2)
 
 
-def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, evk4_recording, tmp_path):
-    from drivers.camera.raw_file import RawFile
-
-    raw = evk4_recording
-    out_of(capsys, "convert", raw, tmp_path / "pose.hdf5")
-    assert "82469 events, 2 triggers" in out_of(
-        capsys, "convert", tmp_path / "pose.hdf5", tmp_path / "again.raw"
-    )
-    ours, theirs = (RawFile.open(path).read()[0] for path in (tmp_path / "again.raw", raw))
-    assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
-    out_of(capsys, "convert", raw, tmp_path / "pose.csv", status=2)
-    out_of(capsys, "convert", raw, tmp_path / "pose.hdf5", status=2)
-
-
 def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
     from bench.records.journal import Journal
     from bench.results.view_sources import refuse_truncated

@@ -161,22 +161,6 @@ def test_a_run_killed_in_any_call_can_be_resumed(tmp_path, monkeypatch, key, sig
         assert seal_faults(path, signers) == []
 
 
-def test_a_run_killed_repeatedly_can_be_resumed(tmp_path, monkeypatch, key, signers):
-    path, acknowledged = tmp_path / "run", {}
-    for passing in range(1, 400):
-        if (path / "SHA256SUMS.sig").exists():
-            break
-        with monkeypatch.context() as patch:
-            Fault(patch, passing, die_after)
-            try:
-                run_once(path, acknowledged, key)
-            except Died:
-                see_that_nothing_acknowledged_is_lost(path, acknowledged)
-    assert passing > 10
-    see_that_it_is_whole(path)
-    assert seal_faults(path, signers) == []
-
-
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
 def test_a_run_whose_call_fails_reports_it_and_can_be_resumed(tmp_path, monkeypatch, key, signers, number):
     log = calls_of_a_whole_run(tmp_path, monkeypatch, key)

@@ -11,7 +11,6 @@ import pytest
 
 from bench.base.clock import BenchClock
 from bench.records.events import Event
-from bench.records.history import History, apply_entry
 from bench.records.journal import Entry
 from bench.run import heartbeat
 from bench.run.heartbeat import (
@@ -211,12 +210,3 @@ def test_it_is_said_again_after_a_minute():
 
 def test_a_computer_that_is_a_little_late_is_not_too_busy():
     assert lines_of(0.2, 300.0) == []
-
-
-def test_the_history_keeps_what_was_said_last():
-    history = History()
-    lateness = {"lost_s": 5.0, "counts": [1]}
-    line = {"late_s": 5.0, "window_s": 10.0, "lateness": lateness}
-    apply_entry(history, Entry(1, "2026-01-01T00:00:00Z", 1.0, Event.COMPUTER_BUSY, line, "", ""))
-    assert history.busy == "5.0 s late in 10 s"
-    assert history.lateness == lateness

@@ -114,12 +114,6 @@ def test_a_killed_run_is_not_running_and_not_held(run):
     assert "starbench resume" in status.advice
 
 
-def test_a_failed_run_shows_the_reason(run):
-    run.tell(Event.RUN_ENDED, how="failed", why="the lamp is broken")
-    run.die()
-    assert "failed: the lamp is broken" in status_text(run.status())
-
-
 def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_computer_was(run):
     ends = [{"device": "stage", "state": "confirmed safe", "said": "it stands"}]
     ends += [{"device": "light", "state": "not confirmed", "said": "no reply"}]
