@@ -28,23 +28,18 @@ def locked(folder):
     os.close(descriptor)
 
 
-def test_a_key_is_made_at_first_use_and_kept(tmp_path):
-    first = ensure_key(tmp_path / "home", principal="bench1@lab")
-    second = ensure_key(tmp_path / "home", principal="other@lab")
+def test_a_key_is_made_at_first_use_kept_and_can_be_read_by_its_owner_alone(tmp_path):
+    home = tmp_path / "home"
+    first, second = (ensure_key(home, principal=name) for name in ("bench1@lab", "other@lab"))
     assert (first.created, second.created) == (True, False)
     assert first.fingerprint == second.fingerprint
     assert second.principal == "bench1@lab"
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (home / "bench_key", home)] == [0o600, 0o700]
 
 
 def test_the_default_principal_names_the_machine(tmp_path, monkeypatch):
     monkeypatch.setattr("socket.gethostname", lambda: "bench 7/ü")
     assert create_key(tmp_path).principal == "bench@bench-7--"
-
-
-def test_the_key_can_be_read_by_its_owner_alone(tmp_path):
-    create_key(tmp_path / "home")
-    assert stat.S_IMODE((tmp_path / "home" / "bench_key").stat().st_mode) == 0o600
-    assert stat.S_IMODE((tmp_path / "home").stat().st_mode) == 0o700
 
 
 @pytest.mark.parametrize(("mode", "user"), [(0o644, 0), (0o640, 0), (0o604, 0), (0o660, 0), (0o600, 4242)])
@@ -69,17 +64,14 @@ def test_two_first_runs_at_once_do_not_make_two_keys(tmp_path):
     assert made[0].fingerprint == first.fingerprint
 
 
-def test_a_key_is_never_made_over_another(tmp_path):
+def test_a_key_is_never_made_over_another_and_a_missing_one_is_told_with_how_to_make_it(tmp_path):
+    with pytest.raises(EvidenceError, match="Make one"):
+        load_key(tmp_path)
     create_key(tmp_path)
     before = (tmp_path / "bench_key").read_bytes()
     with pytest.raises(EvidenceError, match="has a key already"):
         create_key(tmp_path)
     assert (tmp_path / "bench_key").read_bytes() == before
-
-
-def test_a_missing_key_is_told_with_how_to_make_one(tmp_path):
-    with pytest.raises(EvidenceError, match="Make one"):
-        load_key(tmp_path)
 
 
 def test_a_protected_key_opens_with_its_passphrase_alone(tmp_path):
