@@ -99,20 +99,17 @@ MUTATIONS = {
 
 
 @pytest.mark.parametrize("name", MUTATIONS)
-def test_a_change_by_whoever_holds_the_key_is_found(real, copied, name):
+def test_a_change_by_whoever_holds_the_key_is_found_and_no_version_takes_other_numbers(copied, name):
     file, old, new = MUTATIONS[name]
     data = (copied / file).read_bytes()
     assert old in data
     (copied / file).write_bytes(data.replace(old, new, 1))
-    found = check_certificate(copied)
-    assert found.faults, f"{name} was overlooked"
-
-
-def test_a_removed_file_is_found(copied):
+    assert check_certificate(copied).faults, f"{name} was overlooked"
+    if name in {"a value", "a verdict", "simulated", "the customer", "the rule"}:
+        with by_another_program():
+            assert check_certificate(copied).faults
     (copied / "dcc.xml").unlink()
-    assert [(fault.where, fault.kind) for fault in check_certificate(copied).faults] == [
-        ("dcc.xml", "missing")
-    ]
+    assert ("dcc.xml", "missing") in [(fault.where, fault.kind) for fault in check_certificate(copied).faults]
 
 
 def test_a_statement_that_issuing_does_not_make_is_found(copied):
@@ -130,27 +127,14 @@ def by_another_program():
     return mock.patch.object(sealed_run, "written_with", return_value=here)
 
 
-def test_documents_of_another_version_are_no_fault_but_named(copied):
-    pdf = copied / "certificate.pdf"
+def test_documents_and_words_of_another_version_are_no_fault_but_named(copied):
+    pdf, path = copied / "certificate.pdf", copied / "certificate.json"
     pdf.write_bytes(pdf.read_bytes().replace(b"\n%%EOF", b"\n%%EOG"))
     with by_another_program():
         found = check_certificate(copied)
     assert found.faults == []
-    assert re.fullmatch(
-        r"certificate\.pdf: it was written with certificate form \w{16} \(here 0{16}\)", found.not_compared[0]
-    )
-
-
-@pytest.mark.parametrize("name", ["a value", "a verdict", "simulated", "the customer", "the rule"])
-def test_no_version_takes_other_numbers(copied, name):
-    file, old, new = MUTATIONS[name]
-    (copied / file).write_bytes((copied / file).read_bytes().replace(old, new, 1))
-    with by_another_program():
-        assert check_certificate(copied).faults
-
-
-def test_words_of_another_version_are_no_fault_but_named(copied):
-    path = copied / "certificate.json"
+    named = r"certificate\.pdf: it was written with certificate form \w{16} \(here 0{16}\)"
+    assert re.fullmatch(named, found.not_compared[0])
     path.write_bytes(path.read_bytes().replace(b"Nothing was adjusted", b"Nobody adjusted anything"))
     assert "does not follow" in str(check_certificate(copied).faults[0])
     with by_another_program():
@@ -318,9 +302,7 @@ def test_no_interval_is_printed_unless_the_customer_agreed(lab):
     text = lab.issue().certificate.to_json().decode()
     assert "Recalibration: agreed with the customer, 12 months" in text
     lab.lab.write_text(LAB, encoding="utf-8")
-    plain = lab.issue("second", also="without interval").certificate.to_json().decode()
-    assert "ecalibration" not in plain
-    assert " due" not in plain
+    assert not re.search("ecalibration| due", lab.issue("second", also="x").certificate.to_json().decode())
 
 
 @pytest.mark.parametrize("at", ["certificate_files", "write_sealed", "seal_folder", "_enter"])
@@ -403,13 +385,17 @@ def cut(ledger, lines):
     ledger.path.write_bytes(b"".join(whole[:-lines]))
 
 
-def test_a_replaced_certificate_is_not_valid_after_a_rollback(real, lab):
+def test_a_replaced_certificate_is_not_valid_after_a_rollback_and_not_known_when_that_is_explained(real, lab):
     folder, _ = superseded(real, lab)
     cut(lab.ledger, 2)
-    faults = check_certificate(folder, lab.ledger).faults
-    assert [fault.kind for fault in faults] == ["ledger"]
-    assert "2 are missing" in faults[0].what
-    assert "a lost line may have replaced this certificate" in faults[0].what
+    (fault,) = check_certificate(folder, lab.ledger).faults
+    assert fault.kind == "ledger"
+    assert "2 are missing" in fault.what
+    assert "a lost line may have replaced this certificate" in fault.what
+    lab.ledger.explain("The disk was restored from a copy.", "Ada")
+    found = check_certificate(folder, lab.ledger)
+    assert found.faults == []
+    assert "whether it was replaced or declared void" in found.not_compared[0]
 
 
 def test_a_certificate_that_its_bench_does_not_know_is_a_fault_though_the_mark_is_gone_too(real, lab):
@@ -418,15 +404,6 @@ def test_a_certificate_that_its_bench_does_not_know_is_a_fault_though_the_mark_i
     (lab.home / "ledger_high").unlink()
     said = [fault.what for fault in check_certificate(folder, lab.ledger).faults]
     assert any("this bench has sealed" in what and "its ledger does not contain it" in what for what in said)
-
-
-def test_after_a_break_was_explained_it_is_not_known_whether_a_certificate_was_replaced(real, lab):
-    folder, _ = superseded(real, lab)
-    cut(lab.ledger, 2)
-    lab.ledger.explain("The disk was restored from a copy.", "Ada")
-    found = check_certificate(folder, lab.ledger)
-    assert found.faults == []
-    assert "whether it was replaced or declared void" in found.not_compared[0]
 
 
 def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
