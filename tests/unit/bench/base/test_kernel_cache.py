@@ -67,11 +67,10 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
 def test_the_command_line_asks_before_numba_is_imported():
     program = (
         "import sys, bench.base.home as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
+        "from bench.commands.cli import main; main(['--version'])"
     )
-    program += "from bench.commands.cli import main; main(['--version'])"
-    said = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", program]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert said.stdout.splitlines()[0] == "False"
 
 
@@ -97,17 +96,12 @@ def test_kernels_older_than_a_source_beside_them_or_without_one_are_removed(tmp_
 
 
 def test_parts_that_no_process_has_compiled_are_named(tmp_path):
-    environ = {VARIABLE: str(tmp_path)}
+    environ, version = {VARIABLE: str(tmp_path)}, f"py{sys.version_info.major}{sys.version_info.minor}"
     assert missing_parts(PARTS, environ) == PARTS
-    version = f"py{sys.version_info.major}{sys.version_info.minor}"
     (tmp_path / "stars_1").mkdir()
     (tmp_path / "stars_1" / f"edge_pixels.edge_scores-162.{version}.nbi").touch()
     assert missing_parts(PARTS, environ) == ("simulator",)
     assert missing_parts(("stars",), environ) == ()
-
-
-def test_kernels_beside_their_sources_are_seen_in_every_package(tmp_path):
-    version = f"py{sys.version_info.major}{sys.version_info.minor}"
     for kernel in (
         "calib/stars/__pycache__/edge_pixels.edge_scores",
         "simulators/pixels/__pycache__/evt3_writer._write",
@@ -115,7 +109,7 @@ def test_kernels_beside_their_sources_are_seen_in_every_package(tmp_path):
         (tmp_path / kernel).parent.mkdir(parents=True)
         (tmp_path / f"{kernel}-1.{version}.nbi").touch()
     (tmp_path / "calib" / "__pycache__").mkdir()
-    assert missing_parts(PARTS, {}, root=tmp_path) == ()
+    assert missing_parts(PARTS, {}, root=tmp_path) == ()  # beside their sources, in every package
 
 
 def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypatch):

@@ -18,7 +18,7 @@ from bench.history.merged_runs import RunPlace
 from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
 from bench.report.control_chart import MOST_DRAWN, render_charts
-from tests.unit.bench.report.structure import Tags
+from tests.unit.bench.report.structure import Structure
 
 BEGUN = datetime(2026, 1, 5, tzinfo=UTC)
 DETAILS = {"camera_type": "Prophesee EVK4", "collimator_serial": "C-1", "target_serial": "T-1"}
@@ -157,7 +157,7 @@ def test_the_page_loads_nothing_and_no_text_becomes_markup():
     group = ChartGroup(
         group.key._replace(serial=evil, station=evil), [replace(r, run=evil) for r in group.runs]
     )
-    tags = Tags(html := render_charts(find_charts([group]), [evil], [evil]))
+    tags = Structure(html := render_charts(find_charts([group]), [evil], [evil]))
     assert "script" not in tags.tags
     assert tags.links == []
     assert "@import" not in html

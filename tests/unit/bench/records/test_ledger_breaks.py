@@ -181,22 +181,20 @@ def test_a_second_place_that_is_behind_or_cut_off_is_no_break_and_catches_up(led
     assert marks[-1]["head"] == ledger.entries()[-1].hash
 
 
-@pytest.mark.parametrize(
-    "spoil", ["folder gone", "file gone", "empty", "read-only", "another program", "a folder"]
-)
-def test_a_second_place_that_cannot_be_used_is_a_warning_and_stops_nothing(ledger, anchor, spoil, tmp_path):
+SPOIL = {
+    "folder gone": lambda anchor: anchor.parent.rename(anchor.parents[1] / "unmounted"),
+    "file gone": Path.unlink,
+    "empty": lambda anchor: anchor.write_bytes(b""),
+    "read-only": lambda _: None,
+    "another program": lambda anchor: anchor.write_bytes(b"hello\n"),
+    "a folder": lambda anchor: [anchor.unlink(), anchor.mkdir()],
+}
+
+
+@pytest.mark.parametrize("spoil", SPOIL)
+def test_a_second_place_that_cannot_be_used_is_a_warning_and_stops_nothing(ledger, anchor, spoil):
     runs(ledger, 1, anchor=str(anchor))
-    if spoil == "folder gone":
-        anchor.parent.rename(tmp_path / "unmounted")
-    elif spoil == "file gone":
-        anchor.unlink()
-    elif spoil == "empty":
-        anchor.write_bytes(b"")
-    elif spoil == "another program":
-        anchor.write_bytes(b"hello\n")
-    elif spoil == "a folder":
-        anchor.unlink()
-        anchor.mkdir()
+    SPOIL[spoil](anchor)
     denied = PermissionError(13, "denied", str(anchor)) if spoil == "read-only" else None
     with mock.patch("bench.records.ledger_marks.drop_torn_line", side_effect=denied):
         place = begin(ledger, strict=True)

@@ -129,46 +129,50 @@ def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
     assert str(journal) in faults[0]
 
 
-def test_an_index_that_cannot_be_written_says_so(tmp_path, three):
-    (tmp_path / "home").mkdir()
-    (tmp_path / "home" / INDEX).mkdir()
+def test_an_index_that_cannot_be_written_says_so(index, tmp_path, three, monkeypatch):
+    def refused(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sqlite3, "connect", refused)
+        with pytest.raises(StorageError, match="disk is full"):
+            index.runs(three)
+    (tmp_path / "other" / INDEX).mkdir(parents=True)
     with pytest.raises(StorageError):
-        RunIndex(tmp_path / "home").runs(three)
+        RunIndex(tmp_path / "other").runs(three)
 
 
 # ---------------------------------------------------------------- comparing
 
 
-def test_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
+def test_the_better_known_value_weighs_more_and_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
     found = agreement("fx", [Estimate(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
-    assert found.mean == 100.0
-    assert found.sigma == 0.5
+    assert (found.mean, found.sigma) == (100.0, 0.5)
     assert found.birge == pytest.approx((4 / 3) ** 0.5)
     assert found.deviations[0] == pytest.approx(-1 / 0.75**0.5)
-
-
-def test_the_better_known_value_weighs_more():
     found = agreement("r", [Estimate(255.0, 0.1), Estimate(256.0, 1.0)])
     assert found.mean == pytest.approx(255.0 + 1 / 101)
     assert found.deviations == pytest.approx([-1 / 1.01**0.5, 1 / 1.01**0.5])
 
 
 def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, three):
-    other = make(tmp_path / "runs" / "d", DAYS[2], fx=3346.0)
-    planar = make(tmp_path / "runs" / "e", DAYS[2], model="planar")
-    runs = {run.id: run for run in index.runs([*three, other, planar])[0]}
+    others = {
+        "d": {"fx": 3346.0},
+        "e": {"model": "planar"},
+        "f": {"simulated": False},
+        "g": {"rehearsal": True},
+    }
+    folders = [make(tmp_path / "runs" / name, DAYS[2], **facts) for name, facts in others.items()]
+    runs = {run.id: run for run in index.runs([*three, *folders])[0]}
     assert [a.name for a in compare_runs([runs["a"], runs["d"]])] == ["fx", "r"]
-    with pytest.raises(UsageError, match="different cameras: 00050423, 00050999"):
-        compare_runs([runs["a"], runs["c"]])
-    with pytest.raises(UsageError, match="different models: planar, radial"):
-        compare_runs([runs["a"], runs["e"]])
-    real = make(tmp_path / "runs" / "f", simulated=False)
-    rehearsed = make(tmp_path / "runs" / "g", rehearsal=True)
-    more = {run.id: run for run in index.runs([real, rehearsed])[0]}
-    with pytest.raises(UsageError, match="different kinds: measured, simulated"):
-        compare_runs([runs["a"], more["f"]])
-    with pytest.raises(UsageError, match="different kinds: rehearsed, simulated"):
-        compare_runs([runs["a"], more["g"]])
+    for other, why in (
+        ("c", "different cameras: 00050423, 00050999"),
+        ("e", "different models: planar, radial"),
+        ("f", "different kinds: measured, simulated"),
+        ("g", "different kinds: rehearsed, simulated"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            compare_runs([runs["a"], runs[other]])
     with pytest.raises(UsageError, match="at least two"):
         compare_runs([runs["a"]])
 
@@ -186,12 +190,3 @@ def test_an_index_that_another_process_has_locked_is_left_alone(index, three, mo
         monkeypatch.undo()
         assert other.execute("SELECT count(*) FROM runs").fetchone() == (3,)
     assert len(index.runs(three)[0]) == 3
-
-
-def test_a_disk_that_takes_no_index_is_told_in_words(index, three, monkeypatch):
-    def refused(*_, **__):
-        raise sqlite3.OperationalError("database or disk is full")
-
-    monkeypatch.setattr(sqlite3, "connect", refused)
-    with pytest.raises(StorageError, match="disk is full"):
-        index.runs(three)

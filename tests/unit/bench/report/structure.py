@@ -14,9 +14,13 @@ class Structure(HTMLParser):
         self.feed(html)
         self.close()
 
+    @property
+    def links(self):
+        """What the page loads or leads to."""
+        return [value for _, name, value in self.attributes if name in {"src", "href", "xlink:href"} and value]
+
     def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += [(tag, name, value) for name, value in attrs]
+        self.handle_startendtag(tag, attrs)
         if tag not in VOID:
             self.open.append(tag)
 
@@ -27,16 +31,3 @@ class Structure(HTMLParser):
     def handle_endtag(self, tag):
         if not self.open or self.open.pop() != tag:
             self.wrong.append((tag, self.getpos()))
-
-
-class Tags(HTMLParser):
-    """Tags, and what they load or lead to."""
-
-    def __init__(self, html):
-        super().__init__()
-        self.tags, self.links = [], []
-        self.feed(html)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.links += [value for name, value in attrs if name in {"src", "href", "xlink:href"} and value]

@@ -10,7 +10,7 @@ from bench.records.run_facts import Estimate, parameters_data
 from bench.records.run_index import IndexedRun
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, fit_slope, trends_of
-from tests.unit.bench.report.structure import Tags
+from tests.unit.bench.report.structure import Structure
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
 
@@ -116,14 +116,14 @@ def test_nothing_in_a_summary_becomes_markup():
     evil = "<script>alert(1)</script>"
     request = {"word": "add", "by": evil, "taken": True, "why": "", "job": "x"}
     html = render_batch(summary(item("a-001", "failed", evil), queue=evil, requests=[request]))
-    assert "script" not in Tags(html).tags
+    assert "script" not in Structure(html).tags
     assert html.count("&lt;script&gt;") >= 3
 
 
 def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
     cameras = [of_runs([run(n) for n in range(4)])]
     html = render_batch(summary(item("a-001", report="runs/a-001/report.html"), cameras=cameras))
-    assert [link for link in Tags(html).links if not link.startswith("#")] == ["runs/a-001/report.html"]
+    assert [link for link in Structure(html).links if not link.startswith("#")] == ["runs/a-001/report.html"]
     assert "@import" not in html
     assert "expanded uncertainty with k = 2.2, 2.3" in html
 

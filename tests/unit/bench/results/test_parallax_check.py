@@ -58,7 +58,6 @@ def test_the_shipped_sequence_has_the_name_that_must_have_a_result():
 def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(found):
     found(44.0, 2.0)
     told = parallax_check(calibration(), [], station(off=""), "Nine poses")
-    assert told is not None
     assert told["pupil_off_pivot_mm"] == {"value": 44.0, "sigma": 2.0}
     assert told["stated_mm"] is None
     assert told["parallax"]["value"] == pytest.approx(-0.066 * 44 / 255)
@@ -66,7 +65,6 @@ def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(found)
     assert told["defocus"]["source"] == "station"
     entry = yaml.safe_load(told["station_entry"])["gimbal"]
     stated = GimbalConfig.model_validate({"reading_sigma_deg": 0.002, "source": "this test", **entry})
-    assert stated.pupil_off_pivot_mm is not None
     assert (stated.pupil_off_pivot_mm.value, stated.pupil_off_pivot_mm.sigma) == (44.0, 2.0)
     assert any(said.endswith(told["station_entry"]) for said in told["says"])
     assert json.loads(json.dumps(told, allow_nan=False)) == told
@@ -79,7 +77,6 @@ def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(found)
 def test_the_pupil_is_compared_with_the_station(found, off, sigma, word, advised):
     found(off, sigma)
     told = parallax_check(calibration(), [], station(), "Parallax test")
-    assert told is not None
     says = " ".join(told["says"])
     assert f"This {word} the station file, which states 2 mm" in says
     assert (told["station_entry"] in says) == advised
@@ -90,14 +87,12 @@ def test_a_pupil_that_contradicts_along_one_axis_only_is_noticed(monkeypatch):
     walk = PupilWalk(np.array([-39.2, -2.0]), np.diag([32.0, 76.0]), 20.6, 19.0, 15, ())
     monkeypatch.setattr(checked, "pupil_walk", lambda *_arguments: walk)
     told = parallax_check(calibration(), [], station(), "Parallax test")
-    assert told is not None
     assert "contradicts the station file" in " ".join(told["says"])
 
 
 def test_without_a_stated_defocus_there_is_no_parallax(found):
     found(2.0, 1.0)
     bare = parallax_check(calibration(), [], station(defocus=""), "Parallax test")
-    assert bare is not None
     assert (bare["defocus"], bare["parallax"], bare["fx_px"]) == (None, None, None)
     assert "which the station file does not state" in bare["says"][-1]
 
@@ -109,7 +104,6 @@ def test_only_the_parallax_test_says_why_there_is_no_result(found):
     assert told == {"why_not": "parallax test: 1 of 9 views show the rim. Turn farther."}
     assert parallax_rows(told) == [("Parallax test: no result", told["why_not"])]
     planar = parallax_check(calibration(collimator=None), [], station(), "Parallax test")
-    assert planar is not None
     assert planar["why_not"].startswith("The planar model has no collimator")
 
 

@@ -41,8 +41,7 @@ def brought(monkeypatch, station):
 
 
 def test_a_station_without_plugins_adds_nothing(station):
-    assert run_software(station) == software()
-    assert plugins_of_run(station) == {}
+    assert (run_software(station), plugins_of_run(station)) == (software(), {})
 
 
 def test_a_run_states_the_package_of_each_plugin_that_its_station_uses(brought, station):
@@ -59,21 +58,15 @@ def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkey
     assert run_software(station)["program"] == software()["program"]
 
 
-def installed(monkeypatch, versions):
-    """These packages beside those that are there."""
-    real = results_content.version
-    monkeypatch.setattr(results_content, "version", lambda name: versions.get(name) or real(name))
-
-
-def test_a_library_of_a_driver_is_stated(station, monkeypatch):
-    evk4 = station.model_copy(update={"camera": type("Camera", (), {"driver": "neuromorphic_evk4"})()})
-    installed(monkeypatch, {"neuromorphic-drivers": "0.18.1"})
-    assert run_software(evk4)["neuromorphic-drivers"] == "0.18.1"
-
-
-def test_a_package_that_reads_files_of_others_is_stated_where_there_are_such_files(monkeypatch):
+def test_libraries_of_drivers_and_of_files_of_others_are_stated_where_they_are_used(station, monkeypatch):
     assert files_software([".raw", ".png"]) == software()
-    installed(monkeypatch, {"aedat": "2.3", "rosbags": "0.11"})
+    installed, real = (
+        {"neuromorphic-drivers": "0.18.1", "aedat": "2.3", "rosbags": "0.11"},
+        results_content.version,
+    )
+    monkeypatch.setattr(results_content, "version", lambda name: installed.get(name) or real(name))
+    evk4 = station.model_copy(update={"camera": type("Camera", (), {"driver": "neuromorphic_evk4"})()})
+    assert run_software(evk4)["neuromorphic-drivers"] == "0.18.1"
     assert files_software([".AEDAT4", ".raw"]) == software() | {"aedat": "2.3"}
     assert files_software([".mcap", ".bag"]) == software() | {"rosbags": "0.11"}
 
