@@ -60,14 +60,11 @@ def test_a_small_picture_is_embedded_without_loss(data, html):
 def test_residuals_are_drawn_from_the_star_in_their_direction():
     residual = np.array([[0.1, 0.0], [0.0, 0.05]])
     detected = np.array([[100.0, 100.0], [200.0, 50.0]])
-    svg = residual_vectors(
-        [ViewPicture("a", np.zeros((180, 320), np.uint8), detected, detected - residual, np.arange(2))], SMALL
-    )
+    view = ViewPicture("a", np.zeros((180, 320), np.uint8), detected, detected - residual, np.arange(2))
+    svg = residual_vectors([view], SMALL)
     assert "magnified 100 times" in svg
-    drawn = [
-        path for path in re.findall(r'<path d="([^"]*)" [^>]*stroke="#0072b2"', svg) if path.count("M") == 2
-    ]
-    dots, lines = drawn
+    paths = re.findall(r'<path d="([^"]*)" [^>]*stroke="#0072b2"', svg)
+    dots, lines = [path for path in paths if path.count("M") == 2]
     assert len(re.findall(r"M[\d.]+ [\d.]+h0", dots)) == 2
     strokes = [tuple(map(float, s)) for s in re.findall(r"M([\d.]+) ([\d.]+)L([\d.]+) ([\d.]+)", lines)]
     (right,) = [s for s in strokes if s[2] > s[0] + 1 and abs(s[3] - s[1]) < 0.1]
