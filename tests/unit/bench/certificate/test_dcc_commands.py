@@ -39,19 +39,21 @@ def run(*arguments):
     return done.return_value, done.output
 
 
-def test_a_valid_certificate(signed):
-    status, said = run(signed, "--trusted", signed.parent / "trusted.pem")
+def test_a_valid_certificate_and_what_was_not_checked(signed):
+    trusted = ("--trusted", signed.parent / "trusted.pem")
+    status, said = run(signed, *trusted)
     assert status == 0
     assert said.splitlines() == [
         "Certificate SIMULATED-SB-2026-00017: DCC 3.2.1 with D-SI 2.1.0.",
         SIGNED,
         "Not checked: the form. Name the folder of PTB's schemas with --schemas or in STARBENCH_DCC_SCHEMAS to check it.",
     ]
-
-
-def test_what_was_not_checked_is_said(signed):
     assert "Not checked: who signed" in run(signed)[1]
     assert run(signed.parent)[0] == 0  # the folder of a certificate
+    found = json.loads(run(signed, "--json", *trusted)[1])
+    assert found["ok"] is True
+    assert found["signature"]["trusted"] is True
+    assert found["signature"]["stated_utc"] == "2026-07-20T00:00:00Z"
 
 
 def test_faults(signed):
@@ -72,23 +74,15 @@ def test_a_signature_of_others_is_a_fault(signed):
     assert (status, "you named a certificate that you trust" in said) == (1, True)
 
 
-def test_json_of_a_valid_certificate(signed):
-    found = json.loads(run(signed, "--json", "--trusted", signed.parent / "trusted.pem")[1])
-    assert found["ok"] is True
-    assert found["signature"]["trusted"] is True
-    assert found["signature"]["stated_utc"] == "2026-07-20T00:00:00Z"
-
-
 def test_wrong_input(signed, tmp_path):
-    with pytest.raises(UsageError, match="no such file or folder"):
-        run(tmp_path / "none.xml")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UsageError, match=r"has no dcc\.xml"):
-        run(tmp_path / "empty")
-    with pytest.raises(UsageError, match="no such folder of schemas"):
-        run(signed, "--schemas", tmp_path / "none")
-    with pytest.raises(EvidenceError, match="no certificates in PEM"):
-        run(signed, "--trusted", signed)
     (tmp_path / "other.xml").write_text("<a/>")
-    with pytest.raises(EvidenceError, match="not a digital calibration certificate"):
-        run(tmp_path / "other.xml")
+    for words, error, said in (
+        ((tmp_path / "none.xml",), UsageError, "no such file or folder"),
+        ((tmp_path / "empty",), UsageError, r"has no dcc\.xml"),
+        ((signed, "--schemas", tmp_path / "none"), UsageError, "no such folder of schemas"),
+        ((signed, "--trusted", signed), EvidenceError, "no certificates in PEM"),
+        ((tmp_path / "other.xml",), EvidenceError, "not a digital calibration certificate"),
+    ):
+        with pytest.raises(error, match=said):
+            run(*words)

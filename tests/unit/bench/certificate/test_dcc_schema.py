@@ -42,9 +42,11 @@ def test_imports_are_answered_by_the_folder(schemas):
     assert (schemas / "dcc.xsd").read_text(encoding="utf-8") == DCC_XSD
 
 
-def test_many_faults_are_cut(schemas):
+def test_many_faults_are_cut_and_a_file_that_is_no_dcc_is_refused(schemas):
     wrong = certificate_sample.full_dcc().replace(b"<si:value>", b"<si:value>x")
     assert len(schema_faults(wrong, schemas, "dcc.xml")) == 51
+    with pytest.raises(EvidenceError, match="not a digital calibration certificate"):
+        schema_faults(b"<html/>", schemas, "x.xml")
 
 
 def refused(folder):
@@ -87,8 +89,3 @@ def test_the_folder_of_the_user_is_taken_before_that_of_the_environment(tmp_path
     assert schema_folder(tmp_path, {"STARBENCH_DCC_SCHEMAS": "/other"}) == tmp_path
     assert schema_folder(None, {"STARBENCH_DCC_SCHEMAS": str(tmp_path)}) == tmp_path
     assert schema_folder(None, {}) is schema_folder(None, {"STARBENCH_DCC_SCHEMAS": " "}) is None
-
-
-def test_a_file_that_is_no_dcc_is_refused_before_the_schema_is_asked(schemas):
-    with pytest.raises(EvidenceError, match="not a digital calibration certificate"):
-        schema_faults(b"<html/>", schemas, "x.xml")

@@ -76,16 +76,9 @@ def test_a_lens_that_became_longer_fails_the_run_and_the_folder_holds_all_that_d
     assert any(f"The run folder has no {CHECKED_COPY}" in str(fault) for fault in faults)
 
 
-def test_results_without_a_check_have_no_row(solved):
-    assert "check" not in results_of(solved[0])
-    assert check_rows(None) == []
-
-
 def planned(folder, *steps):
-    text = (
-        "format: starbench/sequence/1\nname: Check\nsteps:\n"
-        "  - record\n" + "".join(f"  - {step}\n" for step in steps) + "  - report\n"
-    )
+    head = "format: starbench/sequence/1\nname: Check\nsteps:"
+    text = "\n  - ".join([head, "record", *steps, "report\n"])
     (folder / "sequence.yaml").write_text(text)
     return [str(one) for one in make_plan(*load_documents(str(folder / "sequence.yaml"), "simulated")).faults]
 
@@ -113,6 +106,8 @@ def test_a_calibration_that_cannot_be_checked_is_a_fault_before_anything_moves(t
     assert any(said in fault and f"sequence.yaml:{4 + len(steps)}:" in fault for fault in faults), faults
 
 
-def test_a_check_needs_a_calibration(tmp_path):
+def test_a_check_needs_a_calibration_and_results_without_one_have_no_row(tmp_path, solved):
     with pytest.raises(ScriptError, match="calibration: this key is required"):
         planned(tmp_path, "check: {model: spherical}")
+    assert "check" not in results_of(solved[0])
+    assert check_rows(None) == []
