@@ -30,6 +30,16 @@ OFFS = {
 }
 
 
+IDENTITIES = {
+    "keysight": ("Keysight Technologies", "33250A", "SG0042", "2.05-1.01-2.00-03-2"),
+    "rigol": ("Rigol Technologies", "DG4062", "SG0042", "00.01.12"),
+    "siglent": ("Siglent Technologies", "SDG1032X", "SG0042", "1.01.01.33R6"),
+    "gardasoft": ("Gardasoft", "RT460-20", "", "V031"),
+    "microcontroller": ("Starbench", "microcontroller light", "SG0042", "sim-1.0"),
+}
+"""Maker, model, serial number and firmware."""
+
+
 @pytest.fixture(params=OPENED)
 def rig(request) -> DirectLight:
     return direct_light(request.param, VirtualClock(), np.random.default_rng(1))
@@ -37,7 +47,8 @@ def rig(request) -> DirectLight:
 
 def test_a_light_is_identified_set_read_back_and_switched(rig) -> None:
     light, states = rig.light, rig.states
-    assert light.identify().maker
+    told = light.identify()
+    assert (told.maker, told.model, told.serial, told.firmware) == IDENTITIES[rig.kind]
     assert not light.is_on()
     got = light.apply(FLICKER)
     assert (got.waveform, got.sync_output) == ("square", True)
@@ -80,6 +91,7 @@ def test_opening_and_closing_switch_nothing(rig) -> None:
     rig.light.apply(FLICKER)
     rig.light.on()
     rig.light.close()
+    assert rig.line.closed
     assert rig.states[-1].output
     again = OPENED[rig.kind](rig.line, rig.line.clock)
     assert again.is_on()

@@ -7,6 +7,7 @@ import re
 import signal
 import socket
 import subprocess
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -31,12 +32,21 @@ def root(tmp_path):
     return run.folder.parent
 
 
+@contextmanager
+def panel(root, *words, home):
+    """A panel under way, and the first line that it prints."""
+    process = start("panel", root, "--no-browser", *words, home=home)
+    try:
+        yield process, process.stdout.readline().strip()
+    finally:
+        process.kill()
+        process.communicate()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path, number):
-    process = start("panel", root, "--no-browser", home=tmp_path)
-    try:
-        url = process.stdout.readline().strip()
-        url, token = re.fullmatch(r"(http://127\.0\.0\.1:\d+/)sign-in#token=(\S{22,})", url).groups()
+    with panel(root, home=tmp_path) as (process, line):
+        url, token = re.fullmatch(r"(http://127\.0\.0\.1:\d+/)sign-in#token=(\S{22,})", line).groups()
         assert httpx.get(url).status_code == 401
         signed = {"Authorization": f"Bearer {token}"}
         assert "Runs and batches" in httpx.get(url, headers=signed).text
@@ -46,9 +56,6 @@ def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path
             next(stream.iter_lines())
             process.send_signal(number)
             out, err = process.communicate(timeout=20)
-    finally:
-        process.kill()
-        process.communicate()
     assert (process.returncode, out, err.strip()) == (130, "", "Stopped.")
 
 
@@ -68,9 +75,7 @@ def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, mon
     assert refused.returncode == 2
     assert "need a token" in refused.stderr
     monkeypatch.setenv("STARBENCH_PAGE_TOKEN", TOKEN)
-    process = start("panel", root, "--no-browser", "--host", "0.0.0.0", home=tmp_path)
-    try:
-        url = process.stdout.readline().strip()
+    with panel(root, "--host", "0.0.0.0", home=tmp_path) as (process, url):
         assert TOKEN not in url
         local = f"http://127.0.0.1:{url.rsplit(':', 1)[1]}"
         assert httpx.get(f"{local}api/run/run7/state").status_code == 401
@@ -81,23 +86,13 @@ def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, mon
             assert TOKEN not in options.read_text()
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=20)
-    finally:
-        process.kill()
-        process.communicate()
     assert TOKEN not in out + err
 
 
 def test_without_a_token_only_if_that_is_said(root, tmp_path):
-    process = start("panel", root, "--no-browser", "--no-token", home=tmp_path)
-    try:
-        url = process.stdout.readline().strip()
+    with panel(root, "--no-token", home=tmp_path) as (_, url):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
         assert httpx.get(f"{url}api/run/run7/state").status_code == 200
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=20)
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

@@ -6,19 +6,15 @@ import select
 import struct
 import threading
 import time
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
-from drivers.clock import SystemClock
 from simulators.cameras import evk4
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.streaming import StreamFault
-from simulators.config import bench_config
 from simulators.pixels import sensor_stream
 from simulators.pixels.event_filters import EventFilters
 from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
@@ -164,23 +160,6 @@ def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
         assert began_us(host.record(1)) == 512_000
 
 
-def test_frames_that_the_host_discards_do_not_advance_the_clock(camera):
-    def begins(late_s):
-        with Host(camera) as host:
-            for _ in range(2):
-                assert host.ask("start")["ok"]
-                while len(host.words) < 40:
-                    host.words.append(host.frame()[1])
-                time.sleep(late_s)
-                assert host.ask("stop", frames=40)["ok"]
-                host.words = []
-            return began_us(host.record(1))
-
-    at_once = begins(0.0)
-    camera.unplug()
-    assert begins(0.3) == at_once == 204_800
-
-
 def test_a_host_cannot_have_kept_more_than_it_was_sent(camera):
     with Host(camera) as host:
         host.record(3)
@@ -314,21 +293,6 @@ def fired_in(stream, frames=9):
     return fired
 
 
-def test_previews_show_what_recordings_show_and_leave_these_unchanged():
-    world, camera = bench(), CameraState(trigger_in=True)
-    alone = SensorStream(bench(), camera, {})
-    plain = fired_in(alone)
-    preview = SensorStream(world, camera, {}, preview=True)
-    for number in range(3):
-        if number:
-            assert preview.go_on(camera, preview.clock_us)
-        begun_us = preview.clock_us
-        words = np.frombuffer(preview.next_frame(), "<u2")
-        assert began_us(words.tobytes()) == begun_us % (1 << 24)
-        assert np.corrcoef(fired_in(preview).ravel(), plain.ravel())[0, 1] > 0.9
-    np.testing.assert_array_equal(fired_in(SensorStream(world, camera, {})), plain)
-
-
 def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn(monkeypatch):
     now = [10.0]
     world = World(SMALL, clock=lambda: now[0])
@@ -384,29 +348,3 @@ def test_previews_over_the_wire_go_on_with_the_same_sensor(camera, monkeypatch):
 
 
 # ---------------------------------------------------------------- temperature
-
-
-def test_the_reported_temperature_is_the_one_that_the_focal_length_follows():
-    config = bench_config({"thermal": {"room_c": 21, "warm_up_min": 10, "focal_ppm_per_c": 20}})
-    now = [50.0]
-    world = World(config.truth, clock=lambda: now[0])
-    camera = SimulatedEvk4(world)
-    camera.start()
-    try:
-        host = SimulatedEvk4Camera.open(
-            camera.address, clock=SystemClock(), utc_now=lambda: datetime.now(UTC)
-        )
-        reported = []
-        for on_s in (0.0, 600.0, 7200.0):
-            now[0] = 50.0 + on_s
-            reported.append(host.temperature_c())
-            law = 1.0 + 20e-6 * (reported[-1] - 41.5)
-            assert world.truth_at(now[0]).camera.fx == pytest.approx(config.truth.camera.fx * law, rel=1e-12)
-        host.close()
-    finally:
-        camera.close()
-    assert reported == [
-        21.0,
-        pytest.approx(21.0 + 18.0 * (1.0 - 0.36788), abs=0.006),
-        pytest.approx(39.0, abs=0.01),
-    ]

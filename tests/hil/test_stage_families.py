@@ -35,6 +35,18 @@ STOPS = {
 """What a request holds that stops an axis; a servo is told where to stand, and so is asked where it is first."""
 
 
+IDENTITIES = {
+    "zaber": ("Zaber", "device id 50958", "100101", "7.38"),
+    "ximc": ("XIMC", "8SMC5", "4242", "4.6.12"),
+    "esp": ("Newport", "URS75BCC", "SN1263", "ESP301 Version 3.0.1 6/1/99"),
+    "grbl": ("GRBL", "GRBL 1.1", "GIMBAL", "1.1h.20190830"),
+    "thorlabs": ("Thorlabs", "KDC101", "27000123", "2.0.3"),
+    "k10cr1": ("Thorlabs", "K10CR1", "27000123", "2.0.3"),
+    "dynamixel": ("Robotis", "XL430-W250 (id 1)", "", "45"),
+}
+"""Maker, model, serial number and firmware; a described stage tells what its description says."""
+
+
 class Interrupted(Exception):
     """What a run's clock raises when the operator aborts."""
 
@@ -49,7 +61,8 @@ def rig(request) -> DirectStage:
 def test_a_stage_is_identified_homed_and_moved(rig) -> None:
     (axis,) = rig.stage.identify()
     assert axis.name == "pan"
-    assert axis.maker
+    told = (axis.maker, axis.model, axis.serial, axis.firmware)
+    assert told == IDENTITIES.get(rig.family, ("FLIR", "E series pan-tilt unit", "E1042", axis.firmware))
     assert not rig.stage.is_homed()
     with pytest.raises(NotHomed):
         rig.stage.move_to({"pan": 1.0})
@@ -70,6 +83,7 @@ def test_closing_moves_nothing(rig) -> None:
     rig.stage.home()
     rig.stage.move_to({"pan": 5.0})
     rig.stage.close()
+    assert rig.line.closed
     rig.line.clock.sleep(5.0)
     assert rig.present_deg() == pytest.approx(5.0, abs=0.002)
 

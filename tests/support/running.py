@@ -110,14 +110,3 @@ def numbers(folder: Path) -> dict:
         "images": images,
         "accepted": [sum(a["accepted"] for a in pose["attempts"]) for pose in told["poses"]],
     }
-
-
-def end_at(process: subprocess.Popen[str], after_s: float) -> bool:
-    """Kill a process after some time; tell whether it was still running."""
-    try:
-        process.communicate(timeout=after_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate(timeout=PATIENCE_S)
-        return True
-    return False

@@ -86,13 +86,6 @@ def test_opening_moves_nothing_and_programs_the_controller(bench) -> None:
     assert not bench.pan.motor_on
 
 
-def test_identity_is_what_the_controller_says(bench) -> None:
-    pan, tilt = bench.open().identify()
-    assert (pan.name, pan.maker, pan.model, pan.serial) == ("pan", "Newport", "URS75CC", "SN1263")
-    assert pan.firmware == "ESP301 Version 3.0.1 6/1/99"
-    assert tilt.serial == "SN1264"
-
-
 def test_homing_powers_the_motors_first(bench) -> None:
     stage = bench.open()
     assert stage.faults() == ["pan: motor off", "tilt: motor off"]

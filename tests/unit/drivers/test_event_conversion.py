@@ -175,16 +175,6 @@ def test_the_encoder_takes_no_event_that_would_become_another(x, y, p, words):
         Evt3Encoder().words(event, empty_triggers(0))
 
 
-def test_a_serial_number_that_looks_like_the_header_s_end_does_no_harm(raw, tmp_path):
-    convert(raw, tmp_path / "a.h5", "hdf5", utc_now=lambda: NOW)
-    with h5py.File(tmp_path / "a.h5", "r+") as file:
-        file["header"].attrs["serial_number"] = "7\n% end\n"
-    convert(tmp_path / "a.h5", tmp_path / "a.raw", "raw", utc_now=lambda: NOW)
-    again = RawFile.open(tmp_path / "a.raw")
-    assert again.serial == "7 % end"
-    assert same(again.read()[0], stream()[0])
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_folder_that_is_not_there_is_told(tmp_path, kind):
     with pytest.raises(RecordingFileError, match="cannot be written"):

@@ -133,14 +133,6 @@ def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
     assert not bench.wrote_settings()
 
 
-def test_identity_is_what_the_board_says(bench) -> None:
-    pan, tilt = bench.open(serial="gimbal-7").identify()
-    assert (pan.name, pan.maker, pan.serial, pan.firmware) == ("pan", "GRBL", "gimbal-7", "1.1h.20190830")
-    assert tilt.name == "tilt"
-    bench.board.name = "GIMBAL-7"  # as the board itself makes it
-    assert {axis.serial.lower() for axis in bench.open(serial="gimbal-7").identify()} == {"gimbal-7"}
-
-
 def test_axes_go_together_and_where_one_stands_already_is_a_move_too(bench) -> None:
     stage = bench.homed()
     for _ in range(2):

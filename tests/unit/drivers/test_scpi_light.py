@@ -28,12 +28,6 @@ def light(bench) -> ScpiLight:
 FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
 
 
-def test_identity_is_what_the_generator_says(light) -> None:
-    identity = light.identify()
-    assert (identity.maker, identity.model) == ("Keysight Technologies", "33250A")
-    assert (identity.serial, identity.firmware) == ("SG0042", "2.05-1.01-2.00-03-2")
-
-
 def test_another_serial_number_is_refused(bench) -> None:
     with pytest.raises(
         WrongDevice, match="serial SG0043, but Keysight Technologies 33250A with serial SG0042"

@@ -132,12 +132,6 @@ def test_opening_moves_nothing_and_programs_speed_and_borders(bench) -> None:
     assert struct.unpack("<BBihih6x", bench.settings(1, b"geds"))[2:6] == (-1120, 0, 1280, 0)
 
 
-def test_identity_is_what_the_controllers_say(bench) -> None:
-    pan, tilt = bench.open().identify()
-    assert (pan.name, pan.maker, pan.model) == ("pan", "XIMC", "8SMC5")
-    assert (pan.serial, pan.firmware, tilt.serial) == ("12345", "4.6.12", "12346")
-
-
 def test_the_reference_becomes_the_zero_and_moves_count_from_there(bench) -> None:
     stage = bench.open()
     assert not stage.is_homed()

@@ -38,12 +38,6 @@ def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
     assert bench.said("set") == []
 
 
-def test_identity_is_what_the_controllers_say(bench) -> None:
-    pan, tilt = bench.open().identify()
-    assert (pan.name, pan.maker, pan.model) == ("pan", "Zaber", "device id 50958")
-    assert (pan.serial, pan.firmware, tilt.serial) == ("100101", "7.38", "100102")
-
-
 def test_counter_zero_and_direction_are_the_station_files(bench) -> None:
     limits = AxisLimits(-5.0, 5.0, 10.0, 50.0)
     stage = bench.open(microsteps_per_deg=-SCALE, zero_deg=2.0, limits=limits)

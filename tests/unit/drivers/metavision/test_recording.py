@@ -55,19 +55,6 @@ def test_a_recording_holds_all_buffers_and_covers_the_time(device, camera, tmp_p
     assert recording.serial == SERIAL
 
 
-def test_the_stream_and_the_log_are_stopped_after_a_recording(device, camera, tmp_path):
-    camera.record(tmp_path / "pose.raw", 0.01)
-    stream = device.facilities["events_stream"]
-    assert not stream.running
-    assert stream.log is None
-
-
-def test_a_clock_that_starts_anew_between_recordings_does_not_end_one_early(device, camera, tmp_path):
-    camera.record(tmp_path / "a.raw", 0.5)
-    device.facilities["events_stream"].step = 0
-    assert camera.record(tmp_path / "b.raw", 0.02).duration_s >= 0.02
-
-
 def test_an_existing_file_is_never_overwritten(camera, tmp_path):
     path = tmp_path / "pose.raw"
     path.write_bytes(b"precious")
