@@ -121,6 +121,15 @@ def test_a_fault_of_an_axis_affects_that_axis_alone(bench: Bench, fault, after_a
     assert after_mending in bench.say("/1 1")
 
 
+def test_a_mended_axis_has_no_faults_to_come(bench: Bench):
+    for fault in ("stop_short", "idle_flicker times=100"):
+        bench.order(f"pan {fault}")
+    bench.order("pan mend")
+    bench.parts.lines["gimbal"].receive(b"/1 1 move abs 6400\n")
+    assert b"BUSY" in bench.parts.lines["gimbal"].receive(b"/1 1\n")
+    assert " 6400:" in bench.say("/1 1 get pos")
+
+
 def test_faults_of_a_line_stay_on_it(bench: Bench):
     bench.order("light lost count=0")
     assert bench.parts.lines["light"].receive(b"*IDN?\n") == b""

@@ -74,6 +74,13 @@ def test_a_cut_or_padded_reply_keeps_the_rest(kind, data, seed):
         )
 
 
+def test_an_unsolicited_message_is_sent_once():
+    one = Line()
+    one.line.say(b"!x\n")
+    assert one.line.unsolicited() == b"!x\n"
+    assert one.line.unsolicited() == b""
+
+
 def test_messages_are_skipped_and_counted():
     one = Line(LineFault("lost", skip=1, count=2))
     assert [one.ask(b"a") for _ in range(4)] == [b"A", b"", b"", b"A"]
