@@ -2,6 +2,7 @@
 
 import json
 from datetime import timedelta
+from itertools import product
 
 import numpy as np
 import pytest
@@ -109,19 +110,14 @@ def benches(folder, operators=("ada", "bob"), cameras=5, repeats=2, days=2, **fa
     true = rng.normal(0, 10, cameras)
     homes = []
     for name in ("a", "b"):
-        made, hour = BenchOfRuns(folder / name / "home", folder / name / "runs", station=f"Bench {name}"), 0
-        for camera in range(cameras):
-            for at, operator in enumerate(operators):
-                for repeat in range(repeats):
-                    hour += 1
-                    fx = 3345.0 + true[camera] + at + rng.normal(0, 0.5)
-                    begun = BEGIN + timedelta(days=repeat % days, minutes=hour)
-                    values = {
-                        **VALUES,
-                        **{n: VALUES[n] + rng.normal(0, 0.1) for n in ("fy", "cx", "cy", "k1", "k2")},
-                    }
-                    told = {"serial": f"0005000{camera}", "operator": operator, "limits": LIMITS, **facts}
-                    made.run(begun=begun, values={**values, "fx": fx}, **told)
+        made = BenchOfRuns(folder / name / "home", folder / name / "runs", station=f"Bench {name}")
+        shots = product(range(cameras), enumerate(operators), range(repeats))
+        for minute, (camera, (at, operator), repeat) in enumerate(shots, 1):
+            fx = 3345.0 + true[camera] + at + rng.normal(0, 0.5)
+            others = {n: VALUES[n] + rng.normal(0, 0.1) for n in ("fy", "cx", "cy", "k1", "k2")}
+            begun = BEGIN + timedelta(days=repeat % days, minutes=minute)
+            told = {"serial": f"0005000{camera}", "operator": operator, "limits": LIMITS, **facts}
+            made.run(begun=begun, values={**VALUES, **others, "fx": fx}, **told)
         homes.append(made.close())
     return [word for home in homes for word in ("--ledger", home)]
 

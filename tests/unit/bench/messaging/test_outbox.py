@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -144,17 +144,13 @@ def test_an_outbox_that_cannot_be_written_says_so(outbox):
         outbox.put(message(), ["mail"])
 
 
-@settings(max_examples=25)
-@given(
-    st.lists(
-        st.tuples(
-            st.sampled_from(["put", "deliver"]),
-            st.sampled_from(["a", "b"]),
-            st.sampled_from(["ok", "down", "die"]),
-        ),
-        max_size=12,
-    )
+EVENTS = st.tuples(
+    st.sampled_from(["put", "deliver"]), st.sampled_from(["a", "b"]), st.sampled_from(["ok", "down", "die"])
 )
+
+
+@settings(max_examples=25)
+@given(st.lists(EVENTS, max_size=12))
 def test_in_any_order_of_events_each_message_arrives_and_twice_only_where_it_says_so(
     tmp_path_factory, events
 ):
@@ -175,10 +171,8 @@ def test_in_any_order_of_events_each_message_arrives_and_twice_only_where_it_say
             outbox.put(message(key), ["mail"])
             known.add(key)
             continue
-        try:
+        with suppress(KeyboardInterrupt):
             outbox.deliver(send(how), NOW, all_waiting=True)
-        except KeyboardInterrupt:
-            continue
     assert set(arrived) == known
     doubled = {key for key in known if arrived.count(key) > 1}
     assert doubled <= {d.message.key for d in outbox.deliveries() if d.perhaps_twice}
