@@ -52,8 +52,7 @@ def commands_of(folder):
 
 
 def run(command, folder, lists, who="ada@lab.example"):
-    for name in ("allowed_signers", "revoked_keys", "tsa_certificates.pem"):
-        command = command.replace(f" {name}", f" {lists / name}")
+    command = re.sub(r" (allowed_signers|revoked_keys|tsa_certificates\.pem)", rf" {lists}/\1", command)
     command = command.replace("-I PERSON", f"-I {who}")
     done = subprocess.run(["sh", "-c", command], cwd=folder, capture_output=True, check=False, text=True)
     return done.returncode, done.stdout + done.stderr
