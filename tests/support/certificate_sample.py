@@ -98,34 +98,21 @@ def identity(**facts):
 
 def full_certificate() -> Certificate:
     """A certificate with everything in it, of the simulated run of `sample_results`."""
-    amends = Amends(
-        "SIMULATED-SB-2026-00016",
-        "ef" * 32,
-        "The customer's address was wrong.",
-        (Change("customer.address.street", "Mill Lane 2", "Mill Lane 3"),),
-    )
+    changes = (Change("customer.address.street", "Mill Lane 2", "Mill Lane 3"),)
+    reason = "The customer's address was wrong."
+    amends = Amends("SIMULATED-SB-2026-00016", "ef" * 32, reason, changes)
     made = compose(sample_results(), sample_lab().value, identity(amends=amends))
-    return dataclasses.replace(
-        made,
-        deviations=(
-            Deviation("Pose 4 (below) was skipped by the operator: too few stars.", "run"),
-            *made.deviations,
-        ),
-        before_adjustment=BeforeAdjustment(
-            "Certificate SB-2025-00104 of this laboratory",
-            "SB-2025-00104",
-            "2025-11-20",
-            "cd" * 32,
-            (ValueBefore("fx", 3345.1, 2.9, "px"), ValueBefore("k1", 0.051, None, "1")),
-            0.21,
-            0.74,
-        ),
-    )
+    skipped = Deviation("Pose 4 (below) was skipped by the operator: too few stars.", "run")
+    values = (ValueBefore("fx", 3345.1, 2.9, "px"), ValueBefore("k1", 0.051, None, "1"))
+    source = "Certificate SB-2025-00104 of this laboratory"
+    before = BeforeAdjustment(source, "SB-2025-00104", "2025-11-20", "cd" * 32, values, 0.21, 0.74)
+    return dataclasses.replace(made, deviations=(skipped, *made.deviations), before_adjustment=before)
 
 
 def small_certificate() -> Certificate:
     """The least that a certificate can have: of a real bench, without anything optional."""
     full = full_certificate()
+    nothing = dict.fromkeys(("deviations", "conformity", "customer_supplied", "external", "opinions"), ())
     return dataclasses.replace(
         full,
         title="Calibration certificate",
@@ -133,16 +120,12 @@ def small_certificate() -> Certificate:
         series="SB-{year}-{number:05d}",
         simulated=False,
         laboratory=dataclasses.replace(full.laboratory, accreditation=None),
-        deviations=(),
-        conformity=(),
         before_adjustment=None,
-        customer_supplied=(),
-        external=(),
-        opinions=(),
         amends=None,
         authorised_by=AuthorisedBy("Dr. Grace Hopper", "Head of laboratory", KEY),
         statements=tuple(one for one in full.statements if one.id not in ("simulated", "customer_data")),
         item=dataclasses.replace(full.item, customer_id=""),
+        **nothing,
     )
 
 
