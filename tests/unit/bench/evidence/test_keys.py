@@ -79,7 +79,7 @@ def test_a_protected_key_opens_with_its_passphrase_alone(tmp_path):
     assert load_key(tmp_path, ask_passphrase=lambda _: b"correct horse").fingerprint == made.fingerprint
     with pytest.raises(EvidenceError, match="wrong passphrase"):
         load_key(tmp_path, ask_passphrase=lambda _: b"battery staple")
-    with pytest.raises(EvidenceError, match="no terminal to ask"):
+    with pytest.raises(EvidenceError, match="protected by a passphrase, and there is no terminal to ask"):
         load_key(tmp_path)
 
 

@@ -54,6 +54,12 @@ def test_an_added_file_is_found(sealed, signers, name):
     assert kinds(verify_folder(sealed, signers)) == [("added", name)]
 
 
+def test_a_missing_file_is_found(sealed, signers):
+    (sealed / "results.json").unlink()
+    (fault,) = verify_folder(sealed, signers).to_dict()["faults"]
+    assert fault == {"kind": "missing", "where": "results.json", "what": "the file is missing"}
+
+
 def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
     (sealed / "results.json").write_bytes((sealed / "results.json").read_bytes().replace(b"run-1", b"run-2"))
     (sealed / "SHA256SUMS").write_bytes(make_manifest(sealed))

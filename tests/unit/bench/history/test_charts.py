@@ -13,6 +13,7 @@ from bench.history.chart_findings import (
     ChartRun,
     find_charts,
     group_runs,
+    needs_attention,
 )
 from bench.history.merged_runs import RunPlace
 from bench.records.run_facts import Estimate
@@ -95,6 +96,13 @@ def test_runs_in_no_chart_are_counted_and_named():
         "4 runs are in no chart: they have a value or an uncertainty that is no usable number (run-2, run-3, run-4, run-6).",
         "1 run is in no chart: it has no time of its begin (run-5).",
     ]
+
+
+def test_runs_in_control_are_said_to_be_so():
+    page = find_charts([steady(40, np.random.default_rng(2))])
+    assert page["groups"][0]["verdict"] == "In control. No significant drift."
+    assert chart_of(page)["verdict"].startswith("In control: all 40 runs lie within 33")
+    assert not needs_attention(page["groups"][0])
 
 
 def test_a_lasting_shift_an_outlier_and_a_drift_are_out_of_control():
