@@ -135,6 +135,11 @@ class DirectLine:
         self.closed = True
 
 
+def direct_line(device: Dialect, clock: VirtualClock) -> DirectLine:
+    """Plug a simulated device into a line of faults without faults yet."""
+    return DirectLine(FaultLine(device, clock.monotonic, np.random.default_rng(1)), clock)
+
+
 @dataclass
 class DirectStage:
     """A stage of one axis, pan, and what the simulated side of it can be told."""

@@ -11,10 +11,9 @@ import pytest
 from drivers.errors import ReplyError, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -126,7 +125,7 @@ def test_an_inverted_sync_output_of_a_simulated_generator_is_made_normal(maker, 
     generator = ScpiGenerator(model, clock.monotonic, states.append)
     generator.receive(f"OUTP1:SYNC:POL {inverted}\n".encode())
     assert states[-1].sync_line.inverted
-    line = DirectLine(FaultLine(generator, clock.monotonic, np.random.default_rng(1)), clock)
+    line = direct_line(generator, clock)
     light = ScpiLight(line, dialect="numbered", clock=clock)
     assert states[-1].sync_line.inverted  # opening sets nothing
     assert light.sync_polarity() == "normal"

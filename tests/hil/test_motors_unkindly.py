@@ -26,9 +26,9 @@ from tests.hil.direct_stages import (
     FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
-    DirectLine,
     DirectStage,
     VirtualClock,
+    direct_line,
     stop_in_mid_move,
 )
 
@@ -46,8 +46,8 @@ class Gimbal:
         self.more = {"counts_per_deg": scale, "limits": LIMITS, **more}
         mechanics = Mechanics(scale, -170.0, 170.0, start_deg=start_deg)
         self.bus = DynamixelBus({1: ServoModel(mechanics), 2: ServoModel(mechanics)}, self.clock.monotonic)
-        self.faults = FaultLine(self.bus, self.clock.monotonic, np.random.default_rng(1))
-        self.line = DirectLine(self.faults, self.clock)
+        self.line = direct_line(self.bus, self.clock)
+        self.faults = self.line.device
 
     def open(self, **more) -> DynamixelStage:
         axes = [
@@ -243,7 +243,7 @@ def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None
         Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4), 55000123, acceleration_deg_s2=5.0
     )
     controller = AptController(model, clock.monotonic)
-    line = DirectLine(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
+    line = direct_line(controller, clock)
     axis = ThorlabsAxis(
         name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
     )
@@ -290,20 +290,12 @@ def test_a_stop_of_a_controller_is_confirmed_though_it_is_lost_once(rig, lost) -
     assert rig.true_deg() == pytest.approx(rest, abs=1e-3)
 
 
-def test_updates_that_another_program_has_switched_on_are_no_trouble() -> None:
-    clock = VirtualClock()
-    model = AptModel(Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0), 55000123)
-    controller = AptController(model, clock.monotonic)
-    controller.receive(apt.short(0x0011))
-    line = DirectLine(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
-    axis = ThorlabsAxis(
-        name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
-    )
-    stage = ThorlabsStage([line], [axis], clock=clock)
-    stage.home()
-    controller.receive(apt.short(0x0011))
-    stage.move_to({"pan": 3.0})
-    assert stage.position_deg()["pan"] == pytest.approx(3.0, abs=1e-4)
+def test_updates_that_another_program_has_switched_on_are_no_trouble(rig) -> None:
+    rig.controller.receive(apt.short(0x0011))
+    rig.stage.home()
+    rig.controller.receive(apt.short(0x0011))
+    rig.stage.move_to({"pan": 3.0})
+    assert rig.stage.position_deg()["pan"] == pytest.approx(3.0, abs=1e-3)
 
 
 def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(rig) -> None:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-import numpy as np
-
 from drivers.light.scpi import DIALECTS, DialectName, ScpiLight
-from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
 from simulators.world.world import LightState
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 
 class Bench:
@@ -28,9 +25,7 @@ class Bench:
         else:
             model = GeneratorModel(numbered_channels=dialect == "numbered", **model)
             self.device = ScpiGenerator(model, *given)
-        self.line = DirectLine(
-            FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
-        )
+        self.line = direct_line(self.device, self.clock)
 
     def open(self, **changes) -> ScpiLight:
         return ScpiLight(self.line, clock=self.clock, **{"dialect": self.dialect, **changes})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 import pytest
 
 from drivers.errors import (
@@ -18,10 +17,9 @@ from drivers.errors import (
 )
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
-from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.esp301 import EspAxisModel, EspController
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -40,8 +38,7 @@ class Bench:
         mechanics = Mechanics(10_000.0, -22.0, 22.0, start_deg=3.0)
         models = [EspAxisModel(mechanics, one, -20.0, 20.0, "URS75CC") for one in ("1263", "1264")]
         self.controller = EspController(models, self.clock.monotonic)
-        faults = FaultLine(self.controller, self.clock.monotonic, np.random.default_rng(1))
-        self.line = DirectLine(faults, self.clock)
+        self.line = direct_line(self.controller, self.clock)
         self.pan, self.tilt = self.controller.axes[1], self.controller.axes[2]
 
     def open(self) -> EspStage:

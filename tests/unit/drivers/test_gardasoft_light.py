@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
-from simulators.faults.line_faults import FaultLine
 from simulators.lights.gardasoft import CONTINUOUS, GardasoftRt
 from simulators.world.world import LightState
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -25,9 +23,7 @@ class Bench:
         self.clock = VirtualClock()
         self.states: list[LightState] = []
         self.device = GardasoftRt(self.clock.monotonic, self.states.append, "RT260-20 (HW02) V031")
-        self.line = DirectLine(
-            FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
-        )
+        self.line = direct_line(self.device, self.clock)
 
     def open(self, **changes) -> GardasoftLight:
         return GardasoftLight(self.line, clock=self.clock, **changes)

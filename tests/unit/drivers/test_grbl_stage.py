@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from drivers.errors import (
@@ -25,11 +24,10 @@ from drivers.errors import (
 from drivers.stage import AxisLimits, grbl_controller
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.grbl_controller import parse_report
-from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel, Planner
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -54,9 +52,7 @@ class Bench:
         models = dict.fromkeys("XY", GrblAxisModel(mechanics, 40.0))
         self.board = GrblController(models, self.clock.monotonic)
         self.board.name = "gimbal-7"
-        self.line = DirectLine(
-            FaultLine(self.board, self.clock.monotonic, np.random.default_rng(1)), self.clock
-        )
+        self.line = direct_line(self.board, self.clock)
 
     def open(self, letters: str = "XY", serial: str = "") -> GrblStage:
         return GrblStage(self.line, axes(letters), serial=serial, clock=self.clock)

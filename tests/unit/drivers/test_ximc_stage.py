@@ -8,7 +8,6 @@ from __future__ import annotations
 import struct
 import time
 
-import numpy as np
 import pytest
 
 from drivers.errors import (
@@ -23,11 +22,10 @@ from drivers.errors import (
 from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.ximc_protocol import MoveSettings, check_data, crc16, move_data, request
-from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
 from tests.hil import mutated
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -56,10 +54,7 @@ class Bench:
             XimcController(XimcModel(mechanics, serial, -17.0, 17.0), self.clock.monotonic)
             for serial in (12345, 12346)
         ]
-        self.lines = [
-            DirectLine(FaultLine(one, self.clock.monotonic, np.random.default_rng(1)), self.clock)
-            for one in self.controllers
-        ]
+        self.lines = [direct_line(one, self.clock) for one in self.controllers]
 
     def open(self, **changes) -> XimcStage:
         return XimcStage(self.lines, axes(**changes), clock=self.clock)

@@ -5,14 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-import numpy as np
-
 from drivers.stage import AxisLimits
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import VirtualClock, direct_line
 from tests.hil.mutated import put
 
 SCALE = 1000
@@ -38,7 +35,7 @@ class Bench:
             for serial in ("100101", "100102")
         )
         chain = ZaberChain([self.pan, self.tilt], self.clock.monotonic)
-        self.line = DirectLine(FaultLine(chain, self.clock.monotonic, np.random.default_rng(1)), self.clock)
+        self.line = direct_line(chain, self.clock)
 
     def open(self, **changes) -> ZaberStage:
         return ZaberStage(self.line, axes(**changes), clock=self.clock)
