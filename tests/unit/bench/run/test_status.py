@@ -9,6 +9,7 @@ import pytest
 from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
+from bench.commands.status import follow
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.journal import Journal
@@ -165,6 +166,15 @@ def test_the_end_is_shown_once(run, how, why, told):
     run.tell(Event.ENTERING, state=how, pose=None)
     run.tell(Event.RUN_ENDED, how=how, why=why)
     assert [line[14:] for line in run.status().last[-2:]] == ["reporting", told]
+
+
+def test_following_shows_each_change_and_ends_with_the_run(run):
+    def sleep(_):
+        run.tell(Event.RUN_ENDED, how="finished", why="")
+        run.die()
+
+    shown = list(follow(run.path, sleep))
+    assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
