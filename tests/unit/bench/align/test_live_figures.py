@@ -132,12 +132,6 @@ def test_a_real_recording_without_a_flicker(light_on):
     assert image.any()
 
 
-def test_a_single_sync_pulse_is_no_measured_frequency():
-    _, figures = figures_of(REAL, SETTING)
-    assert figures.signal.trigger_hz is None
-    assert "60" not in " ".join(figures.advice)
-
-
 def random_words(path, x, y, count=200_000, polarity=None):
     """Write events at random times."""
     random = np.random.default_rng(1)

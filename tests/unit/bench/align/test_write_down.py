@@ -55,18 +55,6 @@ def test_zero_biases_and_light_change_only_their_own_lines(station):
     assert after.camera.biases.bias_fo == -5
 
 
-def test_the_same_directions_stay_allowed_after_a_new_zero(station):
-    before = load_station(str(station)).value
-    values, _ = station_values(before, position_deg={"pan": 2.0, "tilt": -1.0})
-    propose = propose_values(station, values, Station)
-    propose.write(propose.mark)
-    after = load_station(str(station)).value
-    for name in ("pan", "tilt"):  # an angle less its zero is the counter, which knows no bench
-        old, new = before.axes[name], after.axes[name]
-        counters = [[limit - axis.zero_deg for limit in axis.limits_deg] for axis in (old, new)]
-        assert counters[0] == pytest.approx(counters[1])
-
-
 def test_a_copy_of_a_practice_bench_keeps_what_the_hands_have_set(tmp_path):
     source = SHIPPED_STATIONS / "simulated_unaligned.yaml"
     seen = {"focus_distance_m": 3.86123, "f_number": 2.8, "turn_deg": [0.0, 0.0, 10.0], "ring_deg": 8.9}

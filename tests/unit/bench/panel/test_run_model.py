@@ -73,24 +73,6 @@ def test_a_pose_is_at_work_until_the_next_one(run):
     assert _states(model) == ["planned"] * 3
 
 
-def test_a_page_gets_only_what_changed_after_its_line(run):
-    run.record(1)
-    model = _read(run)
-    line = model.lines
-    assert model.changed_rows(line) == []
-    assert model.log_after(line, 100) == []
-    run.record(2)
-    model.refresh()
-    assert [row["number"] for row in model.changed_rows(line)] == [2]
-    log = model.log_after(line, 100)
-    assert all(entry["line"] > line for entry in log)
-    assert log[-1]["text"] == "attempt 1 at pose 2: accepted"
-    assert log[-1]["tone"] == "good"
-    before = model.log_before(log[0]["line"], 2)
-    assert len(before) == 2
-    assert before[-1]["line"] < log[0]["line"]
-
-
 def test_the_head_counts(run):
     run.record(1)
     run.record(2, accepted=False)

@@ -7,7 +7,7 @@ import pytest
 from filled_stations import filled_example
 from station_texts import PLAIN
 
-from bench.base.clock import Aborted, VirtualClock
+from bench.base.clock import VirtualClock
 from bench.plan.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
 from bench.rehearsal.virtual_devices import FIRST_LINE, VirtualDevices, read_view
 from bench.stations.station import Station
@@ -90,14 +90,3 @@ def test_a_station_of_real_devices_is_rehearsed_by_its_expected_section(clock):
     held = VirtualDevices(real, seed=1, clock=clock)
     assert held.truth()["camera"]["fx"] == real.expected.focal_px
     assert held.camera.identify().serial == "00051234"
-
-
-def test_virtual_devices_are_made_safe_and_a_stop_ends_a_wait(clock):
-    held = devices(clock)
-    assert held.make_safe() == []
-    clock.request_stop("enough")
-    with pytest.raises(Aborted, match="enough"):
-        held.stage.home()
-    with clock.shielded():
-        held.light.off()
-    held.close()

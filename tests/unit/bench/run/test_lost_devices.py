@@ -166,25 +166,6 @@ def test_what_each_device_confirmed_stands_before_the_results(tmp_path):
     assert entered[-1] == "parking"
 
 
-def test_a_light_that_does_not_confirm_may_be_on_in_the_report(tmp_path):
-    scene = Scene(tmp_path, poses=TWO, end=END)
-
-    def hook(name):
-        if name == "light.off" and "stage.stop" in scene.calls:  # asked after the last step, not by one
-            raise LightFault("the output reads on.", where="COM1", remedy="Switch it off by hand.")
-
-    scene.hook = hook
-    scene.run()
-    assert left(scene)["light"][0] == "not confirmed"
-    told = scene.told(Event.DEVICES_LEFT)[0]["devices"]
-    rows = {device: (state, said) for device, state, said in run_tables.left(told)}
-    assert rows["light"][0] == "not confirmed"
-    assert rows["light"][1].endswith("The light may be on.")
-    assert "the output reads on" in rows["light"][1]
-    assert rows["stage"][0] == "confirmed safe"
-    assert "may" not in rows["stage"][1]
-
-
 def test_a_run_that_needs_no_further_step_states_it_at_its_end_only(tmp_path):
     scene = Scene(tmp_path, poses=TWO)
     assert scene.run().how == "finished"
