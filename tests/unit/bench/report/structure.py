@@ -17,7 +17,9 @@ class Structure(HTMLParser):
     @property
     def links(self):
         """What the page loads or leads to."""
-        return [value for _, name, value in self.attributes if name in {"src", "href", "xlink:href"} and value]
+        return [
+            value for _, name, value in self.attributes if name in {"src", "href", "xlink:href"} and value
+        ]
 
     def handle_starttag(self, tag, attrs):
         self.handle_startendtag(tag, attrs)

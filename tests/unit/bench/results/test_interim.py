@@ -61,7 +61,7 @@ class HistoryOf(History):
         super().__init__()
         for index in accepted:
             stored = {"measured_deg": {"pan": float(index), "tilt": 0.0}}
-            self._accepted[index] = SimpleNamespace(stored=stored, pose_index=index)
+            self.add(SimpleNamespace(stored=stored, pose_index=index, accepted=True))
         self.worked_s = {5: worked_s, 1: 1000.0}
         poses = [{"pose": 4 + i, "angles_deg": {"pan": 9.0 - i, "tilt": 0.0}} for i in range(chosen)]
         self.decisions = [{"step": 0, "until": 2, "until_last": 999, "chosen": pose} for pose in poses]
