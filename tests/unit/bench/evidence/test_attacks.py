@@ -5,11 +5,11 @@ and list are right; so ``-`` means that no stock program shows it, and the other
 could compare by hand.
 """
 
-import shutil
 import subprocess
 from dataclasses import dataclass
 
 import pytest
+from authorising import needs_ssh_keygen
 
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
@@ -182,20 +182,16 @@ def test_a_resealed_change_is_found(forger, trusted, attack):
 # ------------------------------------------------------------------ stock programs
 
 
-@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
+@needs_ssh_keygen
 def test_stock_programs_accept_what_was_resealed(forger, trusted, bench_home):
     """The list and its signature are right again, so ssh-keygen and sha256sum cannot tell."""
     edit("results.json", '"operator": "Ada"', '"operator": "Eve"')(forger)
     forger.seal()
-    signers = bench_home / "allowed_signers"
-    commands = [
-        (
-            f"ssh-keygen -Y verify -f {signers} -I {trusted[0].principal} -n starbench-report@v1"
-            " -s SHA256SUMS.sig < SHA256SUMS"
-        ),
+    who = f"-f {bench_home / 'allowed_signers'} -I {trusted[0].principal} -n starbench-report@v1"
+    for command in (
+        f"ssh-keygen -Y verify {who} -s SHA256SUMS.sig < SHA256SUMS",
         "sha256sum --strict --quiet -c SHA256SUMS",
-    ]
-    for command in commands:
+    ):
         done = subprocess.run(["sh", "-c", command], cwd=forger.folder, capture_output=True, check=False)
         assert done.returncode == 0, done.stderr
     assert not checked(forger.folder, trusted).ok
