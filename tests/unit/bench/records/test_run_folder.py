@@ -86,6 +86,10 @@ def test_no_permission_is_told(tmp_path, monkeypatch):
 
 
 def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(run_folder_module, "RESERVE_BYTES", 10**15)
+        with pytest.raises(StorageError, match="Make room"):
+            RunFolder.create(tmp_path / "run")
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=5_000_000))
     with pytest.raises(StorageError, match=r"needs 80 MB, but the disk has only 5 MB left"):
         RunFolder.create(tmp_path / "run", bytes_needed=80_000_000)
@@ -93,9 +97,8 @@ def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
 
 def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(run, journal):
     def second():
-        return subprocess.run(
-            [sys.executable, "-c", HOLD, run.path], capture_output=True, text=True, check=False
-        )
+        command = [sys.executable, "-c", HOLD, run.path]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
 
     refused = second()
     assert refused.returncode != 0
@@ -109,20 +112,18 @@ def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(ru
     assert accepted.returncode == 0, accepted.stderr
 
 
-@pytest.mark.parametrize("what", ["absent", "no journal", "sealed"])
-def test_what_cannot_be_gone_on_with_is_refused(tmp_path, what):
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [("absent", "no such run folder"), ("no journal", "not a run folder"), ("sealed", "finished and sealed")],
+)
+def test_what_cannot_be_gone_on_with_is_refused(tmp_path, what, says):
     path = tmp_path / "run"
-    words = {
-        "absent": "no such run folder",
-        "no journal": "not a run folder",
-        "sealed": "finished and sealed",
-    }
     if what != "absent":
         with RunFolder.create(path) as folder:
             if what == "sealed":
                 begin_journal(folder).close()
                 folder.write_atomic("SHA256SUMS.sig", b"signature")
-    with pytest.raises(RunFolderError, match=words[what]):
+    with pytest.raises(RunFolderError, match=says):
         RunFolder.open(path)
 
 
@@ -195,14 +196,12 @@ def test_a_capture_gets_its_name_when_whole_with_its_hash(run):
     assert (capture.size, capture.sha256[:8]) == (3, "ba7816bf")  # FIPS 180-2, appendix B.1
 
 
-def test_a_file_its_folder_and_the_folder_s_name_are_synced(run, synced):
+def test_a_file_its_folder_and_the_names_of_new_folders_are_synced(run, tmp_path, synced):
     run.write_atomic("exports/camera.yaml", b"new")
     assert synced == [run.path, run.path / "exports/.camera.yaml.tmp", run.path / "exports"]
-
-
-def test_the_names_of_new_folders_are_synced(tmp_path, synced):
-    RunFolder.create(tmp_path / "runs" / "one").close()
-    assert synced[:2] == [tmp_path, tmp_path / "runs"]
+    synced.clear()
+    RunFolder.create(tmp_path / "more" / "one").close()
+    assert synced[:2] == [tmp_path, tmp_path / "more"]
 
 
 def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch):
@@ -233,12 +232,9 @@ def test_a_capture_is_never_written_over(run):
     assert (run.path / capture_name(1, 1)).read_bytes() == b"first"
 
 
-def test_a_part_left_by_an_earlier_try_is_removed(run):
+def test_a_part_left_by_an_earlier_try_is_removed_and_nothing_is_no_capture(run):
     run.capture_part_path(1, 1).write_bytes(b"half")
     assert not run.capture_part_path(1, 1).exists()
-
-
-def test_committing_what_was_not_recorded_is_an_error(run):
     with pytest.raises(StorageError, match="pose-001-attempt-1"):
         run.commit_capture(1, 1)
 
@@ -301,12 +297,6 @@ def test_temporary_files_of_reports_go(run, journal):
     recover(run, journal)
     assert visible(run.path) == ["journal.jsonl"]
     assert not (run.path / ".results.json.tmp").exists()
-
-
-def test_the_reserve_s_size_counts_as_needed(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_folder_module, "RESERVE_BYTES", 10**15)
-    with pytest.raises(StorageError, match="Make room"):
-        RunFolder.create(tmp_path / "run")
 
 
 def test_work_is_seen_to_go_on_while_a_long_recording_is_hashed(run):

@@ -37,25 +37,20 @@ def calibration(lens):
     camera = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), distortion)
     rotations = np.stack([cv2.Rodrigues(np.array(v))[0] for v in ([0.0, 0.1, 0.0], [0.05, 0.0, -0.2])])
     names = (*camera.parameter_names, "x", "y", "r")
+    place = [96.0, 144.0, 255.0]
+    views = (ViewSummary("left", 300, 0.08, 0.07), ViewSummary("right", 310, 0.082, 0.07))
+    fit = {"rms_px": 0.081, "mean_px": 0.07, "variance_factor": 1.0, "degrees_of_freedom": 100}
     return Calibration(
         model="spherical",
         camera=camera,
-        collimator=Collimator(96.0, 144.0, 255.0),
+        collimator=Collimator(*place),
         rotations=rotations,
         centres=np.array([[96.0, 144.0, -255.0]] * 2),
         parameter_names=names,
-        values=np.array([*camera.values, 96.0, 144.0, 255.0]),
+        values=np.array([*camera.values, *place]),
         covariance=np.diag(np.arange(1.0, len(names) + 1)),
-        residuals_px=[],
-        weights=[],
-        rms_px=0.081,
-        mean_px=0.07,
-        variance_factor=1.0,
-        degrees_of_freedom=100,
-        views=(ViewSummary("left", 300, 0.08, 0.07), ViewSummary("right", 310, 0.082, 0.07)),
-        converged=True,
-        iterations=5,
-    )
+        residuals_px=[], weights=[], views=views, converged=True, iterations=5, **fit,
+    )  # fmt: skip
 
 
 def by_opencv(fx, fy, cx, cy, coefficients, *, fisheye=False):
@@ -205,13 +200,12 @@ def test_kalibr_gets_four_coefficients_that_project_as_the_lens_does(lens):
     wanted = calibration(lens).camera
     text = kalibr_camchain(calibration(lens), "c")
     assert text.startswith(b"# Kalibr's radtan has no k3.")
-    camera = yaml.safe_load(text)["cam0"]
-    (fx, fy, cx, cy), coefficients = camera["intrinsics"], camera["distortion_coeffs"]
-    matrix = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    _, fx, fy, cx, cy, coefficients = of_kalibr(text)
     corners = wanted.rays(
         np.array([[0.0, 0.0], [1279.0, 0.0], [0.0, 719.0], [1279.0, 719.0], [640.0, 360.0]])
     )
-    image, _ = cv2.projectPoints(corners, np.zeros(3), np.zeros(3), np.array(matrix), np.array(coefficients))
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    image, _ = cv2.projectPoints(corners, np.zeros(3), np.zeros(3), matrix, np.array(coefficients))
     np.testing.assert_allclose(image[:, 0], wanted.project(corners), atol=0.05)
 
 
@@ -267,8 +261,9 @@ def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
     assert yaml.safe_load(files["ros_camera_info.yaml"])["camera_name"] == told
     assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["rostopic"] == f"/{told}/events"
     assert json.loads(files["metavision.json"])["camera_name"] == told
-    assert ast.literal_eval(files["mrcal.cameramodel"].decode())["imagersize"] == [1280, 720]
     assert len(files["colmap_cameras.txt"].decode().splitlines()) == 3
+    for format_name, read in READERS.items():
+        assert read(files[format_name])[1] == 3345.06
 
 
 def test_the_same_calibration_gives_the_same_bytes():
