@@ -91,15 +91,15 @@ def test_a_rotated_camera_is_the_same_camera_and_a_longer_one_is_not():
 
 
 def test_statistics_are_those_of_the_rows_and_failures_are_named():
-    chosen = spec(repetitions=4)
-    rows = [row("ours", n, error) for n, error in enumerate((3.0, -1.0, 1.0, -3.0))]
-    rows += [row("Zhang", n, 10.0) for n in range(3)]
-    rows += [{"column": "Zhang", "repetition": 3, "error": "no board", "images_cpu_s": 1.0}]
-    rows += [{"column": "board", "repetition": n, "error": "no board", "images_cpu_s": 1.0} for n in range(4)]
+    chosen, off = spec(repetitions=4), (3.0, -1.0, 1.0, -3.0)
+    failed = {"error": "no board", "images_cpu_s": 1.0}
+    rows = [row("ours", n, error) for n, error in enumerate(off)]
+    rows += [*(row("Zhang", n, 10.0) for n in range(3)), {"column": "Zhang", "repetition": 3, **failed}]
+    rows += [{"column": "board", "repetition": n, **failed} for n in range(4)]
     summary = summarise(chosen, rows)
     ours, zhang, board = summary["columns"]
     assert ours["parameters"]["fx"]["rms_error"] == pytest.approx(np.sqrt(5.0))
-    assert ours["parameters"]["fx"]["spread"] == pytest.approx(np.std([3, -1, 1, -3], ddof=1))
+    assert ours["parameters"]["fx"]["spread"] == pytest.approx(np.std(off, ddof=1))
     assert ours["coverage"]["fx"] == 0.5
     assert ours["direction_worst_urad"] == 60.0
     assert (zhang["solved"], zhang["failed"]) == (3, [{"why": "no board", "times": 1}])
@@ -173,13 +173,16 @@ def test_a_board_that_does_not_fit_is_named_in_its_row():
 
 def test_one_image_needs_a_known_collimator(tmp_path):
     file = tmp_path / "spec.yaml"
-    text = "format: starbench/comparison/1\nname: x\ncolumns:\n  - {name: a, method: METHOD, images: 1MORE}\n"
+
+    def read(method, more):
+        column = f"{{name: a, method: {method}, images: 1{more}}}"
+        file.write_text(f"format: starbench/comparison/1\nname: x\ncolumns:\n  - {column}\n")
+        return read_spec(str(file))
+
     for method, more in (("starbench", ""), ("zhang", ", known_collimator: true")):
-        file.write_text(text.replace("METHOD", method).replace("MORE", more))
         with pytest.raises(ScriptError, match="two images or more"):
-            read_spec(str(file))
-    file.write_text(text.replace("METHOD", "starbench").replace("MORE", ", known_collimator: true"))
-    (column,) = read_spec(str(file)).value.columns
+            read(method, more)
+    (column,) = read("starbench", ", known_collimator: true").value.columns
     assert recordings_key(column) != recordings_key(column.model_copy(update={"known_collimator": None}))
 
 

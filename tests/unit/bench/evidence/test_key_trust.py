@@ -103,35 +103,30 @@ def test_the_moment_of_a_key(case, accepted, says):
 def test_an_unknown_key_and_another_purpose():
     moments = Moments(day(0), None, None, day(0), day(0))
     assert "not in the list" in judge_key(KEY, NAMESPACE, Trust(), moments).fault
-    other = Trust((Signer("b@l", KEY, ("git",)),))
-    assert (
-        judge_key(KEY, NAMESPACE, other, moments).fault == f"the key is trusted for git, not for {NAMESPACE}"
-    )
+    other = judge_key(KEY, NAMESPACE, Trust((Signer("b@l", KEY, ("git",)),)), moments)
+    assert other.fault == f"the key is trusted for git, not for {NAMESPACE}"
 
 
 def test_one_of_several_lines_of_a_key_is_enough():
-    lines = (
-        Signer("b@l", KEY, (NAMESPACE,), None, day(3)),
-        Signer("b@l", KEY, (NAMESPACE,), day(5), None),
-    )
+    lines = tuple(Signer("b@l", KEY, (NAMESPACE,), *span) for span in ((None, day(3)), (day(5), None)))
     for number, accepted in ((2, True), (4, False), (6, True)):
         moments = Moments(day(9), None, None, day(number), day(number))
         assert (judge_key(KEY, NAMESPACE, Trust(lines), moments).principal is not None) is accepted
 
 
 @pytest.mark.parametrize(
-    ("patterns", "namespace", "may"),
+    ("patterns", "may"),
     [
-        (("starbench-*",), NAMESPACE, True),
-        (("starbench-report@v?",), NAMESPACE, True),
-        (("starbench-*", "!starbench-report@v1"), NAMESPACE, False),
-        (("!git",), NAMESPACE, False),
-        (("STARBENCH-report@v1",), NAMESPACE, False),
-        (("[s]*",), NAMESPACE, False),
+        (("starbench-*",), True),
+        (("starbench-report@v?",), True),
+        (("starbench-*", "!starbench-report@v1"), False),
+        (("!git",), False),
+        (("STARBENCH-report@v1",), False),
+        (("[s]*",), False),
     ],
 )
-def test_patterns_are_those_of_ssh(patterns, namespace, may):
-    assert Signer("b@l", KEY, patterns).may_sign(namespace) is may
+def test_patterns_are_those_of_ssh(patterns, may):
+    assert Signer("b@l", KEY, patterns).may_sign(NAMESPACE) is may
 
 
 TIMES = [
@@ -264,12 +259,10 @@ def test_a_key_that_was_replaced_during_a_run_is_loaded_again(tmp_path):
 
 
 def test_a_clock_that_was_set_back_is_told(tmp_path):
-    now = datetime.now(UTC)
     create_key(tmp_path / "home")
-    rotate(tmp_path / "home", now, passphrase=None, keep_old=False)
-    with pytest.raises(
-        EvidenceError, match=r"not valid before.*Check the clock of this computer: it is 2001-02-03"
-    ):
+    rotate(tmp_path / "home", datetime.now(UTC), passphrase=None, keep_old=False)
+    told = r"not valid before.*Check the clock of this computer: it is 2001-02-03"
+    with pytest.raises(EvidenceError, match=told):
         usable_key(tmp_path / "home", datetime(2001, 2, 3, tzinfo=UTC))
 
 

@@ -71,9 +71,10 @@ def test_a_ledger_named_twice_and_an_older_copy_count_once(tmp_path, two):
 
 
 def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
-    shutil.rmtree(tmp_path / "a" / "runs" / "run-00002")
-    shutil.rmtree(tmp_path / "a" / "runs" / "run-00003")
-    shutil.copytree(tmp_path / "b" / "runs" / "run-00001", tmp_path / "a" / "runs" / "run-00003")
+    runs = tmp_path / "a" / "runs"
+    for name in ("run-00002", "run-00003"):
+        shutil.rmtree(runs / name)
+    shutil.copytree(tmp_path / "b" / "runs" / "run-00001", runs / "run-00003")
     merged = merge(tmp_path, two[0])
     missing, other = merged.faults
     assert missing.startswith("run 2 of home (run-00002, finished): its folder ")
@@ -81,9 +82,8 @@ def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
     assert "now holds another run (number 1)" in other
     assert [run.id for run in merged.runs] == ["run-00001", "run-00001"]
     assert [merged.places[run.folder].state for run in merged.runs] == [IN_LEDGER, NOT_IN_LEDGER]
-    assert merged.notes == [
-        f"1 run names a ledger that was not given: {tmp_path / 'a' / 'runs' / 'run-00003'}. Name it with --ledger."
-    ]
+    unknown = f"1 run names a ledger that was not given: {runs / 'run-00003'}. Name it with --ledger."
+    assert merged.notes == [unknown]
 
 
 def test_folders_that_were_copied_elsewhere_are_found_by_their_line(tmp_path, two):
@@ -95,15 +95,13 @@ def test_folders_that_were_copied_elsewhere_are_found_by_their_line(tmp_path, tw
 
 
 def test_a_copy_counts_once_and_a_copy_with_another_content_is_a_fault(tmp_path, two):
-    first = tmp_path / "a" / "runs" / "run-00001"
-    for name in ("same", "journal", "results"):
-        shutil.copytree(first, tmp_path / "copies" / name)
-    journal = tmp_path / "copies" / "journal" / "journal.jsonl"
+    first, copies = tmp_path / "a" / "runs" / "run-00001", tmp_path / "copies"
+    same, other, results = (shutil.copytree(first, copies / name) for name in ("same", "journal", "results"))
+    journal = other / "journal.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
-    (tmp_path / "copies" / "results" / "results.json").write_text("{}")
-    merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "copies"))
+    (results / "results.json").write_text("{}")
+    merged = merge(tmp_path, two[0], folders=run_folders(copies))
     assert [run.folder for run in merged.runs if run.id == "run-00001"] == [str(first)]
-    same, other, results = (tmp_path / "copies" / name for name in ("same", "journal", "results"))
     assert merged.notes == [
         f"{same} is the same run as {first}: journal, results and seal are equal. It counts once."
     ]
