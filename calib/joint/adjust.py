@@ -15,7 +15,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
-from calib.joint.layout import POSE_PLACES, RIM, Layout
+from calib.joint.layout import RIM, Layout
 from calib.joint.marginal import Problem
 from calib.joint.pupils import Pupils, rims_and_pupils
 from calib.joint.readings import Readings
@@ -89,7 +89,7 @@ def posed(
     for name in layout.gimbal:
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
-    hyper = amp.hyperprior(options.parallax_sigma)
+    hyper = amp.hyperprior(options.parallax_sigma, discs=bool(discs))
     blocks = layout.random_blocks(hyper, knowledge.in_passport, parallax_known=knowledge.parallax_known)
     poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
@@ -106,7 +106,7 @@ def posed(
         tuple(discs),
     )
     gimbal = readings.start(start.rotations) if readings else None
-    state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
+    state = State(shared, np.zeros((bench.n_poses, len(layout.pose_places))), start.rotations, gimbal)
     return Problem(bench, knowledge, blocks, hyper, pupils), state
 
 

@@ -27,7 +27,7 @@ TURN = tuple(f"field by turn, degree {d}" for d in range(1, TURN_DEGREE + 1))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(TURN_2_DEGREE + 1))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
 SCALE_TURN_2 = "scale by turn squared"
-PARALLAX, TANGENTIAL, PRISM, RIM = "parallax", "tangential", "prism", "rim"
+PARALLAX, TANGENTIAL, PRISM, RIM, DISCS = "parallax", "tangential", "prism", "rim", "discs"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
 
@@ -76,6 +76,7 @@ FAMILIES = (
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 0.3, 0.0),
     Family((RIM,), (2e-3,), 1.3, 0.0),
+    Family((DISCS,), (1.0,), 0.3, 0.0),  # Errors of the visible discs over those that their fit states
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
 _REACH = 3.0
@@ -114,19 +115,22 @@ class Hyperprior:
         return np.array([self.names.index(name) for name in names], np.int64)
 
 
-def hyperprior(parallax_sigma: float, known: Mapping[str, tuple[float, float]] | None = None) -> Hyperprior:
+def hyperprior(
+    parallax_sigma: float, known: Mapping[str, tuple[float, float]] | None = None, *, discs: bool = False
+) -> Hyperprior:
     """Return the hyperprior.
 
     Half of ``parallax_sigma``, a share of r for large radial terms, is typical; ``known`` are medians and 1-sigma of
-    the logarithm of amplitudes that a station states.
+    the logarithm of amplitudes that a station states. ``discs``: whether visible discs count.
     """
-    names = tuple(name for family in FAMILIES for name in family.names)
-    mean = np.log([median for family in FAMILIES for median in family.medians])
+    families = FAMILIES if discs else FAMILIES[:-1]
+    names = tuple(name for family in families for name in family.names)
+    mean = np.log([median for family in families for median in family.medians])
     mean[names.index(PARALLAX)] += np.log(parallax_sigma)
-    glass = np.array([family.glass for family in FAMILIES for _ in family.names])
+    glass = np.array([family.glass for family in families for _ in family.names])
     covariance = np.outer(glass, glass)
     begin = 0
-    for family in FAMILIES:
+    for family in families:
         own = slice(begin, begin + len(family.names))
         covariance[own, own] = family.covariance
         begin = own.stop

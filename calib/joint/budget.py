@@ -48,7 +48,8 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
             found[group] = found.get(group, 0.0) + weight * own
     away = (posterior.means - posterior.mean) @ gradients.T
     if posterior.pupils is not None:
-        found[names.PUPILS] = ((gradients @ posterior.pupils) * gradients).sum(axis=1)
+        spread = ((gradients @ posterior.pupils) * gradients).sum(axis=1)
+        found[names.PUPILS] = found.get(names.PUPILS, 0.0) + spread
     found[names.AMPLITUDES] = posterior.counted @ away**2
     return found
 
@@ -63,7 +64,11 @@ def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Arra
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
     found = {names.STARS: stars / squares[hyper.at(amp.STAR)]}
     own = marginal.problem.own_information(squares)
-    found[names.POSE_FIELDS] = (own[None, :, None] * fields**2).sum(axis=(0, 1))
+    rows = [
+        names.PUPILS if hyper.names[at] == amp.DISCS else names.POSE_FIELDS
+        for at in marginal.problem.pose_amplitudes
+    ]
+    _add(found, rows, own[:, None] * (fields**2).sum(axis=0))
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled

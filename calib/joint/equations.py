@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.joint.fields import COEFFICIENTS
 from calib.joint.layout import RIM_POWERS, Layout
 from calib.joint.readings import Readings
 from calib.model.camera import CameraModel
@@ -65,7 +66,9 @@ class ViewStars:
     whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
     polynomials: Array  # (N, K)
     rim: Array  # (N, 2, R) displacements about the visible disc, in units of r
-    rho: Array  # (N,) distance from the middle of the visible disc, in its radii; 0 without a disc
+    middle: Array  # (N, 2, R, 2) their change by the middle of the disc, in its sigmas
+    sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
+    rim_noise: Array  # (N,) what 1 px of noise at the rim adds, over the stated noise; 0 without a disc
 
     def whitened(self, values: Array) -> Array:
         """Return (N, 2, ...) values of the image times the whitening."""
@@ -75,18 +78,25 @@ class ViewStars:
     def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
         """Return the fixed part of a view. disc: Where the layout has displacements about it."""
         whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2))
-        rim, rho = np.zeros((len(view), 2, len(layout.rim))), np.zeros(len(view))
+        sigma_px = np.linalg.det(whitening) ** -0.5
+        rim, rim_noise = np.zeros((len(view), 2, len(layout.rim))), np.zeros(len(view))
+        middle = np.zeros((*rim.shape, 2))
         if disc is not None:
             away = view.target_mm - disc.centre_mm
             rho = np.minimum(np.hypot(*away.T) / disc.radius_mm, _BEYOND)
-            rim = (away / layout.basis.reference[2])[:, :, None] * (rho[:, None] ** RIM_POWERS)[:, None]
-            rim = rim[:, :, : len(layout.rim)]
+            powers = rho[:, None] ** RIM_POWERS / layout.basis.reference[2]
+            rim = away[:, :, None] * powers[:, None]
+            along = away / np.maximum(np.hypot(*away.T), _NOTHING)[:, None]
+            outwards = (along[:, :, None] * along[:, None])[:, :, None]
+            slopes = np.eye(2)[:, None] + RIM_POWERS[:, None] * outwards
+            middle = -powers[:, None, :, None] * slopes @ np.linalg.cholesky(disc.covariance_mm2)
+            rim_noise = rho**_RIM_NOISE_POWER / sigma_px
         polynomials = layout.basis.polynomials(view.target_mm)
-        return cls(view.target_mm, view.points_px, whitening, polynomials, rim, rho)
+        return cls(view.target_mm, view.points_px, whitening, polynomials, rim, middle, sigma_px, rim_noise)
 
-    def precision(self, rim_noise: float) -> Array:
-        """Return (N,) how precise stars are, 1 in the disc's middle; ``rim_noise`` is the c of the noise at its rim."""
-        return np.asarray(1.0 / (1.0 + (rim_noise * self.rho**_RIM_NOISE_POWER) ** 2))
+    def precision(self, rim_px: float) -> Array:
+        """Return (N,) how precise stars are, 1 in the disc's middle; ``rim_px`` is the noise that its rim adds."""
+        return np.asarray(1.0 / (1.0 + (rim_px * self.rim_noise) ** 2))
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,7 @@ class Equations:
     lengths: tuple[Array, ...]  # For each view (N,) whitened lengths of the residuals
     weights: tuple[Array, ...]  # For each view (N,) robust weights times its share and the precisions
     precisions: tuple[Array, ...]  # For each view (N,) of `ViewStars.precision`
-    rim_noise: float  # Their c
+    rim_px: float  # Noise that the rim adds, px
     shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
 
     @cached_property
@@ -167,7 +177,7 @@ class Bench:
         """Return (n, 2, K) the coefficients of each pose's field; the shift by the centre is in it."""
         whole = self.maps[:, self.layout.field :] @ state.shared
         whole[:, self.layout.pose_places - self.layout.field] += state.fields
-        return np.asarray(whole.reshape(self.n_poses, 2, -1))
+        return np.asarray(whole[:, :COEFFICIENTS].reshape(self.n_poses, 2, -1))
 
     def points(self, state: State) -> list[Array]:
         """Return for each view (N, 3) its displaced stars, from the centre, in the target's axes, mm."""
@@ -178,9 +188,14 @@ class Bench:
         """Return (N, 3) the displaced stars of a view, as `points`."""
         one, depth = self.stars[v], state.shared[self.layout.index["r"]]
         moved = one.polynomials @ fields[self.poses[v]].T
-        moved = moved + one.rim @ state.shared[self.layout.places(self.layout.rim)]
+        if self.layout.rim:
+            moved = moved + self._rim(v, state) @ state.shared[self.layout.places(self.layout.rim)]
         moved *= self.layout.basis.reference[2]
         return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
+
+    def _rim(self, v: int, state: State) -> Array:
+        """Return (N, 2, R) the displacements about the middle of a view's disc."""
+        return self.stars[v].rim + self.stars[v].middle @ state.fields[self.poses[v], -2:]
 
     def view_residuals(self, state: State, v: int) -> Array:
         """Return (N, 2) the residuals of one view, as `residuals`."""
@@ -232,12 +247,11 @@ class Bench:
     def linearised(self, state: State, limit: float, before: Equations | None = None) -> Equations:
         """Return the equations; ``limit`` is the stars' sigma over the stated one; weights are those of ``before``."""
         camera = self.camera(state.shared)
-        rim_noise = before.rim_noise if before else self._rim_noise(state)
-        precisions = tuple(one.precision(rim_noise) for one in self.stars)
+        rim_px = before.rim_px if before else self._rim_px(state)
+        precisions = tuple(one.precision(rim_px) for one in self.stars)
         weights = before.weights if before else self._weights(state, limit, precisions)
         found = [
-            self._view(v, points, state.rotations[v], camera, weights[v])
-            for v, points in enumerate(self.points(state))
+            self._view(v, points, state, camera, weights[v]) for v, points in enumerate(self.points(state))
         ]
         shares = before.shares if before else self._shares(found)
         found = found if before else [one.times(share) for one, share in zip(found, shares, strict=True)]
@@ -264,7 +278,7 @@ class Bench:
             tuple(one.lengths for one in found),
             tuple(one.weights for one in found),
             precisions,
-            rim_noise,
+            rim_px,
             shares,
         )
 
@@ -275,17 +289,18 @@ class Bench:
             for own, lengths in zip(precisions, self.whitened(state), strict=True)
         ]
 
-    def _rim_noise(self, state: State) -> float:
-        """Return the most probable size of the noise near the rims of the visible discs; 0 without discs."""
+    def _rim_px(self, state: State) -> float:
+        """Return the most probable noise, px, that the rims of the visible discs add; 0 without discs."""
         if not self.discs:
             return 0.0
         lengths = self.whitened(state)
         scaled = (np.concatenate(lengths) / robust_sigma(lengths)) ** 2
         costs = []
-        for size in _RIM_NOISES:
+        usual = float(np.median(np.concatenate([one.sigma_px for one in self.stars])))
+        for size in usual * _RIM_NOISES:
             own = np.concatenate([one.precision(size) for one in self.stars])
             costs.append(float(np.minimum(own * scaled, _LONGEST**2).sum()) - 2.0 * float(np.log(own).sum()))
-        return float(_RIM_NOISES[np.argmin(costs)])
+        return usual * float(_RIM_NOISES[np.argmin(costs)])
 
     def _shares(self, found: Sequence[_ViewEquations]) -> Array:
         """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.
@@ -312,10 +327,10 @@ class Bench:
         return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _view(
-        self, v: int, points: Array, rotation: Array, camera: CameraModel, weights: Array
+        self, v: int, points: Array, state: State, camera: CameraModel, weights: Array
     ) -> _ViewEquations:
         """Linearise the stars of one view. weights: (N,)."""
-        one, r_mm = self.stars[v], self.layout.basis.reference[2]
+        one, r_mm, rotation = self.stars[v], self.layout.basis.reference[2], state.rotations[v]
         in_camera = points @ rotation.T
         predicted, by_point, by_camera = camera.project_with_jacobians(in_camera)
         residual = one.whitened(one.points_px - predicted)
@@ -327,8 +342,12 @@ class Bench:
         columns = np.empty((len(points), 2, size + 4))
         columns[:, :, :k] = root[:, :, None] * one.whitened(by_camera)
         columns[:, :, k] = by_star[:, :, 2]
-        columns[:, :, k + 1 : self.layout.field] = r_mm * by_star[:, :, :2] @ one.rim
-        fields = columns[:, :, self.layout.field : size].reshape(len(points), 2, 2, -1)
+        if self.layout.rim:
+            rims = state.shared[self.layout.places(self.layout.rim)]
+            columns[:, :, k + 1 : self.layout.field] = r_mm * by_star[:, :, :2] @ self._rim(v, state)
+            by_middle = np.einsum("ncrd,r->ncd", one.middle, rims)
+            columns[:, :, self.layout.middle : size] = r_mm * by_star[:, :, :2] @ by_middle
+        fields = columns[:, :, self.layout.field : self.layout.middle].reshape(len(points), 2, 2, -1)
         np.multiply((r_mm * by_star[:, :, :2])[..., None], one.polynomials[:, None, None], out=fields)
         columns[:, :, size] = root * residual
         columns[:, :, size + 1 :] = -by_point @ skew(in_camera)

@@ -29,7 +29,7 @@ PRISM = ("prism_x", "prism_y")
 DECENTRING = ("decentring_x", "decentring_y")
 #: Displacements rho^4 g and rho^10 g from the middle of a view's visible disc, if it is not where the turn says: g in
 #: units of r, rho in radii of the disc. At the rim, the beam fills the camera's pupil only partly.
-RIM, RIM_POWERS = ("rim_4", "rim_10"), (4, 10)
+RIM, RIM_POWERS = ("rim_4", "rim_10"), np.array([4, 10])
 #: rim_10 is typically this share of rim_4.
 _RIM_RATIO = 0.3
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
@@ -127,7 +127,12 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """Number of entries of a pose's basis: camera, radius, rim, one field."""
+        """Number of entries of a pose's basis: camera, radius, rim, one field, and the middle of the disc."""
+        return self.middle + 2 * bool(self.rim)
+
+    @property
+    def middle(self) -> int:
+        """Place of the disc's middle in a pose's basis."""
         return self.field + COEFFICIENTS
 
     @property
@@ -137,8 +142,8 @@ class Layout:
 
     @cached_property
     def pose_places(self) -> Places:
-        """Places of the pose's own field in its basis."""
-        return POSE_PLACES + self.field
+        """Places of the pose's own field in its basis, and of the middle of its disc."""
+        return np.concatenate([POSE_PLACES + self.field, np.arange(self.middle, self.size)])
 
     def maps(self, turns: Array, axes: Array, pupils: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.
@@ -153,19 +158,23 @@ class Layout:
         found[:, range(k + 1, self.field), self.places(self.rim)] = 1.0
         field, half = self.field, COEFFICIENTS // 2
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
-        found[:, field:, self.places(RADIAL)] = self.basis.radial
+        found[:, field : self.middle, self.places(RADIAL)] = self.basis.radial
         found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
         by_turn = self.by_turn
         found[:, by_turn.rows, by_turn.columns] = by_turn.sizes(pupils)
         times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
-            found[pose, field:, self.index[DRIFT]] = times[pose] * self.basis.shape(partial(_scale, turn))
+            found[pose, field : self.middle, self.index[DRIFT]] = times[pose] * self.basis.shape(
+                partial(_scale, turn)
+            )
             for name in self.turning:
                 own = _prism if name in PRISM else _decentring
                 axis = across[0] if name.endswith("x") else across[1]
-                found[pose, field:, self.index[name]] = self.basis.shape(partial(own, turn, axis))
+                found[pose, field : self.middle, self.index[name]] = self.basis.shape(
+                    partial(own, turn, axis)
+                )
         for name, shape in self.terms.items():
-            found[:, field:, self.index[name]] = shape
+            found[:, field : self.middle, self.index[name]] = shape
         return found
 
     @cached_property

@@ -54,11 +54,18 @@ class Problem:
     @cached_property
     def pose_amplitudes(self) -> NDArray[np.int64]:
         """(F,) place of the amplitude of each coefficient of an own field."""
-        return self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
+        fields = self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
+        return np.concatenate([fields, self.hyper.places((amp.DISCS,) * (self._own - len(fields)))])
+
+    @property
+    def _own(self) -> int:
+        return len(self.bench.layout.pose_places)
 
     def own_information(self, squares: Array) -> Array:
         """Return (F,) prior information of the coefficients of an own field."""
-        return np.asarray((_POSE_DEGREE + 1.0) / squares[self.pose_amplitudes])
+        sizes = np.ones(self._own)
+        sizes[: len(_POSE_DEGREE)] += _POSE_DEGREE
+        return np.asarray(sizes / squares[self.pose_amplitudes])
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ _REWEIGHTED = 7
 _CENTRE_ROUNDS = 12
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
+#: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
+_LATE, _LATE_SHARE = 20, 0.25
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
 #: From this round on the amplitudes go half way to the better ones: else state and amplitudes may swing on for ever.
@@ -83,10 +85,10 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         if k >= _DAMPED:
             eta = 0.5 * (eta + before)
             found = solved(marginal, eta)
-        centre = k < _CENTRE_ROUNDS
-        if k > _FIRST_ROUNDS and small(marginal, found, centre=centre):
+        centre, share = k < _CENTRE_ROUNDS, _SMALL_SHARE if k < _LATE else _LATE_SHARE
+        if k > _FIRST_ROUNDS and small(marginal, found, share, centre=centre):
             eta, found = better_amplitudes(marginal, eta)
-            if small(marginal, found, centre=centre):
+            if small(marginal, found, share, centre=centre):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
         kept = equations if k >= _REWEIGHTED else None
@@ -119,15 +121,15 @@ def solved(marginal: Marginal, eta: Array) -> Solution:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
 
-def small(marginal: Marginal, found: Solution, *, centre: bool = True) -> bool:
-    """Tell whether a step no longer matters: of camera and centre, in px or in their sigmas.
+def small(marginal: Marginal, found: Solution, share: float = _SMALL_SHARE, *, centre: bool = True) -> bool:
+    """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas.
 
     If ``centre`` does not count, it may still move by as much as the equations hold.
     """
     layout = marginal.problem.bench.layout
     at = layout.places((*layout.camera, *("x", "y", "r")[: 3 if centre else 0]))
     steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
-    enough = bool((steps < _SMALL_SHARE * sigmas).all() or (steps[:4] < _SMALL_PX).all())
+    enough = bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
     return enough and (centre or relative_step(marginal, found.step) < _TRUSTED)
 
 

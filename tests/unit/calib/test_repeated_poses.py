@@ -44,13 +44,17 @@ def test_a_recording_that_is_there_twice_changes_nothing(profile, poses, options
 @pytest.mark.parametrize(("profile", "poses", "options"), BENCHES[1:])
 def test_repeats_of_a_pose_do_not_average_out_what_differs_from_pose_to_pose(profile, poses, options):
     """Noise is new in each repeat, the errors of the collimator are not; and repeats do no harm."""
-    benches = [draw_bench(profile, poses, 21, noise_seed=k) for k in range(4)]
-    once = [expanded(one.views, **options) for one in benches[:2]]
-    often = expanded(repeated(benches), **options)
-    assert (often > 0.55 * np.mean(once, axis=0)).all()
+    shares, harm = [], []
+    for seed in (21, 22, 23):
+        benches = [draw_bench(profile, poses, seed, noise_seed=k) for k in range(4)]
+        once = [expanded(one.views, **options) for one in benches[:2]]
+        often = expanded(repeated(benches), **options)
+        shares.append(often / np.mean(once, axis=0))
+        harm.append(often / np.max(once, axis=0))
+    assert (np.median(shares, axis=0) > 0.55).all()
     # On a mount moved by hand, repeats show that U of cx and cy was too small (docs/measured/truth.md).
     asked = [0, 3] if profile == "S3" else [0, 1, 2, 3]
-    assert (often < 1.15 * np.max(once, axis=0))[asked].all()
+    assert (np.median(harm, axis=0) < 1.15)[asked].all()
 
 
 @pytest.mark.parametrize(("common_share", "factor"), [(0.0, 0.5), (1.0, 1.0)])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import CalibrationOptions
+from calib import CalibrationOptions, Passport, calibrate
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
@@ -14,6 +14,7 @@ from calib.joint.pupil_spread import spread_of_pupils
 from calib.model.result_parts import PUPILS
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import views_of
+from tests.support.drawn_benches import NINE, draw_bench
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,14 @@ def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
     parts = variances(found, np.eye(len(found.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
     assert (parts[PUPILS] > 0).all()
+
+
+def test_a_disc_that_its_rim_shows_badly_does_not_move_the_principal_point():
+    """Short arcs show the middles of the discs to millimetres only; what the rim does bends about them."""
+    bench = draw_bench("like-real", NINE, 9)
+    found = calibrate(bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
+    assert found.camera.cx == pytest.approx(bench.truth.camera.cx, abs=10.0)
+    assert found.camera.cy == pytest.approx(bench.truth.camera.cy, abs=10.0)
 
 
 def test_pupils_that_are_known_exactly_add_nothing(optimum):

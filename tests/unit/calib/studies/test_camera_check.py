@@ -180,7 +180,7 @@ POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (-1
 
 
 def test_halves_of_ideal_views_differ_as_expected(bench):
-    ratios = [split_half(bench.views(np.random.default_rng(i), 0.05, poses=POSES)).ratio for i in range(4)]
+    ratios = [split_half(bench.views(np.random.default_rng(i), 0.05, poses=POSES)).ratio for i in range(8)]
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.8
 
 
