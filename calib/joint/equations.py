@@ -66,7 +66,7 @@ class ViewStars:
     whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
     polynomials: Array  # (N, K)
     rim: Array  # (N, 2, R) displacements about the visible disc, in units of r
-    middle: Array  # (N, 2, R, 2) their change by the middle of the disc, in its sigmas
+    middle: Array  # (N, 2, R, 2) their derivatives by the middle of the disc, in sigmas of that
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
     rim_noise: Array  # (N,) what 1 px of noise at the rim adds, over the stated noise; 0 without a disc
 

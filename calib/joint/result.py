@@ -77,7 +77,7 @@ def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Post
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:
-    """Return camera, collimator, rotations and gimbal of the posterior's mean; rotations and fields follow it."""
+    """Return the posterior's mean. Rotations and gimbal are those that belong to it."""
     optimum, bench = found.optimum, found.optimum.marginal.problem.bench
     named = dict(zip(bench.layout.names, found.mean.tolist(), strict=True))
     radial = {name: named[name] for name in RADIAL}

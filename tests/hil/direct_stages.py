@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.stations.station_text import find_description, read_stage_protocol
-from drivers.errors import DriverError, MoveFailed, PortLost
+from drivers.errors import DriverError, MoveFailed, PortLost, ReplyError
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
@@ -88,6 +88,14 @@ class DirectLine:
             self._hear()
         data, self.ready = self.ready, b""
         return data
+
+    def lose_step(self, ask: Callable[[], object]) -> None:
+        """Lose the reply to a question, so that the driver must bring the line into step; forget what was sent."""
+        self.spoil, whole = lambda _reply: b"", self.spoil
+        with pytest.raises(ReplyError):
+            ask()
+        self.spoil = whole
+        self.sent.clear()
 
     def _hear(self) -> None:
         self.ready += self.device.unsolicited()
