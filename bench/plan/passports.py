@@ -12,15 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
-from bench.evidence.keys import SIGNERS_FILE, read_signers
-from bench.evidence.seal import PassportSeal, read_passport_seal
 from bench.records.run_folder import PASSPORT_COPY
 from bench.records.storage import storage_errors
 from bench.stations.station import Station
@@ -32,6 +30,9 @@ from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
 from sequences.tree import DocumentPath, Fault
+
+if TYPE_CHECKING:
+    from bench.evidence.seal import PassportSeal
 
 
 def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
@@ -143,6 +144,8 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
 
 def parse_passport(data: bytes, where: str) -> Passport:
     """Read the bytes of a passport; `UsageError` says why it is none: changed, an unknown parameter, absurd numbers."""
+    from bench.evidence.seal import read_passport_seal  # a plan without a file needs no cryptography
+
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
         shape: Any = parse_json(data)
@@ -382,6 +385,8 @@ def _unknown_seal(in_use: PassportInUse) -> str:
     """Return what is to say if this bench does not trust the key that sealed a passport; empty otherwise."""
     if in_use.seal is None:
         return ""
+    from bench.evidence.signers import SIGNERS_FILE, read_signers
+
     try:
         trusted = read_signers(home_folder() / SIGNERS_FILE)
     except EvidenceError:
@@ -426,9 +431,11 @@ class _Named:
             passport, data = read_passport_file(self.file)
         else:
             assert self.certificate is not None
-            passport, data = self.certificate, passport_bytes(self.certificate)
-        seal = read_passport_seal(data)
-        return PassportInUse(passport, data, self.source, name, self.other_accepted, seal)
+            data = passport_bytes(self.certificate)
+            return PassportInUse(self.certificate, data, self.source, name, self.other_accepted)
+        from bench.evidence.seal import read_passport_seal
+
+        return PassportInUse(passport, data, self.source, name, self.other_accepted, read_passport_seal(data))
 
 
 def _named(sequence: Located[Sequence], station: Located[Station], step: SolveStep) -> _Named | None:

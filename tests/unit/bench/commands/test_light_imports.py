@@ -45,8 +45,8 @@ def folder(tmp_path_factory):
         (["runs", "{run}"], 0, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
         (["statuss"], 2, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
         (["plan", "three_pos", "-s", "simulated"], 2, PLOTS_AND_ENGINE),
-        (["plan", "three_pose", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy"}),
-        (["plan", "until_good", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy"}),
+        (["plan", "three_pose", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy", "cryptography"}),
+        (["plan", "until_good", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy", "cryptography"}),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
