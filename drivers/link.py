@@ -249,6 +249,11 @@ class Link:
         """Bytes that have arrived and that nobody has taken yet."""
         return bytes(self._buffer)
 
+    @property
+    def in_step(self) -> bool:
+        """Whether the next reply belongs to the next request, as far as is known."""
+        return self._in_step
+
     def exchange(
         self,
         request: bytes,

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
 
@@ -324,9 +325,13 @@ class DynamixelBus(Link):
         """Set the goal of every servo where it can come to rest, and read it back; else raise `ReplyError`.
 
         A servo that does not answer does not delay the stop of the others: it is asked again after them. The torque
-        stays on, so that no axis falls.
+        stays on, so that no axis falls. Out of step, the line may give an old state: a stop by it goes out at once, and
+        is repeated in step.
         """
         with self.lock:
+            for servo in () if self.in_step else self._servos:
+                with suppress(ReplyError, DeviceRefused):
+                    self._stop(servo, deadline_s=_FIRST_STOP_S, urgent=True)
             left = []
             for servo in self._servos:
                 try:
@@ -344,13 +349,15 @@ class DynamixelBus(Link):
 
     # ------------------------------------------------------------ inside
 
-    def _stop(self, servo: int, deadline_s: float = _REPLY_S) -> None:
-        state = self._read_state(servo, deadline_s)
+    def _stop(self, servo: int, deadline_s: float = _REPLY_S, *, urgent: bool = False) -> None:
+        state = self._read_state(servo, deadline_s, urgent=urgent)
         if not state.torque:
             return
         goal = _resting_goal(state)
         if goal != state.goal:
-            self._write(servo, GOAL, struct.pack("<i", goal), deadline_s)
+            self._write(servo, GOAL, struct.pack("<i", goal), deadline_s, urgent=urgent)
+            if urgent:
+                return
             state = self._read_state(servo, deadline_s)
         if state.torque and state.goal != goal:
             raise ReplyGarbled(
@@ -359,12 +366,13 @@ class DynamixelBus(Link):
                 remedy="Cut the servo's power.",
             )
 
-    def _read_state(self, servo: int, deadline_s: float = _REPLY_S) -> State:
+    def _read_state(self, servo: int, deadline_s: float = _REPLY_S, *, urgent: bool = False) -> State:
         with self.lock:
             self._asked = servo
-            self.bring_into_step()
+            if not urgent:
+                self.bring_into_step()
             sent_s = self._clock.monotonic()
-            state = State.unpack(self._read(servo, STATE_FIRST, STATE_SIZE, deadline_s))
+            state = State.unpack(self._read(servo, STATE_FIRST, STATE_SIZE, deadline_s, urgent=urgent))
             self._check_age(servo, state, sent_s, self._clock.monotonic())
             return state
 
@@ -380,13 +388,17 @@ class DynamixelBus(Link):
                 raise garbled(f"servo {servo} sent a state of another moment, or has restarted.", self.name)
         self._ages[servo] = _Age(state.tick_ms, sent_s, received_s)
 
-    def _read(self, servo: int, first: int, count: int, deadline_s: float = _REPLY_S) -> bytes:
+    def _read(
+        self, servo: int, first: int, count: int, deadline_s: float = _REPLY_S, *, urgent: bool = False
+    ) -> bytes:
         request = struct.pack("<HH", first, count)
-        return self._exchange(servo, READ, request, count, deadline_s=deadline_s)
+        return self._exchange(servo, READ, request, count, deadline_s=deadline_s, urgent=urgent)
 
-    def _write(self, servo: int, address: int, data: bytes, deadline_s: float = _REPLY_S) -> None:
+    def _write(
+        self, servo: int, address: int, data: bytes, deadline_s: float = _REPLY_S, *, urgent: bool = False
+    ) -> None:
         request = struct.pack("<H", address) + data
-        self._exchange(servo, WRITE, request, 0, deadline_s=deadline_s)
+        self._exchange(servo, WRITE, request, 0, deadline_s=deadline_s, urgent=urgent)
 
     def _exchange(
         self,

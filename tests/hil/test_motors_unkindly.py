@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from drivers.errors import (
 from drivers.stage import AxisLimits
 from drivers.stage import thorlabs_controller as apt
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
+from drivers.stage.dynamixel_bus import READ, WRITE, packet
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
@@ -55,6 +58,11 @@ class Gimbal:
             for name, number in (("pan", 1), ("tilt", 2))
         ]
         return DynamixelStage(self.line, axes, clock=self.clock)
+
+    def start(self, number: int, counts: int) -> None:
+        """Move a servo by another program's goal, that many counts further."""
+        goal = int.from_bytes(self.table(number)[132:136], "little") + counts
+        self.bus.servos[number].write(116, goal.to_bytes(4, "little", signed=True), self.clock.now_s)
 
     def true_deg(self, number: int = 1) -> float:
         return self.bus.servos[number].axis.pointing.angle_deg(self.clock.now_s + 1.0)
@@ -217,8 +225,7 @@ def test_a_stop_of_servos_is_confirmed_though_messages_are_lost(gimbal, lost) ->
 def test_a_silent_servo_does_not_delay_the_stop_of_the_other(gimbal) -> None:
     stage = gimbal.open()
     stage.home()
-    goal = int.from_bytes(gimbal.table(2)[132:136], "little") + 150
-    gimbal.bus.servos[2].write(116, goal.to_bytes(4, "little"), gimbal.clock.now_s)
+    gimbal.start(2, 150)
     gimbal.clock.sleep(0.2)
     gimbal.bus.servos[1].emergency_stop(gimbal.clock.now_s)
     began_s = gimbal.clock.now_s
@@ -227,6 +234,43 @@ def test_a_silent_servo_does_not_delay_the_stop_of_the_other(gimbal) -> None:
     rest_s = gimbal.bus.servos[2].axis.commanded.end_s
     assert rest_s - began_s < 1.5
     assert gimbal.true_deg(2) < 12.0
+
+
+def test_a_stop_of_servos_does_not_wait_for_the_line_to_come_into_step(gimbal) -> None:
+    stage = gimbal.open()
+    stage.home()
+    gimbal.line.lose_step(stage.position_deg)
+    for number in (1, 2):
+        gimbal.start(number, 130)
+    gimbal.clock.sleep(0.2)
+    began_s = gimbal.clock.now_s
+    stage.stop()
+    first = [(data[4], data[7]) for data in gimbal.line.sent[:4]]
+    assert first == [(1, READ), (1, WRITE), (2, READ), (2, WRITE)]
+    for servo in gimbal.bus.servos.values():
+        assert servo.axis.commanded.end_s - began_s < 0.3
+    assert gimbal.true_deg() < 10.0
+    assert gimbal.true_deg(2) < 10.0
+
+
+@pytest.mark.parametrize("late_s", [0.04, 0.5])
+def test_a_stop_by_an_old_state_is_put_right_once_the_line_is_in_step(gimbal, late_s) -> None:
+    stage = gimbal.open()
+    stage.home()
+    stage.move_to({"pan": -14.0})
+    gimbal.line.lose_step(stage.position_deg)
+    gimbal.start(1, 300)
+    gimbal.clock.sleep(0.2)
+    old = gimbal.bus.receive(packet(1, READ, struct.pack("<HH", 64, 83)))
+    states = [old]
+    gimbal.line.spoil = lambda reply: states.pop() if states and len(reply) == len(old) else reply
+    gimbal.clock.sleep(late_s)
+    stage.stop()
+    assert not states
+    rest = gimbal.true_deg()
+    assert -14.0 < rest < 5.0
+    gimbal.clock.sleep(5.0)
+    assert gimbal.true_deg() == pytest.approx(rest, abs=0.02)
 
 
 # ---------------------------------------------------------------- Thorlabs

@@ -32,7 +32,8 @@ STOPS = {
     "thorlabs": short(STOP, 1, STOP_BY_RAMP),
     "k10cr1": short(STOP, 1, STOP_BY_RAMP),
 }
-"""What a request holds that stops an axis; a servo is told where to stand, and so is asked where it is first."""
+"""What a request holds that stops an axis; a servo is told where to stand, and so is asked where it is first:
+test_motors_unkindly.py."""
 
 
 IDENTITIES = {
