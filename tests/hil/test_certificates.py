@@ -1,12 +1,8 @@
-"""A certificate from a real run on the simulated bench, by the command line; killed in between, and tampered with."""
+"""A certificate from a real run on the simulated bench, by the command line, and tampered with."""
 
 import json
-import os
 import shutil
-import signal
 import subprocess
-import sys
-import time
 
 import pytest
 from certificate_sample import LAB
@@ -65,27 +61,3 @@ def test_pdf_and_json_resealed_with_the_benchs_own_key_are_found(lab, issued, tm
     assert (
         "it does not follow from results.json and lab.yaml: customer.name is 'Somebody & Sons" in said.stderr
     )
-
-
-def test_killed_after_its_number_was_taken_no_number_is_lost(lab, issued):
-    ledger, arguments = lab / "home" / "ledger.jsonl", ("-c", lab / "lab.yaml", "--reason", "killed")
-    for attempt in range(4):
-        size = ledger.stat().st_size
-        words = ["issue", lab / "run", *arguments, "-o", lab / f"killed{attempt}"]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bench", "certificate", *map(str, words)],
-            env={**os.environ, "STARBENCH_HOME": str(lab / "home")},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        while ledger.stat().st_size == size and process.poll() is None:
-            time.sleep(0.005)
-        time.sleep(0.25 * attempt)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    said = certificate(lab, "issue", lab / "run", *arguments, "-o", lab / "last")
-    assert said.returncode == 0, said.stderr
-    found = json.loads(certificate(lab, "show", "--json").stdout)["certificates"]
-    assert [row["number"][-5:] for row in found] == [f"{count:05d}" for count in range(1, len(found) + 1)]
-    assert {row["state"] for row in found} == {"SEALED"}
-    assert [path.name for path in lab.iterdir() if path.name.endswith(".tmp")] == []

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from running import called, journal, results, starbench
 
-from bench.stations.station import SHIPPED_STATIONS
 from bench.views.measure import frame_gates, measure_frames
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
-from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
+from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
 from drivers.errors import CameraLost, CameraNotFound, RecordingFailed
@@ -91,16 +90,6 @@ def test_its_results_follow_from_its_pictures(finished, home):
     assert verified.returncode == 0, verified.stdout + verified.stderr
     again = starbench("calibrate", finished, "--json", home=home)
     assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
-
-
-@pytest.mark.slow
-def test_bare_pictures_show_the_same_stars(finished, home):
-    """Without the certificate and the readings of the run, their focal length is another one."""
-    pictures = sorted((finished / "captures").iterdir())
-    again = starbench("calibrate", *pictures, "--json", home=home)
-    assert again.returncode == 0, again.stderr
-    seen = [view["n"] for view in json.loads(again.stdout)["views"]]
-    assert seen == [pose["stars"] for pose in results(finished)["poses"]]
 
 
 @pytest.mark.slow
@@ -183,17 +172,6 @@ def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars
     assert {gate.name: gate.verdict for gate in gates}["stars moved"] == "fail"
 
 
-def test_a_network_camera_that_goes_away_is_told_within_its_deadline(simulated, tmp_path):
-    camera = OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
-    simulated.close()
-    began = time.monotonic()
-    with pytest.raises(CameraLost):
-        camera.capture(tmp_path / "pose.tif", 2)
-    assert time.monotonic() - began < 3 * SILENCE_S
-    assert not list(tmp_path.iterdir())
-    camera.close()
-
-
 def test_an_exposure_averages_over_a_flicker():
     flicker = LightState(frequency_hz=1000.0, duty_percent=25.0, low_v=0.0, high_v=5.0, output=True)
     assert mean_brightness(flicker, 0.0, 0.010) == pytest.approx(0.25, abs=0.04)
@@ -226,20 +204,6 @@ def test_a_network_camera_that_falls_silent_is_given_up_within_its_deadline(tmp_
         assert time.monotonic() - began < 20.0
         server.shutdown(socket.SHUT_RDWR)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_a_frame_camera_of_another_number_is_refused_before_anything_moves(tmp_path, home):
-    text = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text()
-    station = tmp_path / "station.yaml"
-    station.write_text(
-        text.replace("source: sim:frame-camera", "source: sim:frame-camera\n  serial: 8A0A3C5F")
-    )
-    folder = tmp_path / "refused"
-    said = starbench("run", "three_pose", "-s", station, "-o", folder, home=home)
-    assert said.returncode == 1
-    assert "without a serial number, not 8A0A3C5F" in said.stderr
-    assert not any(line.get("state") in {"homing", "slewing"} for line in journal(folder))
 
 
 def test_a_source_that_is_not_there_is_told_in_our_words_alone(capfd):

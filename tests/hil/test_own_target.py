@@ -1,7 +1,5 @@
 """A run on a station with a target of its own: another family, another polarity, other squares."""
 
-import json
-
 import pytest
 from quick_runs import END, THREE, write_sequence, write_station
 from running import results, starbench
@@ -35,19 +33,3 @@ def test_the_camera_is_calibrated_with_the_station_s_own_target(finished):
     assert abs(fx["error"]) < 3 * fx["sigma"]
     assert told["calibration"]["rms_px"] < 0.036
     assert sum(view["n"] for view in told["calibration"]["views"]) > 400
-
-
-@pytest.mark.slow
-def test_the_export_describes_it(finished):
-    pattern = json.loads((finished / "exports" / "metavision.json").read_text())["pattern"]
-    assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (40, 44, pytest.approx(0.0045))
-
-
-@pytest.mark.slow
-def test_an_offline_calibration_of_the_run_describes_it_too(finished, tmp_path):
-    said = starbench("calibrate", finished, "-o", tmp_path / "again", home=tmp_path / "home")
-    assert said.returncode == 0, said.stderr
-    written, again = (
-        json.loads((at / "exports/metavision.json").read_text()) for at in (finished, tmp_path / "again")
-    )
-    assert again["pattern"] == written["pattern"]

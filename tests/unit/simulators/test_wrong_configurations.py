@@ -84,6 +84,10 @@ reticle: {print_scale: large} -> reticle.print_scale
 reticle: null -> reticle
 reticle: {polarity: both} -> reticle.polarity -> Unknown polarity 'both'
 stag: {} -> stag
+screen: {rows: 5} -> screen.columns
+screen: {columns: 1} -> screen.columns
+screen: {columns: 8, position_mm: [0, 0, -900]} -> screen.position_mm
+screen: {columns: 8, turn_deg: [0, 0]} -> screen.turn_deg
 stage: {} -> stage
 stage: {yaw: {}} -> stage.yaw
 stage: {pan: {limits: 5}} -> stage.pan.limits
