@@ -37,9 +37,9 @@ def told(results):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 def test_a_representative_part_of_the_hostile_inputs(tmp_path, run):
     results = results_of(tmp_path / "cases", run, "--few")
-    assert len(results) == len(few_cases(run)) >= 40
+    assert len(results) == len(few_cases(run)) >= 35
     assert not told(results), told(results)
-    assert [each["status"] for each in results if each["name"].startswith("control:")] == [0, 0, 0]
+    assert [each["status"] for each in results if each["name"].startswith("control:")] == [0, 0]
 
 
 @pytest.mark.slow

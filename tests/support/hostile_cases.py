@@ -9,11 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from hostile_files import (
     CAMERAS,
-    HDF5,
-    NPZ,
     PASSPORTS,
     PICTURES,
     POINTS,
@@ -21,8 +18,6 @@ from hostile_files import (
     WRONG,
     XML,
     YAML,
-    write_hdf5,
-    write_npz,
 )
 from station_texts import PLAIN
 
@@ -136,15 +131,6 @@ def spoilt_files() -> Iterator[Case]:
     for name, content in XML.items():
         for reader in ("certificate-check", "certificate-from-dcc"):
             yield Case(f"{reader}:{name}", _file(*READERS[reader], text(content)))
-    for name in HDF5:
-        for end in ("out.raw", "out.npz"):
-            words = ("convert", "{}", end)
-            yield Case(
-                f"convert-hdf5:{name}:{end}", _file(words, "bad.h5", lambda p, n=name: write_hdf5(p, n))
-            )
-    for name in (*(name for name in NPZ if name != "right"), "bomb"):
-        words = ("convert", "{}", "out.raw")
-        yield Case(f"convert-npz:{name}", _file(words, "bad.npz", lambda p, n=name: write_npz(p, n)))
     for name, content in PICTURES.items():
         yield Case(f"picture:{name}", _file(("calibrate", "{}"), f"bad-{name}", text(content)))
     for name, content in POINTS.items():
@@ -400,24 +386,12 @@ def controls(run: Path) -> Iterator[Case]:
         (folder / "good.yaml").write_text(PLAIN)
         return ["plan", "three_pose", "--station", "good.yaml"]
 
-    def events(folder):
-        write_npz(folder / "good.npz", "right")
-        return ["convert", "good.npz", "out.raw"]
-
     def status(folder):
         _copy_run(run, folder / "good")
         return ["status", "good"]
 
-    NPZ.setdefault("right", lambda: {**_right_events()})
     yield Case("control:plan", fine, (0,))
-    yield Case("control:convert", events, (0,))
     yield Case("control:status", status, (0,))
-
-
-def _right_events():
-    arrays = {name: np.zeros(50, int) for name in ("t", "x", "y", "p")}
-    arrays |= {f"trigger_{name}": np.zeros(1, int) for name in ("t", "value", "id")}
-    return {**arrays, "size": np.array([1280, 720])}
 
 
 def all_cases(run: Path) -> list[Case]:
@@ -443,7 +417,6 @@ def few_cases(run: Path) -> list[Case]:
         "run-folder:runs:journal.jsonl:fifo",
         "station:spy-url",
     }
-    wanted |= {"convert-hdf5:external-link:out.raw", "convert-hdf5:chunk-bomb:out.raw", "convert-npz:pickle"}
     wanted |= {"camera:check:opencv-torn", "camera:rig:infinite-size", "camera:undistort:many-pixels"}
     wanted |= {"camera:step:fisheye", "station:limits-crossed", "certificate-check:only-dcc"}
     wanted |= {"picture:bomb.png", "picture:loop.tif", "name:escape-sequences", "plan-sequence:tag"}

@@ -21,8 +21,6 @@ import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
-import h5py
-import numpy as np
 from hostile_cases import Case, all_cases, few_cases
 from hostile_files import GEOMETRY
 
@@ -162,8 +160,6 @@ def main() -> None:
     watched = given.folder / "canary"
     watched.mkdir()
     (watched / "victim.txt").write_text("keep me\n")
-    with h5py.File(watched / "secret.h5", "w") as file:
-        file["events/t"] = np.arange(50)
     import bench.commands.calibrate
     import bench.commands.cli
     import bench.results.offline
