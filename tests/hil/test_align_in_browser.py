@@ -156,20 +156,6 @@ def test_a_reload_in_motion_stops_the_stage_and_the_page_comes_back_with_its_con
     one.close()
 
 
-def test_a_phone_shows_everything_and_nothing_is_cut(chromium, bench):
-    one = Tab(chromium, bench[0].url, width=390)
-    one.wait("alignStats.images > 0")
-    assert one.tab.evaluate("document.documentElement.scrollWidth") <= 390
-    one.tab.click("#check")  # its lines hold long paths
-    one.wait("document.querySelectorAll('#checks li').length > 4")
-    assert one.tab.evaluate("document.documentElement.scrollWidth") <= 390
-    one.tab.evaluate("window.scrollTo(0, 0)")
-    box = one.tab.locator("#stop").bounding_box()
-    one.tab.evaluate("window.scrollTo(0, 1500)")
-    assert one.tab.locator("#stop").bounding_box() == box  # always in reach
-    one.close()
-
-
 @pytest.mark.slow
 def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
     """The whole way with real drivers: live image, home, light, jog; a stop reaches the wire in 50 ms."""

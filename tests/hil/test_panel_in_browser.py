@@ -168,18 +168,6 @@ def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
 
 
 @pytest.mark.slow
-def test_twenty_pages_of_one_browser_are_all_live(run, tabs):
-    with served(panel_app(run.folder.parent)) as server:
-        opened = [tabs.open(f"{server.url}run/run7") for _ in range(20)]
-        for tab in opened:
-            wait_text(tab, "#log", "attempt 1 at pose 1: accepted")
-        run.record(2)
-        for tab in opened:
-            wait_text(tab, "#log", "attempt 1 at pose 2: accepted")
-            assert log_lines(tab) == sorted(set(log_lines(tab)))
-
-
-@pytest.mark.slow
 def test_a_real_run_is_watched_killed_resumed_and_aborted(tmp_path, tabs):
     root, folder = tmp_path / "runs", tmp_path / "runs" / "real"
     files = write_sequence(tmp_path / "sequence.yaml"), write_station(tmp_path / "station.yaml")

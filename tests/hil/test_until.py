@@ -27,10 +27,6 @@ def undisturbed(files, tmp_path_factory):
     return folder
 
 
-def decisions(folder):
-    return [line for line in journal(folder) if line["event"] == "until_decided"]
-
-
 def poses(folder):
     accepted = {
         line["pose"] for line in journal(folder) if line["event"] == "attempt_checked" and line["accepted"]
@@ -60,16 +56,3 @@ def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
     assert told["untils"][-1]["now"]["expanded_fx_px"] == pytest.approx(
         k * told["calibration"]["sigma"]["fx"]
     )
-
-
-def test_a_goal_is_met_and_nothing_further_is_recorded(files, tmp_path):
-    home, _, station = files
-    sequence = write_until(tmp_path / "good.yaml", f"{{worst_corner_px: 0.9, at_most: 9, start: {THREE}}}")
-    folder = tmp_path / "good"
-    said = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
-    assert said.returncode == 0, said.stderr
-    last = decisions(folder)[-1]
-    assert last["ended"] == "met"
-    assert last["now"]["worst_corner_px"] <= 0.9
-    assert len(poses(folder)) == last["poses"] < 9
-    assert "The goals are met." in said.stderr

@@ -127,10 +127,6 @@ def test_decoding_into_arrays_refuses_a_malformed_first_word():
 # ---------------------------------------------------------------- the clock
 
 
-def test_a_repeated_time_high_changes_nothing():
-    assert decode(high(1), low(7), high(1), row(0), event(0))[0] == [(4103, 0, 0, 0)]
-
-
 def test_a_new_time_high_starts_at_its_first_microsecond():
     assert decode(high(1), low(7), high(2), row(0), event(0))[0] == [(8192, 0, 0, 0)]
 
@@ -139,11 +135,6 @@ def test_the_clock_wraps_after_24_bits_and_times_go_on():
     found, _, statistics = decode(high(0xFFF), low(0xFFF), row(0), event(0), high(0), low(3), event(1))
     assert [t for t, *_ in found] == [LOOP_US - 1, LOOP_US + 3]
     assert statistics.gap_count == 0
-
-
-def test_every_further_wrap_counts():
-    words = [word for k in range(5) for word in (high(0xFFF), low(1), high(0), low(2))]
-    assert decode(*words)[2].last_t_us == 5 * LOOP_US + 2
 
 
 def test_time_low_stepping_back_by_some_microseconds_is_no_wrap():
@@ -280,18 +271,6 @@ def test_parts_of_a_payload_out_of_their_order_count_nowhere(stray):
 def test_a_report_that_did_not_arrive_leaves_an_odd_window():
     statistics = reported((3, 3), (9, 4))
     assert (statistics.lost_events, statistics.mismatched_windows) == (0, 1)
-
-
-def test_windows_over_several_pieces_are_counted_whole():
-    decoder = Evt3Decoder(WIDTH, HEIGHT)
-    words = [high(0), low(0), row(0), *others(0x016, 0), event(1), event(2), *others(0x016, 2)]
-    for k in range(0, len(words), 2):
-        decoder.tally(np.array(words[k : k + 2], np.uint16))
-    assert decoder.statistics().mismatched_windows == 0
-
-
-def test_rate_controller_counts_use_28_bits():
-    assert decode(*others(0x016, 0xABCDEF1))[2].rate_controller_out == 0xABCDEF1
 
 
 def test_payloads_of_other_subtypes_count_nowhere():
