@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.errors import StorageError
 from bench.records.journal import CAPTURE_STORED, Journal, read_journal, stored_captures
-from bench.records.run_folder import RunFolder, recover
+from bench.records.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 
@@ -65,23 +65,6 @@ def test_a_full_disk_loses_nothing_and_the_journal_still_tells_of_it(small_disk)
     assert entries[-1].event == "disk_full"
     assert len(stored_captures(entries)) == failed - 1
     assert not list(path.rglob("*.tmp"))
-
-
-def test_a_run_goes_on_once_there_is_room(small_disk):
-    path, filler = small_disk / "run", small_disk / "filler"
-    filler.write_bytes(b"0" * 2_000_000)
-    with RunFolder.create(path) as folder, Journal.create(folder.journal_path, **CLOCKS) as journal:
-        failed, _ = record_until_full(folder, journal, 1)
-        folder.release_reserve()
-        journal.append("disk_full")
-    filler.unlink()
-    with RunFolder.open(path) as folder, Journal.open(folder.journal_path, **CLOCKS) as journal:
-        notes = recover(folder, journal)
-        assert [c.name for c in notes.intact] == [
-            f"captures/pose-{n:03d}-attempt-1.raw" for n in range(1, failed)
-        ]
-        assert (notes.missing, notes.changed, notes.unnamed) == ((), (), ())
-        assert record_until_full(folder, journal, failed)[0] > failed
 
 
 def test_a_disk_too_small_is_told_before_anything_is_written(small_disk):
