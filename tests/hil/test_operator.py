@@ -1,12 +1,11 @@
-"""An operator at another terminal: hold and go on, abort, take over; and a pose that crashes the process."""
+"""An operator at another terminal: hold and go on, abort, take over."""
 
 import json
 import re
-import signal
 
 import pytest
 from quick_runs import write_sequence, write_station
-from running import PATIENCE_S, called, end_when, entering, journal, numbers, results, start, wait_for
+from running import PATIENCE_S, called, entering, journal, numbers, results, start, wait_for
 
 from bench.run.control import Command, send
 
@@ -94,31 +93,6 @@ def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tm
     resumed = called("resume", folder, home=home)
     assert resumed.returncode == 0, resumed.stderr
     assert "Record pose 2 (right)." in resumed.stderr
-
-
-@pytest.mark.slow
-def test_a_pose_that_crashes_the_process_twice_is_skipped_and_marked(home, tmp_path, process):
-    folder = tmp_path / "run"
-    end_when(process, folder, entering("recording", 2), signal.SIGSEGV)
-    crashed_at = len(journal(folder))
-    second = start("resume", folder, home=home)
-    end_when(
-        second,
-        folder,
-        lambda line: line["seq"] >= crashed_at and entering("recording", 2)(line),
-        signal.SIGSEGV,
-    )
-    assert "crashed 2 times" in called("resume", folder, "--dry-run", home=home).stdout
-    third = called("resume", folder, home=home)
-    assert third.returncode == 0, third.stderr
-    told = results(folder)
-    (deviation,) = [what for what in told["deviations"] if what.startswith("Pose 2")]
-    assert "crashed 2 times" in deviation
-    assert [view["name"] for view in told["calibration"]["views"]] == ["left", "below"]
-    crashes = [line["crash"] for line in journal(folder) if line["event"] == "run_resumed"]
-    assert crashes == ["Fatal Python error: Segmentation fault"] * 2
-    assert len(list((folder / "quarantine").glob("crash.txt.*"))) == 2
-    assert called("verify", folder, home=home).returncode == 0
 
 
 def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):

@@ -53,15 +53,3 @@ def test_every_run_is_entered_listed_and_compared(tmp_path):
     status, told = listed(home)
     assert status == 1
     assert "run 2 (whole): its folder " in told["faults"][0]
-
-
-@pytest.mark.slow
-def test_a_run_resumed_on_another_bench_is_entered_there_as_well(tmp_path):
-    folder = tmp_path / "run"
-    process = start("run", "three_pose", "-s", "simulated", "-o", folder, home=tmp_path / "one")
-    end_when(process, folder, entering("slewing", 1))
-    said = starbench("resume", folder, home=tmp_path / "other")
-    assert said.returncode == 0, said.stderr
-    (run,) = Ledger(tmp_path / "other", **CLOCKS).runs()
-    assert (run.run_id, run.how) == ("run", "finished")
-    assert [run.how for run in Ledger(tmp_path / "one", **CLOCKS).runs()] == ["open"]
