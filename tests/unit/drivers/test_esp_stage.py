@@ -92,13 +92,6 @@ def test_homing_powers_the_motors_first(bench) -> None:
     assert bench.motions() == ["1OR1", "2OR1"]
 
 
-def test_a_move_is_sent_in_the_controllers_angles(bench) -> None:
-    stage = bench.homed()
-    stage.move_to({"pan": 5.25, "tilt": 3.0})
-    assert stage.position_deg() == pytest.approx({"pan": 5.25, "tilt": 3.0}, abs=1e-3)
-    assert bench.motions() == ["1PA5.25000", "2PA-1.00000"]
-
-
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_stage_is_refused_and_nothing_is_set(bench) -> None:
     bench.tilt.exchange("9", bench.clock.now_s)

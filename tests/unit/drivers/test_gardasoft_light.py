@@ -54,35 +54,6 @@ def light(bench) -> GardasoftLight:
     return bench.open(model="RT260-20")
 
 
-def test_opening_sets_and_switches_nothing(light, bench) -> None:
-    assert set(bench.sent()) == {"VR"}
-    assert light.identify().model == "RT260-20"
-    assert light.identify().firmware == "V031"
-
-
-def test_a_flicker_is_set_in_the_controllers_words_and_in_the_dark(light, bench) -> None:
-    got = light.apply(FLICKER)
-    assert got.frequency_hz == pytest.approx(60.0, rel=3e-4)
-    assert got.duty_percent == pytest.approx(30.0, rel=3e-4)
-    assert (got.high_v, got.low_v, got.sync_output) == (2.5, 0.0, True)
-    assert bench.sent("RS", "RT", "TT") == [
-        "RS1,0",
-        "TT1,16.6667",
-        "TT0",
-        "RT1,5.0000,0.01,50.0",
-        "RT2,5.0000,0.01,100.0",
-    ]
-    assert not bench.was_lit()
-
-
-def test_a_light_that_is_on_stays_on_when_it_is_set_anew(light, bench) -> None:
-    light.apply(FLICKER)
-    light.on()
-    light.apply(LightSettings(frequency_hz=50.0))
-    assert bench.lit()
-    assert bench.states[-1].frequency_hz == 50.0
-
-
 def test_without_sync_the_second_channel_is_dark(light, bench) -> None:
     light.apply(LightSettings(sync_output=False))
     assert (bench.device.outputs[2].mode, bench.device.outputs[2].percent) == (CONTINUOUS, 0.0)
@@ -119,12 +90,6 @@ def test_a_sync_without_a_channel_for_it_is_refused(bench) -> None:
 def test_a_period_that_is_held_in_its_range_is_refused(light, bench) -> None:
     with pytest.raises(SettingRefused, match=r"Err 5.*changed to a valid one"):
         light.apply(LightSettings(frequency_hz=2e4))
-
-
-def test_a_brightness_beyond_the_lamp_is_refused(bench) -> None:
-    light = bench.open(full_percent=2000.0)
-    with pytest.raises(SettingRefused, match="Err 5"):
-        light.apply(LightSettings(high_v=5.0))
 
 
 def test_a_setting_that_does_not_stick_is_refused_with_both_values(light, bench) -> None:

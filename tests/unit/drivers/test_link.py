@@ -56,15 +56,6 @@ def test_a_cut_reply_is_a_timeout_that_shows_what_came(scripted, clock) -> None:
         link.exchange(b"a\n", line, deadline_s=1.0)
 
 
-def test_a_doubled_reply_is_noticed_before_the_next_request(scripted, clock) -> None:
-    port = scripted([(b"a\n", b"1\n1\n"), (b"b\n", b"2\n")])
-    drained = []
-    link = Link(port, clock=clock, resynchronise=lambda: drained.append(link.drain()))
-    assert link.exchange(b"a\n", line, deadline_s=1.0) == b"1\n"
-    assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"
-    assert len(drained) == 1
-
-
 def test_whatever_ends_an_exchange_early_leaves_the_line_out_of_step(scripted, clock) -> None:
     link, resync = make(scripted([(b"a\n", b"1\n"), (b"b\n", b"2\n")]), clock)
 

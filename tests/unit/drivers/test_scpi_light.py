@@ -51,12 +51,6 @@ def test_a_flicker_is_set_in_the_generators_words(light, bench) -> None:
     assert not bench.lit()
 
 
-def test_a_sine_has_no_duty(light, bench) -> None:
-    sine = LightSettings("sine", 59.94, low_v=1.0, high_v=2.0, sync_output=False)
-    assert light.apply(sine) == sine
-    assert not any("DCYC" in line for line in bench.sent())
-
-
 @pytest.mark.parametrize(("low", "high"), [(6.0, 8.0), (-8.0, -6.0), (-5.0, 0.5)])
 def test_levels_are_set_in_an_order_that_never_crosses_them(light, bench, low, high) -> None:
     bench.device.receive(f"OUTP:LOAD INF;VOLT:LOW {low};HIGH {high}\n".encode())
@@ -74,28 +68,6 @@ def test_a_value_clipped_in_silence_is_refused_with_both_values() -> None:
     quiet = Bench(error_queue=False).open()
     with pytest.raises(SettingRefused, match=r"frequency_hz: asked 1000000000\.0, got 80000000\.0"):
         quiet.apply(LightSettings(frequency_hz=1e9))
-
-
-@pytest.mark.parametrize(
-    ("header", "value", "name"),
-    [
-        ("FREQ", 59.94, "frequency_hz"),
-        ("FUNC:SQU:DCYC", 50.0, "duty_percent"),
-        ("VOLT:HIGH", 3.2, "high_v"),
-        ("VOLT:LOW", 0.1, "low_v"),
-        ("OUTP:SYNC", "0", "sync_output"),
-        ("FUNC", "SIN", "waveform"),
-    ],
-)
-def test_a_setting_that_does_not_stick_is_refused(light, bench, header, value, name) -> None:
-    bench.answer({header: str(value)})
-    with pytest.raises(SettingRefused, match=f"{name}: asked"):
-        light.apply(FLICKER)
-
-
-def test_rounding_to_the_generators_digits_is_no_refusal(light, bench) -> None:
-    bench.answer({"FREQ": "+6.000000E+01", "VOLT:HIGH": "3.3003"})
-    assert light.apply(FLICKER).high_v == pytest.approx(3.3003)
 
 
 def test_a_generator_without_error_queue_is_served_all_the_same() -> None:
@@ -149,15 +121,6 @@ def test_another_waveform_is_told_not_taken_for_one_of_ours(light, bench) -> Non
         light.read()
 
 
-@pytest.mark.parametrize(
-    "garbage", [b"\xff\xfe\r\n", b"\r\n", b"six\r\n", b"nan\r\n", b"6_0\r\n", b"1E999\r\n", b"1,2\r\n"]
-)
-def test_what_is_no_number_is_refused(light, bench, garbage) -> None:
-    bench.line.spoil = lambda reply: garbage if b"E+" in reply else reply
-    with pytest.raises(ReplyError):
-        light.read()
-
-
 @pytest.mark.parametrize("said", ["hello", "Agilent Technologies,33220A-SIM,1.0", ",,1,2"])
 def test_something_else_than_an_instrument_is_refused_with_what_it_said(bench, said) -> None:
     """Instruments with three fields exist; "no identity" was all that was told."""
@@ -166,12 +129,6 @@ def test_something_else_than_an_instrument_is_refused_with_what_it_said(bench, s
         bench.open()
     assert repr(said) in caught.value.what
     assert bench.line.closed
-
-
-def test_a_silent_port_is_refused(scripted, clock) -> None:
-    port = scripted([(b"*IDN?\n", b"")] * 3)
-    with pytest.raises(DriverError, match="no complete reply"):
-        ScpiLight(port, clock=clock)
 
 
 def test_a_query_the_instrument_does_not_know_is_told_in_its_words(bench) -> None:
@@ -222,14 +179,6 @@ def test_the_wrong_dialect_is_told_by_the_instrument_itself(bench) -> None:
     light = bench.open(dialect="numbered")
     with pytest.raises(DriverError, match="-113"):
         light.apply(FLICKER)
-
-
-STEADY = LightSettings("steady", low_v=3.3, high_v=3.3, sync_output=False)
-
-
-def test_a_steady_light_is_the_generators_direct_voltage(light, bench) -> None:
-    assert light.apply(LightSettings("steady", high_v=3.3)) == STEADY
-    assert bench.settings_sent() == ["OUTP:LOAD INF", "FUNC DC", "VOLT:OFFS 3.3"]
 
 
 def test_a_steady_level_that_reads_back_lower_is_refused(light, bench) -> None:

@@ -60,17 +60,6 @@ def test_faults_are_told_in_plain_words(bench) -> None:
     assert stage.faults() == ["tilt: controller too hot (WT)"]
 
 
-def test_what_is_only_history_is_no_fault_and_is_cleared_before_a_move(bench) -> None:
-    stage = bench.homed()
-    bench.go("pan")
-    bench.clock.sleep(0.1)
-    stage.stop()
-    assert bench.pan.warnings(bench.clock.now_s) == ["NI"]
-    assert stage.faults() == []
-    stage.move_to({"pan": 1.0})
-    assert bench.pan.warnings(bench.clock.now_s) == []
-
-
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_serial_number_is_refused_and_nothing_is_set(bench) -> None:
     bench.tilt.exchange("999999", bench.clock.now_s)
@@ -127,18 +116,6 @@ def test_an_axis_that_somebody_parked_or_moves_is_left_alone(bench) -> None:
         stage.move_to({"pan": 1.0})
 
 
-@pytest.mark.parametrize("flag", ["FS", "FH", "FE", "WM", "FX"])
-def test_an_axis_with_a_fault_is_not_moved_until_it_is_homed_again(bench, flag) -> None:
-    stage = bench.homed()
-    mend = bench.answer("02 warnings", 6, f"01 {flag}")
-    with pytest.raises(MoveFailed, match=f"tilt: .*{flag}.* Nothing was moved"):
-        stage.move_to({"pan": 1.0, "tilt": 1.0})
-    assert bench.motions() == []
-    mend()
-    stage.home()
-    stage.move_to({"pan": 1.0, "tilt": 1.0})
-
-
 @pytest.mark.parametrize(
     ("words", "data"), [("01 get pos", "12.5"), ("01 get pos", "1_0"), ("01 warnings", "02 WR")]
 )
@@ -148,17 +125,6 @@ def test_well_formed_nonsense_is_refused(bench, words, data) -> None:
     with pytest.raises(ReplyError):
         stage.move_to({"pan": 1.0})
     assert bench.motions() == []
-
-
-# ---------------------------------------------------------------- noticed in mid-move
-@pytest.mark.parametrize("flag", ["FS", "FE", "FH", "WL", "NI", "NC"])
-def test_a_flag_in_mid_move_ends_it(bench, flag) -> None:
-    stage = bench.homed()
-    bench.line.once_moving(b" move ", lambda: bench.answer("01 get pos", 5, flag))
-    with pytest.raises(MoveFailed, match=flag):
-        stage.move_to({"pan": 9.0})
-    bench.clock.sleep(1.0)
-    assert bench.position("pan") < 9000
 
 
 def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> None:
@@ -177,14 +143,6 @@ def test_a_controller_that_stays_busy_is_stopped_and_the_power_is_named(bench) -
     assert bench.clock.now_s - before_s < 6.0
     assert "The stop that followed failed too" in str(caught.value)
     assert "Cut the stage's power" in str(caught.value)
-
-
-def test_homing_that_leaves_no_reference_has_failed(bench) -> None:
-    stage = bench.open()
-    bench.tilt.axis.home = lambda *_: None
-    with pytest.raises(MoveFailed, match="tilt: homing ended without a reference"):
-        stage.home()
-    assert not stage.is_homed()
 
 
 # ---------------------------------------------------------------- the line, and stops
