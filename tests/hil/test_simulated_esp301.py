@@ -117,15 +117,6 @@ def test_a_refusal_is_silent_and_waits_in_the_queue(controller: Controller, line
     assert controller.say("TE?") == ["0"]
 
 
-def test_a_move_has_ended_when_it_is_reported_done(homed: Controller):
-    homed.say("1PA3.5")
-    homed.wait(0.1)
-    assert homed.say("1MD?;1PA?") == ["0", "3.50000"]
-    homed.wait()
-    assert homed.say("1MD?;1TP;1DP?") == ["1", "3.50000", "3.50000"]
-    assert homed.device.axes[1].axis.pointing.angle_deg(homed.now_s) == 3.5
-
-
 def test_a_wait_delays_the_commands_after_it(homed: Controller):
     assert homed.say("1PR2;1WS0;1TP") == []
     assert homed.wait() == ["2.00000"]
@@ -140,17 +131,6 @@ def test_homing_may_not_be_disturbed_and_is_ended_by_stop(controller: Controller
     assert controller.say("TE?") == ["120"]
     controller.wait()
     assert not controller.device.axes[1].axis.referenced(controller.now_s)
-
-
-def test_stop_without_an_axis_stops_all(homed: Controller):
-    homed.say("1PA15;2PA10")
-    homed.wait(0.2)
-    homed.say("ST")
-    homed.wait(0.3)
-    first, second, *done = homed.say("1TP;2TP;1MD?;2MD?;1MO?")
-    assert 0.0 < float(first) < 15.0
-    assert 0.0 < float(second) < 10.0
-    assert done == ["1", "1", "1"]
 
 
 def test_the_status_character_shows_which_axes_move(homed: Controller):

@@ -96,20 +96,6 @@ def test_a_dwell_is_answered_when_all_motion_has_ended(homed: Board):
     assert homed.report()[1] == -1.0
 
 
-def test_a_hold_brakes_and_a_start_goes_on(homed: Board):
-    homed.say("G1 X-11 F600")
-    homed.wait(0.5)
-    homed.press(b"!")
-    assert homed.report()[0] == "Hold:1"
-    homed.wait()
-    state, x, _ = homed.report()
-    assert state == "Hold:0"
-    assert -11.0 < x < -1.0
-    homed.press(b"~")
-    homed.wait()
-    assert homed.report() == ("Idle", -11.0, -1.0)
-
-
 def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
     homed.say("G0 X-21")
     homed.wait(0.4)
@@ -175,26 +161,12 @@ def test_a_target_beyond_the_travel_is_an_alarm_that_only_a_reset_ends(homed: Bo
     assert homed.report() == ("Idle", -1.0, -1.0)
 
 
-def test_settings_are_listed_written_and_obeyed(homed: Board):
-    assert "$130=32.000\r\n" in homed.say("$$")
-    assert "$27=1.000\r\n$30=1000\r\n" in homed.say("$$")
-    assert homed.say("$130=5") == "ok\r\n"
-    assert "$130=5.000\r\n" in homed.say("$$")
-    assert homed.say("G0 X-6").startswith("ALARM:2")
-
-
 def test_blanks_comments_and_small_letters_do_not_matter(homed: Board):
     for line in ("$ i", "$I", "$i (the name)", "$I ; the name"):
         assert homed.say(line) == "[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
     assert homed.say("/g0(fast)x-6 (not closed") == "ok\r\n"
     homed.wait()
     assert homed.report() == ("Idle", -6.0, -1.0)
-
-
-def test_a_jog_without_any_axis_goes_to_zero(homed: Board):
-    assert homed.say("$J=F600") == "ok\r\n"
-    homed.wait()
-    assert homed.report() == ("Idle", 0.0, 0.0)
 
 
 def test_a_block_that_is_refused_changes_no_mode(homed: Board):

@@ -125,37 +125,6 @@ def test_an_unknown_command_and_a_wrong_value_are_refused(controller: Controller
     assert controller.device.receive(b"smov" + data + struct.pack("<H", crc16(data))) == b"errv"
 
 
-def test_a_command_in_pieces_is_understood_and_forgotten_when_it_stops_coming(controller: Controller):
-    assert controller.device.receive(b"gs") == b""
-    controller.wait(0.3)
-    assert controller.device.receive(b"er")[:4] == b"gser"
-    assert controller.device.receive(b"mo") == b""
-    controller.wait(0.5)
-    assert controller.device.receive(b"gser")[:4] == b"gser"
-
-
-def test_homing_sets_the_flag_and_leaves_the_position_to_the_host(controller: Controller):
-    assert not controller.status().flags & 0x20
-    controller.ask(b"home")
-    controller.wait(0.1)
-    assert controller.status().running
-    controller.wait()
-    status = controller.status()
-    assert status.flags & 0x20
-    assert (status.running, status.command, status.failed) == (False, 6, False)
-    assert status.position == round(-2.4 * SCALE)
-    controller.ask(b"zero")
-    assert controller.status().position == 0
-    assert controller.device.axis.pointing.angle_deg(controller.now_s) == 0.0
-
-
-def test_a_settled_axis_points_where_its_microsteps_say(homed: Controller):
-    homed.move(-300, -17)
-    homed.wait()
-    assert homed.status().position == -300 * 256 - 17
-    assert homed.device.axis.pointing.angle_deg(homed.now_s) == (-300 * 256 - 17) / SCALE
-
-
 def test_a_border_stops_a_move_which_then_has_failed(homed: Controller):
     homed.move(2000)
     homed.wait()
