@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from html import escape
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,7 +42,6 @@ _STEPS = (1.0, 2.0, 5.0, 10.0)
 _LABELLED = ((1, 2, 5), (1,))
 """Digits of logarithmic ticks: the first that are few enough."""
 _NARROW, _WIDE_LETTERS = frozenset(" .,:;|!'()[]fijlrtI\N{PRIME}"), frozenset("mwMW@%\N{HORIZONTAL ELLIPSIS}")
-_EM = {"narrow": 0.37, "wide": 0.96, "capital": 0.7, "other": 0.63}
 
 
 @dataclass(frozen=True)
@@ -148,15 +147,15 @@ def plain(value: float) -> str:
 
 def text_width(text: str, size: float) -> float:
     """Estimate how wide a text is in DejaVu Sans, in the unit of ``size``; most typefaces are narrower."""
-    return size * sum(_EM[_kind(letter)] for letter in text)
+    return size * sum(_letter_width(letter) for letter in text)
 
 
-def _kind(letter: str) -> str:
+def _letter_width(letter: str) -> float:
     if letter in _NARROW:
-        return "narrow"
+        return 0.37
     if letter in _WIDE_LETTERS or ord(letter) > 0x2E80:  # ideographs are as wide as high
-        return "wide"
-    return "capital" if letter.isupper() else "other"
+        return 0.96
+    return 0.7 if letter.isupper() else 0.63
 
 
 def _decimal(value: float, decimals: int) -> str:
@@ -177,7 +176,6 @@ class Picture:
         self.width, self.height, self.identifier = width, height, identifier
         self.label, self.about = label, about
         self.parts: list[str] = []
-        self._clipped = 0
 
     def add(self, part: str) -> None:
         """Add an element."""
@@ -192,18 +190,18 @@ class Picture:
         colour: str = MUTED,
         anchor: str = "start",
         size: float = FONT,
+        themed: bool = True,
         more: str = "",
     ) -> None:
-        """Write a text on the ground of the page; the baseline's ``start``, ``middle`` or ``end`` is at x, y."""
-        self.add(_text(x, y, text, painted("fill", colour), anchor, size, more))
+        """Write a text; the baseline's ``start``, ``middle`` or ``end`` is at x, y.
 
-    def clip(self, left: float, top: float, width: float, height: float) -> str:
-        """Define a rectangle outside of which nothing is drawn."""
-        self._clipped += 1
-        name = f"{self.identifier}-area{self._clipped}"
-        shape = f'<rect x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"/>'
-        self.add(f'<clipPath id="{name}">{shape}</clipPath>')
-        return f'clip-path="url(#{name})"'
+        ``themed``: on the ground of the page, in its colours; else on a ground that is light in every scheme.
+        """
+        place = f'x="{round(x, 2):g}" y="{round(y, 2):g}"'
+        paint = painted("fill", colour) if themed else f'fill="{colour}"'
+        middle = f' text-anchor="{anchor}"' if anchor != "start" else ""
+        larger = f' font-size="{size:g}"' if size != FONT else ""
+        self.add(f"<text {place} {paint}{middle}{larger}{more and ' ' + more}>{escape(text)}</text>")
 
     def svg(self) -> str:
         """Return the picture as an ``<svg>`` element."""
@@ -247,12 +245,10 @@ class Axes:
         shape = "M%g %gh0" * len(places) % tuple(places.ravel().tolist())
         self._path(shape, _stroke(colour, width, opacity) + ' stroke-linecap="round"')
 
-    def line(
-        self, points: ArrayLike, colour: str, width: float = 1.0, *, dash: str = "", opacity: float = 1.0
-    ) -> None:
+    def line(self, points: ArrayLike, colour: str, width: float = 1.0, *, dash: str = "") -> None:
         """Draw a line through (N, 2) points; ``dash`` is empty for a full line."""
         dashed = f' stroke-dasharray="{dash}"' if dash else ""
-        self._path(shape_of(self.at(points)), _stroke(colour, width, opacity) + dashed)
+        self._path(shape_of(self.at(points)), _stroke(colour, width) + dashed)
 
     def shapes(
         self,
@@ -285,19 +281,20 @@ class Axes:
         *,
         by: tuple[float, float] = (0.0, 0.0),
         colour: str = INK,
-        anchor: str = "start",
         size: float = 8.0,
-        themed: bool = True,
-        more: str = "",
+        **look: Any,
     ) -> None:
-        """Write a text beside a point, in the page's colour (``themed``) unless its ground is light in every scheme."""
+        """Write a text beside a point, as `Picture.text`."""
         x, y = self.at([at])[0].tolist()
-        paint = painted("fill", colour) if themed else f'fill="{colour}"'
-        self.picture.add(_text(x + by[0], y + by[1], text, paint, anchor, size, more))
+        self.picture.text(x + by[0], y + by[1], text, colour=colour, size=size, **look)
 
     def clipped(self) -> None:
         """Draw nothing outside of the axes from now on; text is not concerned."""
-        self._clip = " " + self.picture.clip(self.left, self.top, self.width, self.height)
+        number = 1 + sum(part.startswith("<clipPath") for part in self.picture.parts)
+        name = f"{self.picture.identifier}-area{number}"
+        place = f'x="{self.left:g}" y="{self.top:g}" width="{self.width:g}" height="{self.height:g}"'
+        self.picture.add(f'<clipPath id="{name}"><rect {place}/></clipPath>')
+        self._clip = f' clip-path="url(#{name})"'
 
     def _path(self, shape: str, look: str) -> None:
         if shape:
@@ -319,16 +316,9 @@ def painted(what: str, colour: str) -> str:
     return f'class="{known}{line}" {what}="{colour}"' if known else f'{what}="{colour}"'
 
 
-def _stroke(colour: str, width: float, opacity: float) -> str:
+def _stroke(colour: str, width: float, opacity: float = 1.0) -> str:
     clear = f' stroke-opacity="{opacity:g}"' if opacity < 1 else ""
     return f'fill="none" {painted("stroke", colour)} stroke-width="{width:g}"{clear}'
-
-
-def _text(x: float, y: float, text: str, paint: str, anchor: str, size: float, more: str) -> str:
-    place = f'x="{round(x, 2):g}" y="{round(y, 2):g}"'
-    middle = f' text-anchor="{anchor}"' if anchor != "start" else ""
-    larger = f' font-size="{size:g}"' if size != FONT else ""
-    return f"<text {place} {paint}{middle}{larger}{more and ' ' + more}>{escape(text)}</text>"
 
 
 # The frame of a plot: its place in the picture, title, legend, axes, ticks and labels. Pure.
@@ -381,15 +371,12 @@ def axes_in(
     room = height - above - below
     beside = _room_beside(y, room, words)
     if equal == "extend":  # longer numbers may need more room, which a second step gives
-        beside = max(
-            beside, _room_beside(_same_unit(x, y, width - beside, room, extend=True)[1], room, words)
-        )
+        longer = _same_unit(x, y, width - beside, room, extend=True)[1]
+        beside = max(beside, _room_beside(longer, room, words))
     across = width - beside - _RIGHT
     if equal:
         x, y, across, room = _same_unit(x, y, across, room, extend=equal == "extend")
-    axes = Axes(
-        picture, x, y, round(left + beside, 2), round(top + above, 2), round(across, 2), round(room, 2)
-    )
+    axes = Axes(picture, x, y, *(round(one, 2) for one in (left + beside, top + above, across, room)))
     _draw_frame(axes, words, whole=whole, grid=grid)
     if clip:
         axes.clipped()

@@ -104,13 +104,22 @@ class CameraKind(Protocol):
 
 
 class EventKind:
-    """An event camera under a flickering light; without a region of interest, the whole sensor sends events."""
+    """An event camera under a flickering light; without a region of interest, the whole sensor sends events.
+
+    ``board`` is at finite distance in place of the collimator.
+    """
 
     name = "event"
     ending = ".raw"
 
-    def __init__(self, biases: Mapping[str, int], roi: tuple[int, int, int, int] | None = None) -> None:
+    def __init__(
+        self,
+        biases: Mapping[str, int],
+        roi: tuple[int, int, int, int] | None = None,
+        board: Board | None = None,
+    ) -> None:
         self._settings = CameraSettings(biases, trigger_in=True, roi=roi)
+        self._board = board
 
     def light_for(self, flicker: Flicker) -> Flicker:
         """See `CameraKind.light_for`. Returns the flicker itself."""
@@ -149,14 +158,26 @@ class EventKind:
         motion: bool = True,
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the event image of whole flicker periods."""
+        name, periods = step.pose.name, periods_in_window(step.window_ms, frequency_hz)
+        if self._board is not None:
+            from bench.views.measure_board import measure_board
+
+            return measure_board(
+                path,
+                name=name,
+                board=self._board,
+                image=step.image,
+                periods=periods,
+                expected_hz=frequency_hz,
+            )
         from bench.views.measure import measure
 
         return measure(
             path,
-            name=step.pose.name,
+            name=name,
             target=target,
             image=step.image,
-            periods=periods_in_window(step.window_ms, frequency_hz),
+            periods=periods,
             expected_hz=frequency_hz,
             expected_grid=expected_grid,
             motion=motion,
@@ -165,12 +186,10 @@ class EventKind:
     def judge(
         self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
-        """See `CameraKind.judge`. Judges stars, event rate, triggers, flicker and motion."""
+        """See `CameraKind.judge`. Judges stars or points, event rate, triggers, flicker and motion."""
         recorded = RecordingFacts(**facts)
-        return (
-            recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars),
-            rejection_reasons(recorded, step.gates, ()),
-        )
+        gates = recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars)
+        return _about_points(gates, self._board, step, found), rejection_reasons(recorded, step.gates, ())
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
         """See `CameraKind.counts`. Events, triggers, duration and event rate."""
@@ -198,14 +217,15 @@ class EventKind:
 
 
 class FrameKind:
-    """A frame camera under a steady light."""
+    """A frame camera under a steady light; ``board`` is at finite distance in place of the collimator."""
 
     name = "frame"
     ending = ".tif"
 
-    def __init__(self, frames: int, settings: FrameSettings) -> None:
+    def __init__(self, frames: int, settings: FrameSettings, board: Board | None = None) -> None:
         self._frames = frames
         self._settings = settings
+        self._board = board
 
     def light_for(self, flicker: Flicker) -> Flicker:
         """See `CameraKind.light_for`. Steady light at the flicker's high level."""
@@ -230,6 +250,10 @@ class FrameKind:
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the mean of the frames."""
+        if self._board is not None:
+            from bench.views.measure_board import measure_board_frames
+
+            return measure_board_frames(path, name=step.pose.name, board=self._board)
         from bench.views.measure import measure_frames
 
         return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)
@@ -241,11 +265,12 @@ class FrameKind:
         frequency_hz: float,  # noqa: ARG002
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
-        """See `CameraKind.judge`. Judges stars, saturation and motion."""
+        """See `CameraKind.judge`. Judges stars or points, saturation and motion."""
         from bench.views.measure import frame_gates, frame_rejection_reasons
 
         recorded = FrameFacts(**facts)
-        return frame_gates(recorded, step.gates, found), frame_rejection_reasons(recorded)
+        gates = frame_gates(recorded, step.gates, found)
+        return _about_points(gates, self._board, step, found), frame_rejection_reasons(recorded)
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
         """See `CameraKind.counts`. Number of frames, and percentage of saturated pixels."""
@@ -263,88 +288,14 @@ class FrameKind:
         return {"pictures": last.frames, "bits": last.bits, **asked}
 
 
-# The two kinds of cameras in front of a board at finite distance: how a recording is measured and judged.
-#
-# Everything else is as in front of the collimator (`bench.views.camera_kinds`).
-
 _LEAST_SHARE = 0.5
-"""A recording needs this share of the board's points, at most; the detectors of printed boards need more."""
+"""A recording needs this share of a board's points, at most; the detectors of printed boards need more."""
 
 
-class EventBoardKind(EventKind):
-    """An event camera in front of a board; without a region of interest, the whole sensor sends events."""
-
-    def __init__(
-        self,
-        biases: Mapping[str, int],
-        board: Board,
-        roi: tuple[int, int, int, int] | None = None,
-    ) -> None:
-        super().__init__(biases, roi)
-        self._board = board
-
-    def measure(
-        self,
-        path: Path,
-        step: RecordStep,
-        frequency_hz: float,
-        target: StarTarget,  # noqa: ARG002
-        expected_grid: ExpectedGrid | None,  # noqa: ARG002
-        *,
-        motion: bool = True,  # noqa: ARG002
-    ) -> Measurement:
-        """See `CameraKind.measure`. Finds the board."""
-        from bench.views.measure_board import measure_board
-
-        return measure_board(
-            path,
-            name=step.pose.name,
-            board=self._board,
-            image=step.image,
-            periods=periods_in_window(step.window_ms, frequency_hz),
-            expected_hz=frequency_hz,
-        )
-
-    def judge(
-        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
-    ) -> tuple[list[Gate], list[str]]:
-        """See `CameraKind.judge`. Judges points, event rate, triggers, flicker and motion."""
-        gates, reasons = super().judge(facts, step, frequency_hz, found)
-        return _about_points(gates, self._board, step, found), reasons
-
-
-class FrameBoardKind(FrameKind):
-    """A frame camera in front of a board."""
-
-    def __init__(self, frames: int, settings: FrameSettings, board: Board) -> None:
-        super().__init__(frames, settings)
-        self._board = board
-
-    def measure(
-        self,
-        path: Path,
-        step: RecordStep,
-        frequency_hz: float,  # noqa: ARG002
-        target: StarTarget,  # noqa: ARG002
-        expected_grid: ExpectedGrid | None,  # noqa: ARG002
-        *,
-        motion: bool = True,  # noqa: ARG002
-    ) -> Measurement:
-        """See `CameraKind.measure`. Finds the board in the mean of the frames."""
-        from bench.views.measure_board import measure_board_frames
-
-        return measure_board_frames(path, name=step.pose.name, board=self._board)
-
-    def judge(
-        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
-    ) -> tuple[list[Gate], list[str]]:
-        """See `CameraKind.judge`. Judges points, saturation and motion."""
-        gates, reasons = super().judge(facts, step, frequency_hz, found)
-        return _about_points(gates, self._board, step, found), reasons
-
-
-def _about_points(gates: list[Gate], board: Board, step: RecordStep, found: Measurement) -> list[Gate]:
-    """Return the gates with the points of a board in place of stars; a small board needs no 40 of them."""
+def _about_points(gates: list[Gate], board: Board | None, step: RecordStep, found: Measurement) -> list[Gate]:
+    """Return the gates, with the points of a board, if there is one, for stars; a small board needs no 40 of them."""
+    if board is None:
+        return gates
     least = min(step.gates.min_stars, _LEAST_SHARE * len(board.nodes))
     judged = [] if found.view is None else [at_least("points", found.stars, least, "")]
     others = (gate for gate in gates if gate.name != "stars")
@@ -353,18 +304,10 @@ def _about_points(gates: list[Gate], board: Board, step: RecordStep, found: Meas
     ]
 
 
-# Choose what a run does with a station's camera: by the kind of camera, and by whether it looks at a board.
-#
-# This module opens nothing. What each kind does is in `camera_kinds` and `board_kinds`.
-
-
 def camera_kind(station: Station) -> CameraKind:
-    """Return the kind of a station's camera."""
-    config, shown = station.camera, station.board
-    if shown is not None:
-        if isinstance(config, FrameCameraConfig):
-            return FrameBoardKind(config.pictures, config.settings(), shown.board())
-        return EventBoardKind(config.biases.named(), shown.board(), config.roi)
+    """Return what a run does with a station's camera, by its kind, and by whether it looks at a board."""
+    config = station.camera
+    board = None if station.board is None else station.board.board()
     if isinstance(config, FrameCameraConfig):
-        return FrameKind(config.pictures, config.settings())
-    return EventKind(config.biases.named(), config.roi)
+        return FrameKind(config.pictures, config.settings(), board)
+    return EventKind(config.biases.named(), config.roi, board)
