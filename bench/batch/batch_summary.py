@@ -29,13 +29,13 @@ from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
 from bench.records.journal import read_journal
 from bench.records.run_facts import REPEATS_TEXT, factors_text, parameters_data
-from bench.records.run_folder import JOURNAL, PLAN, REPORT
+from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run_and_details
-from bench.records.storage import is_locked, read_json, storage_errors, write_atomic
+from bench.records.storage import is_locked, storage_errors, write_atomic
 from bench.report.batch_page import render_batch
 from bench.report.text import unit_text, with_uncertainty
 from bench.results.trends import by_camera, hours_after, trends_of
-from bench.run.status import read_status
+from bench.run.status import read_plan, read_status
 from sequences.errors import DocumentFaults
 from sequences.queue import Queue
 from sequences.reader import read_document
@@ -237,11 +237,8 @@ def _request(data: Requested) -> dict[str, Any]:
 
 def _planned_poses(run: Path) -> int | None:
     """Return the number of poses in a run's plan; None if there is no plan, or if the run chooses their number."""
-    try:
-        plan = read_json(run / PLAN)
-        return None if plan.get("untils") else len(plan["poses"])
-    except (BenchError, ValueError, KeyError):
-        return None
+    plan = read_plan(run)
+    return None if plan.fault or plan.untils else len(plan.poses)
 
 
 def _iso(moment: datetime | None) -> str | None:

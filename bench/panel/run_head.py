@@ -291,14 +291,11 @@ def _times(model: RunModel, process: ProcessState, now: datetime) -> Json:
 
 def _counts(model: RunModel) -> Json:
     history = model.history
-    known, most = len(model.rows), model.plan.most_poses
-    ended = {decided["until"] for decided in history.decisions if "ended" in decided}
-    if all(until["first"] in ended for until in model.plan.untils):
-        most = known
+    known = len(model.rows)
     recordings, lost = len(history.attempts), sum(history.lost.values())
     return {
         "poses": known,
-        "most_poses": max(known, most),
+        "most_poses": model.plan.most_of(history, known),
         "accepted": len(history.accepted()),
         "skipped": len(history.skipped),
         "recordings": recordings + lost,

@@ -6,8 +6,8 @@ Of each recording the model keeps verdict and place only. It writes nothing.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,10 @@ from bench.records.events import Event
 from bench.records.history import History, apply_entry
 from bench.records.journal import FIRST_PREV, Entry, decode_line, read_journal
 from bench.records.run_facts import coverage_factor
-from bench.records.run_folder import JOURNAL, PLAN, RESULTS
+from bench.records.run_folder import JOURNAL, RESULTS
 from bench.records.storage import read_json, storage_errors
 from bench.run.machine import TimeLeft
-from bench.run.status import line_text
+from bench.run.status import RunPlan, line_text, read_plan
 
 # Reads what is new in a journal, by its offset, and verifies each line as `bench.records.journal` does.
 #
@@ -119,43 +119,7 @@ class JournalTail:
         )
 
 
-# What a page needs of a run's ``plan.json`` and ``results.json``. Reads these two files, and writes
-# nothing.
-
-
-@dataclass(frozen=True)
-class RunPlan:
-    """The plan of a run."""
-
-    poses: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-    most_poses: int = 0  # How many poses there are at most, with those that the run may still choose
-    untils: Sequence[Mapping[str, Any]] = ()  # ``untils`` of the plan
-    steps: Sequence[Mapping[str, Any]] = ()  # ``steps`` of the plan, in order
-    prompts: Sequence[int] = ()
-    duration_s: float = 0.0  # Planned time, s
-    most_bytes: int = 0  # Disk space that the run may need, bytes
-    fault: str = ""  # Why there is no plan; empty if there is one
-
-
-def read_plan(folder: Path) -> RunPlan:
-    """Read the plan of a run; one that is missing or damaged gives a ``fault``."""
-    path = folder / PLAN
-    try:
-        plan = read_json(path)
-        poses = {int(pose["index"]): pose for pose in plan["poses"]}
-        return RunPlan(
-            poses,
-            max(len(poses), int(plan.get("most_poses", 0))),
-            plan.get("untils", ()),
-            plan["steps"],
-            [int(step["number"]) for step in plan["steps"] if step["what"] == "prompt"],
-            float(plan["duration_s"]),
-            int(plan.get("most_bytes", 0)),
-        )
-    except StorageError as error:
-        return RunPlan(fault=f"{PLAN} cannot be read: {error.what}")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        return RunPlan(fault=f"{PLAN} is damaged, or another version wrote it ({error}).")
+# What a page needs of a run's results.
 
 
 def read_final(folder: Path) -> dict[str, float]:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends
 from bench.base.errors import RunFolderError, StorageError
@@ -195,15 +195,48 @@ class Status:
         return {"schema": "starbench/status/1", **asdict(self)}
 
 
-class _Plan(TypedDict):
-    """What a status needs of plan.json; the plan of an earlier version has neither ``most_poses`` nor ``untils``."""
+@dataclass(frozen=True)
+class RunPlan:
+    """The plan of a run."""
 
-    poses: Sequence[Mapping[str, Any]]
-    most_poses: NotRequired[int]
-    untils: NotRequired[Sequence[Mapping[str, Any]]]
-    steps: Sequence[Mapping[str, Any]]
-    duration_s: float
-    simulated: bool
+    poses: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    most_poses: int = 0  # How many poses there are at most, with those that the run may still choose
+    untils: Sequence[Mapping[str, Any]] = ()  # ``untils`` of the plan
+    steps: Sequence[Mapping[str, Any]] = ()  # ``steps`` of the plan, in order
+    prompts: Sequence[int] = ()
+    duration_s: float = 0.0  # Planned time, s
+    most_bytes: int = 0  # Disk space that the run may need, bytes
+    simulated: bool = False  # Whether any device is simulated
+    fault: str = ""  # Why there is no plan; empty if there is one
+
+    def most_of(self, history: History, known: int) -> int:
+        """Return how many poses there can be; that is known once every ``until`` has ended."""
+        ended = {decided["until"] for decided in history.decisions if "ended" in decided}
+        if all(until["first"] in ended for until in self.untils):
+            return known
+        return max(known, self.most_poses)
+
+
+def read_plan(folder: Path) -> RunPlan:
+    """Read the plan of a run; one that is missing or damaged gives a ``fault``."""
+    path = folder / PLAN
+    try:
+        plan = read_json(path)
+        poses = {int(pose["index"]): pose for pose in plan["poses"]}
+        return RunPlan(
+            poses,
+            max(len(poses), int(plan.get("most_poses", 0))),
+            plan.get("untils", ()),
+            plan["steps"],
+            [int(step["number"]) for step in plan["steps"] if step["what"] == "prompt"],
+            float(plan["duration_s"]),
+            int(plan.get("most_bytes", 0)),
+            bool(plan.get("simulated", False)),
+        )
+    except StorageError as error:
+        return RunPlan(fault=f"{PLAN} cannot be read: {error.what}")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return RunPlan(fault=f"{PLAN} is damaged, or another version wrote it ({error}).")
 
 
 def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> Status:
@@ -225,15 +258,21 @@ def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Ent
 
 
 def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: bool, sealed: bool) -> Status:
-    history, plan = replay(entries), _plan_of(folder)
-    names = {pose["index"]: pose["name"] for pose in plan["poses"]}
+    history, plan = replay(entries), read_plan(folder)
+    if plan.fault:
+        raise RunFolderError(
+            f"{PLAN} cannot be read.",
+            where=str(folder),
+            remedy="The file is damaged or was written by another program.",
+        )
+    names = {number: pose["name"] for number, pose in plan.poses.items()}
     names |= {d["chosen"]["pose"]: d["chosen"]["pose_name"] for d in history.decisions if "chosen" in d}
     held_by = _held_by(history) if running else ""
     going_on = running and not _is_over(history)
     return Status(
         run_id=str(history.started.get("id", folder.name)),
         folder=str(folder),
-        simulated=bool(history.started.get("simulated", plan["simulated"])),
+        simulated=bool(history.started.get("simulated", plan.simulated)),
         running=running,
         sealed=sealed,
         evidence=shown_state(
@@ -245,7 +284,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         pose=history.at_pose,
         pose_name=names.get(history.at_pose or 0, ""),
         poses=len(names),
-        most_poses=_most_poses(plan, history, len(names)),
+        most_poses=plan.most_of(history, len(names)),
         accepted=len(history.accepted()),
         skipped=len(history.skipped),
         attempts=len(history.attempts) + sum(history.lost.values()),
@@ -288,32 +327,9 @@ def _result_text(history: History) -> str:
     return f"{', '.join(parts)} ({factors_text(one.k for one in found.values())})" if parts else ""
 
 
-def _most_poses(plan: _Plan, history: History, known: int) -> int:
-    """Return how many poses there can be; that is known once every ``until`` has ended."""
-    ended = {decided["until"] for decided in history.decisions if "ended" in decided}
-    if all(until["first"] in ended for until in plan.get("untils", ())):
-        return known
-    return max(known, plan.get("most_poses", known))
-
-
-def _plan_of(folder: Path) -> _Plan:
-    try:
-        plan: dict[str, Any] = read_json(folder / PLAN)
-        found = _Plan(**{name: plan[name] for name in _Plan.__required_keys__})  # type: ignore[typeddict-item]
-        if "untils" in plan:
-            found["most_poses"], found["untils"] = int(plan["most_poses"]), plan["untils"]
-    except (StorageError, ValueError, KeyError, TypeError) as error:
-        raise RunFolderError(
-            f"{PLAN} cannot be read.",
-            where=str(folder),
-            remedy="The file is damaged or was written by another program.",
-        ) from error
-    return found
-
-
-def _left_s(history: History, plan: _Plan, entries: Sequence[Entry], now: datetime) -> float:
+def _left_s(history: History, plan: RunPlan, entries: Sequence[Entry], now: datetime) -> float:
     """Return the time left by plan and pace; a held run has its whole rest before it."""
-    left = TimeLeft(plan["steps"], plan["duration_s"])
+    left = TimeLeft(plan.steps, plan.duration_s)
     for entry in entries:
         left.apply(entry, history)
     return round(left.left_s(now, held=bool(history.holder)), 1)
