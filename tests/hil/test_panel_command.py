@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import socket
 import subprocess
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,17 +58,6 @@ def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path
     assert (process.returncode, out, err.strip()) == (130, "", "Stopped.")
 
 
-def test_a_port_in_use_is_named(root, tmp_path):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        found = called("panel", root, "--no-browser", "--port", port, home=tmp_path)
-    assert (found.returncode, found.stdout) == (2, "")
-    assert f"Port {port} is in use by another program." in found.stderr
-    assert found.stderr.count("\n") == 1
-
-
 def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, monkeypatch):
     refused = called("panel", root, "--no-browser", "--no-token", "--host", "0.0.0.0", home=tmp_path)
     assert refused.returncode == 2
@@ -87,18 +75,6 @@ def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, mon
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=20)
     assert TOKEN not in out + err
-
-
-def test_without_a_token_only_if_that_is_said(root, tmp_path):
-    with panel(root, "--no-token", home=tmp_path) as (_, url):
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
-        assert httpx.get(f"{url}api/run/run7/state").status_code == 200
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path):
-    found = called("panel", tmp_path / "nowhere", "--no-browser", home=tmp_path)
-    assert found.returncode == 2
-    assert "There is no such folder." in found.stderr
 
 
 # ---------------------------------------------------------------- simulate

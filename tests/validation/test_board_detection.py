@@ -136,14 +136,6 @@ def place(position_mm, turn_deg=(0, 0, 0), **more):
     return {"placements": [{"position_mm": list(position_mm), "turn_deg": list(turn_deg), **more}]}
 
 
-@pytest.mark.slow
-def test_an_upright_board_and_one_that_is_upside_down_differ_by_half_a_turn():
-    at_ease, upside_down = (truth_of({**CIRCLES, **place((0, 0, 1350), (0, 0, z))}) for z in (0, 180))
-    first, second = (scene.corners(t, {}) for t in (at_ease, upside_down))
-    assert np.abs(first - second[::-1]).max() < 6.0  # the distortion and the principal point make the rest
-    assert np.abs(errors(found(counted(upside_down), CIRCLES), second)).max() < 0.5
-
-
 @pytest.mark.parametrize(
     "placement",
     [
@@ -157,33 +149,6 @@ def test_bad_placements_are_not_found(placement):
     lens = {"focus_distance_m": 0.4, "f_number": 1.4} if "2600" in str(placement) else LENS
     board = {**CHECKER, **placement}
     assert found(counted(truth_of(board, lens=lens)), board) is None
-
-
-@pytest.mark.slow
-def test_two_boards_are_both_in_the_picture():
-    small = {**CHECKER, "columns": 5, "rows": 4, **place((-110, 0, 1350), second_mm=[220, 0, 0])}
-    grey = counted(truth_of(small))
-    first = found(grey, small)
-    assert first is not None
-    low, high = first.min(axis=0).astype(int) - 60, first.max(axis=0).astype(int) + 60
-    grey[max(low[1], 0) : high[1], max(low[0], 0) : high[0]] = 0
-    second = found(grey, small)
-    assert second is not None
-    assert abs(abs(second[:, 0].mean() - first[:, 0].mean()) - 220 * 3390 / 1350) < 15
-
-
-@pytest.mark.slow
-def test_the_star_target_itself_is_seen_near_by():
-    from calib.stars.detect import detect_view
-    from calib.target import StarTarget
-
-    truth = truth_of({"kind": "stars", "margin_mm": 5, **place((0, 0, 300))},
-                     lens={"focus_distance_m": 0.3, "f_number": 5.6}, target={})  # fmt: skip
-    view = detect_view(counted(truth).astype(np.float32), StarTarget(), name="near")
-    true = dict(zip(truth.target.ids, scene.corners(truth, {}), strict=True))
-    error = view.points_px - [true[name] for name in view.ids]
-    assert len(view.ids) > 40
-    assert np.sqrt((error**2).mean()) < 0.1
 
 
 @pytest.mark.slow

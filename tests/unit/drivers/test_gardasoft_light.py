@@ -32,9 +32,6 @@ class Bench:
         lines = [data.decode().rstrip("\r") for data in self.line.sent]
         return [line for line in lines if not letters or line.startswith(letters)]
 
-    def was_lit(self) -> bool:
-        return any(state.output and state.high_v > 0.0 for state in self.states)
-
     def lit(self) -> bool:
         return self.states[-1].output
 

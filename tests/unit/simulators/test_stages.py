@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import struct
-
 import pytest
 
 from simulators.assembly import Stage, make_stage
 from simulators.config import bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.ximc import crc16
 from simulators.world.trajectory import LoadTrajectory
 
 
@@ -35,24 +32,6 @@ class Built:
 
     def angles(self) -> dict[str, float]:
         return {name: pointing.angle_deg(self.now_s) for name, pointing in self.pointing.items()}
-
-
-def ximc_move(counts: int) -> bytes:
-    data = struct.pack("<ih6x", counts // 256, counts % 256)
-    return b"move" + data + struct.pack("<H", crc16(data))
-
-
-def move_to_3_and_minus_2(kind: str, built: Built) -> None:
-    if kind == "zaber":
-        built.say("gimbal", b"/0 0 home\n", b"/1 1 move abs 19200\n/2 1 move abs -12800\n")
-    elif kind == "ximc":
-        built.say("gimbal-pan", b"home", b"zero", ximc_move(3 * 25_600))
-        built.say("gimbal-tilt", b"home", b"zero", ximc_move(-2 * 25_600))
-    elif kind == "grbl":
-        # Machine coordinates count from the switches, a degree above the upper limits.
-        built.say("gimbal", b"$H\n", b"G0 X-13 Y-13\n")
-    else:
-        built.say("gimbal", b"1MO;2MO;1OR;2OR\r", b"1PA3;2PA-2\r")
 
 
 @pytest.mark.parametrize(
