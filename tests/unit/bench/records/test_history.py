@@ -7,7 +7,7 @@ import pytest
 
 from bench.base.errors import JournalBroken
 from bench.records.events import Event
-from bench.records.history import Attempt, History, RunLog, replay
+from bench.records.history import RunLog, replay
 from bench.records.journal import Journal
 from bench.views.views_file import KeptEntries
 
@@ -36,11 +36,6 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
     assert [a.accepted for a in history.attempts_at(2)] == [False, True]
     assert (history.unchecked(3), history.unchecked(2)) == (history.attempts[-1], None)
     assert [history.next_attempt(pose) for pose in (1, 2, 3, 4)] == [3, 3, 2, 1]
-
-
-def test_a_history_created_with_attempts_holds_them():
-    one = Attempt(4, "p", 1, {}, {"accepted": True})
-    assert dict(History(attempts=[one]).accepted()) == {4: one}
 
 
 def test_time_counts_for_the_step_at_work_without_holds_and_without_the_time_between_processes(tmp_path):

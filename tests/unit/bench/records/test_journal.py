@@ -52,16 +52,6 @@ def three_lines(path, clocks):
     return path
 
 
-def test_a_line_reads_back_as_it_was_written(path, clocks):
-    with Journal.create(path, **clocks.kwargs()) as journal:
-        written = journal.append("capture_stored", capture="captures/a.raw", size=12, note="Müller\n\u2028")
-    (read,), torn = read_journal(path)
-    assert read == written
-    assert torn == b""
-    assert read.data == {"capture": "captures/a.raw", "size": 12, "note": "Müller\n\u2028"}
-    assert (read.seq, read.utc, read.mono_s) == (0, "2026-03-01T12:00:00.123456Z", 100.0)
-
-
 def test_numpy_paths_and_dates_are_written_as_json(path, clocks):
     with Journal.create(path, **clocks.kwargs()) as journal:
         data = journal.append("x", a=np.float64(1.5), b=np.arange(3), c=Path("a/b"), d=START, e=np.True_).data

@@ -10,7 +10,7 @@ import pytest
 
 from bench.base.errors import JournalBroken
 from bench.evidence.seal import seal
-from bench.records.journal import Journal, read_journal
+from bench.records.journal import Journal
 from bench.records.ledger import Ledger
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
@@ -44,27 +44,6 @@ def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_an
     other = begin(Ledger(tmp_path / "another bench", **CLOCKS), camera="00050999")
     assert other["number"] == place["number"]
     assert not ledger.contains(other)
-
-
-def test_runs_of_a_camera_are_counted_as_they_stand(ledger, tmp_path):
-    for how in ("failed", "finished", "failed", None):
-        number = begin(ledger)["number"]
-        if how:
-            ledger.end(number, how=how, folder=tmp_path)
-    begin(ledger, camera="00050999")
-    begin(ledger, simulated=True)
-    assert begin(ledger)["of_camera"] == {"failed": 2, "finished": 1, "open": 2}
-
-
-def test_the_head_stands_for_all_that_came_before(ledger, tmp_path):
-    heads = [begin(ledger)["head"] for _ in range(3)]
-    assert heads == [entry.hash for entry in read_journal(ledger.path)[0]]
-    lines = ledger.path.read_bytes().splitlines(keepends=True)
-    ledger.path.write_bytes(lines[0] + lines[2])
-    with pytest.raises(JournalBroken):
-        ledger.runs()
-    with pytest.raises(JournalBroken):
-        ledger.append("certificate_issued", number=1)
 
 
 def test_the_seal_of_a_run_is_entered_and_held_against_its_folder(ledger, make_run, key, tmp_path):

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from bench.base.errors import EvidenceError, JournalBroken, StorageError, UsageError
+from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.records.journal import Journal
 from bench.records.ledger import Ledger
 from bench.records.ledger_marks import MARK, KnownRun, highest_counts
@@ -256,16 +256,6 @@ def test_two_sealed_runs_with_one_number_are_noticed(ledger):
     assert fault == "The sealed run /runs/other is not in the ledger; its number 2 is that of run run1."
     begin(ledger, strangers=lambda _: [other])
     assert len(faults(ledger, None, lambda _: [other])) == 1
-
-
-def test_a_ledger_with_the_number_of_a_run_twice_is_damaged(ledger):
-    runs(ledger, 1)
-    with Journal.open(ledger.path, **CLOCKS) as journal:
-        journal.append("run_begun", number=1, run="r", folder="/r", camera="1", simulated=False)
-    with pytest.raises(JournalBroken):
-        ledger.runs()
-    assert "damaged" in faults(ledger)[0]
-    assert begin(ledger)["number"] == 2
 
 
 class LedgerStory(RuleBasedStateMachine):

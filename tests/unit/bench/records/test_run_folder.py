@@ -232,13 +232,6 @@ def test_a_capture_is_never_written_over(run):
     assert (run.path / capture_name(1, 1)).read_bytes() == b"first"
 
 
-def test_a_part_left_by_an_earlier_try_is_removed_and_nothing_is_no_capture(run):
-    run.capture_part_path(1, 1).write_bytes(b"half")
-    assert not run.capture_part_path(1, 1).exists()
-    with pytest.raises(StorageError, match="pose-001-attempt-1"):
-        run.commit_capture(1, 1)
-
-
 # ------------------------------------------------------------------ after a crash
 
 
@@ -275,28 +268,6 @@ def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, jo
         journal.append(CAPTURE_STORED, capture="captures/x.raw")
         with pytest.raises(RunFolderError, match="without its name, size or hash"):
             recover(run, journal)
-
-
-def test_a_half_written_recording_is_set_aside(run, journal):
-    run.capture_part_path(2, 1).write_bytes(b"half")
-    assert recover(run, journal).interrupted == ("captures/pose-002-attempt-1.raw.part",)
-    assert (run.path / "quarantine/pose-002-attempt-1.raw.part.1").read_bytes() == b"half"
-    assert not list((run.path / "captures").iterdir())
-
-
-def test_what_is_set_aside_twice_is_kept_twice(run, journal):
-    for data in (b"one", b"two"):
-        record(run, 1, 1, data)
-        recover(run, journal)
-    kept = sorted(p.read_bytes() for p in (run.path / "quarantine").iterdir())
-    assert kept == [b"one", b"two"]
-
-
-def test_temporary_files_of_reports_go(run, journal):
-    (run.path / ".results.json.tmp").write_bytes(b"half")
-    recover(run, journal)
-    assert visible(run.path) == ["journal.jsonl"]
-    assert not (run.path / ".results.json.tmp").exists()
 
 
 def test_work_is_seen_to_go_on_while_a_long_recording_is_hashed(run):
