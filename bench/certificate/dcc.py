@@ -29,9 +29,8 @@ from bench.certificate.certificate_data import (
     Traceability,
 )
 from bench.certificate.dcc_xml import (
+    DCC_VERSION,
     NAMESPACES,
-    VERSIONS,
-    Versions,
     d_si_unit,
     length_mm,
     library,
@@ -87,17 +86,15 @@ _REF_TYPES = {
 """The refTypes of Starbench and their meanings. Those that begin with ``basic_`` are PTB's."""
 
 
-def render_dcc(certificate: Certificate, versions: Versions = VERSIONS[0]) -> bytes:
-    """Return the DCC of a certificate, not signed, in one of `dcc_xml.VERSIONS`; it needs lxml."""
-    if versions not in VERSIONS:
-        raise ValueError(f"DCC {versions.dcc} with D-SI {versions.si} cannot be written")
+def render_dcc(certificate: Certificate) -> bytes:
+    """Return the DCC of a certificate, not signed; it needs lxml."""
     etree = library("lxml.etree")
     used, writers = _software_of(certificate)
     amends = certificate.amends
     changes = amends.changes if amends else ()
     filled = _form().render(
         c=certificate,
-        version=versions.dcc,
+        version=DCC_VERSION,
         writers=[*(one for one in used if one.name == "starbench"), *writers] or used,
         programs=used,
         fixed={one.id: one.text for one in certificate.statements},

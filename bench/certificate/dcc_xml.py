@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element
 
 
-LANGUAGE = "en"
 MOST_BYTES = 32 * 1024 * 1024
 """Largest DCC that is read. Those of Starbench have some hundred kilobytes."""
 MOST_ELEMENTS = 100_000
@@ -37,17 +35,8 @@ ROOT = f"{{{DCC}}}digitalCalibrationCertificate"
 SIGNATURE = f"{{{DS}}}Signature"
 
 
-@dataclass(frozen=True)
-class Versions:
-    """A version of the DCC and the version of D-SI that its schema imports. They are only valid together."""
-
-    # dcc, si: Version of the DCC's schema and of D-SI's.
-    dcc: str
-    si: str
-
-
-VERSIONS = (Versions("3.2.1", "2.1.0"),)
-"""The pairs that can be written, checked and read; the first is written."""
+DCC_VERSION, SI_VERSION = "3.2.1", "2.1.0"
+"""Version of the DCC, and of D-SI, which its schema imports. They are only valid together."""
 
 _DOCTYPE = re.compile(rb"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 
@@ -95,7 +84,7 @@ def read_xml(data: bytes, where: str) -> _Element:
 
 
 def read_dcc(data: bytes, where: str) -> _Element:
-    """Read a digital calibration certificate of a version in `VERSIONS`, from a source that is not trusted."""
+    """Read a digital calibration certificate of version `DCC_VERSION`, from a source that is not trusted."""
     root = read_xml(data, where)
     if root.tag != ROOT:
         raise EvidenceError(
@@ -103,22 +92,14 @@ def read_dcc(data: bytes, where: str) -> _Element:
             where=where,
             remedy="Name the dcc.xml of a certificate.",
         )
-    versions_of(root, where)
-    return root
-
-
-def versions_of(root: _Element, where: str) -> Versions:
-    """Return the versions of a DCC. Raises EvidenceError when they are not in `VERSIONS`."""
     stated = root.get("schemaVersion", "")
-    for one in VERSIONS:
-        if one.dcc == stated:
-            return one
-    known = ", ".join(f"{one.dcc} with D-SI {one.si}" for one in VERSIONS)
-    raise EvidenceError(
-        f"The DCC has version {short(stated) or 'none'}; known: {known}.",
-        where=where,
-        remedy="Ask its issuer for a known version, or check it with another program.",
-    )
+    if stated != DCC_VERSION:
+        raise EvidenceError(
+            f"The DCC has version {short(stated) or 'none'}; known: {DCC_VERSION} with D-SI {SI_VERSION}.",
+            where=where,
+            remedy="Ask its issuer for a known version, or check it with another program.",
+        )
+    return root
 
 
 def short(text: str, most: int = 80) -> str:
@@ -135,15 +116,6 @@ def qualified(name: str) -> str:
     """
     prefix, _, local = name.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"
-
-
-def add(parent: _Element, name: str, content: str | None = None, /, **attributes: str | None) -> _Element:
-    """Add an element with this text as the last child of another; attributes that are None are left out."""
-    child = parent.makeelement(qualified(name), {key: value for key, value in attributes.items() if value})
-    parent.append(child)
-    if content is not None:
-        child.text = printable(content)
-    return child
 
 
 def printable(text: str) -> str:
@@ -194,7 +166,7 @@ def schema_folder(given: Path | None, environ: Mapping[str, str] = os.environ) -
 def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
     """Check a DCC against the schemas of its version: at most 50 lines ``line N: what``, none if it is valid."""
     root = read_dcc(data, where)
-    schema = load_schema(folder, versions_of(root, where))
+    schema = load_schema(folder)
     if schema.validate(root):
         return []
     lines = [
@@ -205,14 +177,14 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
     return [*lines[:_MOST_FAULTS], *more]
 
 
-def load_schema(folder: Path, versions: Versions) -> XMLSchema:
+def load_schema(folder: Path) -> XMLSchema:
     """Load the schemas of a folder, which must have these versions; `UsageError` if one is missing or no schema."""
     etree = library("lxml.etree")
     if not folder.is_dir():
         raise UsageError("There is no such folder of schemas.", where=str(folder), remedy=_REMEDY)
     contents = {
-        DCC_SCHEMA: _schema_bytes(folder / DCC_SCHEMA, DCC, versions.dcc),
-        SI_SCHEMA: _schema_bytes(folder / SI_SCHEMA, SI, versions.si),
+        DCC_SCHEMA: _schema_bytes(folder / DCC_SCHEMA, DCC, DCC_VERSION),
+        SI_SCHEMA: _schema_bytes(folder / SI_SCHEMA, SI, SI_VERSION),
         SIGNATURE_SCHEMA: _signature_schema(folder),
     }
     parser = _schema_parser(etree)

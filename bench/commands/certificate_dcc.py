@@ -27,8 +27,6 @@ class _Found:
 
     file: Path
     number: str
-    dcc_version: str
-    si_version: str
     schema: list[str] | None  # Faults by the schema; None if there was none at hand
     signature: DccSignature | None  # The valid signature; None if there is none or it is not valid
     signature_fault: str  # Why the signature is not valid; empty if it is, or there is none
@@ -77,7 +75,7 @@ def check(path: Path, schemas: Path | None, trusted: Path | None) -> int:
 
 def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
     from bench.certificate.dcc_signature import load_certificates, verify_signature
-    from bench.certificate.dcc_xml import NAMESPACES, read_dcc, schema_faults, schema_folder, versions_of
+    from bench.certificate.dcc_xml import NAMESPACES, read_dcc, schema_faults, schema_folder
 
     file = path / DCC_FILE if path.is_dir() else path
     if not file.is_file():
@@ -85,7 +83,6 @@ def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
     data = _read(file)
     where = str(file)
     root = read_dcc(data, where)
-    versions = versions_of(root, where)
     anchors = () if trusted is None else load_certificates(trusted)
     folder = schema_folder(schemas)
     signature, signature_fault = None, ""
@@ -99,8 +96,6 @@ def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
     return _Found(
         file=file,
         number=number.strip(),
-        dcc_version=versions.dcc,
-        si_version=versions.si,
         schema=None if folder is None else schema_faults(data, folder, where),
         signature=signature,
         signature_fault=signature_fault,
@@ -187,7 +182,9 @@ def _fault_lines(found: _Found) -> Iterator[str]:
 
 
 def _valid_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
-    yield f"Certificate {found.number}: DCC {found.dcc_version} with D-SI {found.si_version}."
+    from bench.certificate.dcc_xml import DCC_VERSION, SI_VERSION
+
+    yield f"Certificate {found.number}: DCC {DCC_VERSION} with D-SI {SI_VERSION}."
     if found.schema is not None:
         yield "Schema: valid."
     if found.signature is not None:
@@ -214,12 +211,14 @@ def _unchecked_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
 
 
 def _object(found: _Found) -> dict[str, Any]:
+    from bench.certificate.dcc_xml import DCC_VERSION, SI_VERSION
+
     one = found.signature
     return {
         "file": str(found.file),
         "number": found.number,
-        "dcc_version": found.dcc_version,
-        "si_version": found.si_version,
+        "dcc_version": DCC_VERSION,
+        "si_version": SI_VERSION,
         "ok": not found.faults,
         "schema": found.schema,
         "signature": None

@@ -24,7 +24,6 @@ from sequences.strict_model import StrictModel, Within
 # Sections of the station file about the collimator and about the gimbal's readings: what is known, and how
 # well.
 
-NotNegative = Annotated[float, Field(ge=0)]
 Celsius = Annotated[float, Field(ge=-50, le=100)]
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 

@@ -19,8 +19,6 @@ from bench.certificate.dcc_signature import verify_signature, without_signature
 from bench.certificate.dcc_xml import (
     NAMESPACES,
     OUR_UNITS,
-    VERSIONS,
-    Versions,
     d_si_unit,
     is_unit,
     length_mm,
@@ -50,12 +48,6 @@ def test_the_same_certificate_gives_the_same_bytes():
 @pytest.mark.parametrize("dcc", [certificate_sample.full_dcc, certificate_sample.small_dcc])
 def test_a_certificate_does_not_contradict_itself(dcc):
     assert check_dcc(dcc()) == []
-
-
-def test_versions_are_pairs():
-    assert list(VERSIONS) == [Versions("3.2.1", "2.1.0")]
-    with pytest.raises(ValueError, match=r"DCC 3\.2\.1 with D-SI 2\.2\.0"):
-        render_dcc(certificate_sample.full_certificate(), Versions("3.2.1", "2.2.0"))
 
 
 def test_results_are_stated_as_printed_with_k_p_and_degrees_of_freedom():
