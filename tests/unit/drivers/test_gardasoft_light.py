@@ -51,6 +51,21 @@ def light(bench) -> GardasoftLight:
     return bench.open(model="RT260-20")
 
 
+def test_a_flicker_is_set_in_the_controllers_words_and_in_the_dark(light, bench) -> None:
+    light.apply(FLICKER)
+    flicker = ["RT1,5.0000,0.01,50.0", "RT2,5.0000,0.01,100.0"]
+    assert bench.sent("RS", "RT", "TT") == ["RS1,0", "TT1,16.6667", "TT0", *flicker]
+    assert not any(state.output and state.high_v > 0.0 for state in bench.states)
+
+
+def test_a_light_that_is_on_stays_on_when_it_is_set_anew(light, bench) -> None:
+    light.apply(FLICKER)
+    light.on()
+    light.apply(LightSettings(frequency_hz=50.0))
+    assert bench.lit()
+    assert bench.states[-1].frequency_hz == 50.0
+
+
 def test_without_sync_the_second_channel_is_dark(light, bench) -> None:
     light.apply(LightSettings(sync_output=False))
     assert (bench.device.outputs[2].mode, bench.device.outputs[2].percent) == (CONTINUOUS, 0.0)

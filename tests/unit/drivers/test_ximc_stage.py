@@ -12,6 +12,7 @@ import pytest
 
 from drivers.errors import (
     DeviceRefused,
+    DriverError,
     MoveFailed,
     OutsideLimits,
     ReplyError,
@@ -123,6 +124,18 @@ def test_the_reference_becomes_the_zero_and_moves_count_from_there(bench) -> Non
         round(-5.1 * SCALE * MICROSTEPS),
         round(-2 * SCALE * MICROSTEPS),
     ]
+
+
+def test_an_alarm_keeps_an_axis_from_moving_until_it_is_homed_again(bench) -> None:
+    stage = bench.homed()
+    bench.tilt.emergency_stop(bench.clock.now_s)
+    with pytest.raises(DriverError, match="tilt"):
+        stage.move_to({"pan": 1.0, "tilt": 1.0})
+    assert bench.sent(*MOTIONS) == []
+    bench.tilt.emergency_stop(bench.clock.now_s, released=True)
+    stage.home()
+    stage.move_to({"pan": 1.0})
+    assert stage.position_deg()["pan"] == pytest.approx(1.0, abs=0.01)
 
 
 def test_homing_that_leaves_no_reference_has_failed(bench) -> None:
