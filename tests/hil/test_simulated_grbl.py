@@ -96,6 +96,20 @@ def test_a_dwell_is_answered_when_all_motion_has_ended(homed: Board):
     assert homed.report()[1] == -1.0
 
 
+def test_a_hold_brakes_and_a_start_goes_on(homed: Board):
+    homed.say("G1 X-11 F600")
+    homed.wait(0.5)
+    homed.press(b"!")
+    assert homed.report()[0] == "Hold:1"
+    homed.wait()
+    state, x, _ = homed.report()
+    assert state == "Hold:0"
+    assert -11.0 < x < -1.0
+    homed.press(b"~")
+    homed.wait()
+    assert homed.report() == ("Idle", -11.0, -1.0)
+
+
 def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
     homed.say("G0 X-21")
     homed.wait(0.4)

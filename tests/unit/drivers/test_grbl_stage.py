@@ -265,12 +265,31 @@ def test_homing_that_does_not_find_its_switch_has_failed(bench, monkeypatch) -> 
     assert not stage.is_homed()
 
 
+def test_homing_that_the_board_refuses_has_failed(bench) -> None:
+    stage = bench.open()
+    bench.board.settings[22] = 0
+    with pytest.raises(DriverError, match="error:5"):
+        stage.home()
+    assert not stage.is_homed()
+
+
 def test_homing_that_never_ends_is_reset(bench, monkeypatch) -> None:
     stage = bench.open()
     bench.line.lose_next(b"$H")
     with pytest.raises(MoveTimeout, match="homing has not ended"):
         stage.home()
     assert RESET in bench.line.sent
+
+
+def test_a_stop_cancels_the_jog_and_keeps_the_position(bench) -> None:
+    stage = bench.homed()
+    bench.somebody_says(JOG)
+    bench.clock.sleep(0.2)
+    stage.stop()
+    assert bench.line.sent[0] == CANCEL
+    assert RESET not in bench.line.sent
+    assert bench.at_rest()
+    assert stage.is_homed()
 
 
 # ---------------------------------------------------------------- a line that lies
