@@ -60,6 +60,17 @@ def test_faults_are_told_in_plain_words(bench) -> None:
     assert stage.faults() == ["tilt: controller too hot (WT)"]
 
 
+def test_what_is_only_history_is_no_fault_and_is_cleared_before_a_move(bench) -> None:
+    stage = bench.homed()
+    bench.go("pan")
+    bench.clock.sleep(0.1)
+    stage.stop()
+    assert bench.pan.warnings(bench.clock.now_s) == ["NI"]
+    assert stage.faults() == []
+    stage.move_to({"pan": 1.0})
+    assert bench.pan.warnings(bench.clock.now_s) == []
+
+
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_serial_number_is_refused_and_nothing_is_set(bench) -> None:
     bench.tilt.exchange("999999", bench.clock.now_s)
@@ -114,6 +125,18 @@ def test_an_axis_that_somebody_parked_or_moves_is_left_alone(bench) -> None:
     bench.pan.execute(1, ["tools", "parking", "park"], bench.clock.now_s)
     with pytest.raises(DeviceRefused, match="the axis is parked"):
         stage.move_to({"pan": 1.0})
+
+
+@pytest.mark.parametrize("flag", ["FS", "FH", "FE", "WM", "FX"])
+def test_an_axis_with_a_fault_is_not_moved_until_it_is_homed_again(bench, flag) -> None:
+    stage = bench.homed()
+    mend = bench.answer("02 warnings", 6, f"01 {flag}")
+    with pytest.raises(MoveFailed, match=f"tilt: .*{flag}.* Nothing was moved"):
+        stage.move_to({"pan": 1.0, "tilt": 1.0})
+    assert bench.motions() == []
+    mend()
+    stage.home()
+    stage.move_to({"pan": 1.0, "tilt": 1.0})
 
 
 @pytest.mark.parametrize(
