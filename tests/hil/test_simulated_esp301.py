@@ -133,6 +133,17 @@ def test_homing_may_not_be_disturbed_and_is_ended_by_stop(controller: Controller
     assert not controller.device.axes[1].axis.referenced(controller.now_s)
 
 
+def test_stop_without_an_axis_stops_all(homed: Controller):
+    homed.say("1PA15;2PA10")
+    homed.wait(0.2)
+    homed.say("ST")
+    homed.wait(0.3)
+    first, second, *done = homed.say("1TP;2TP;1MD?;2MD?;1MO?")
+    assert 0.0 < float(first) < 15.0
+    assert 0.0 < float(second) < 10.0
+    assert done == ["1", "1", "1"]
+
+
 def test_the_status_character_shows_which_axes_move(homed: Controller):
     assert homed.say("TS") == [chr(0x50)]
     homed.say("2PA10")
