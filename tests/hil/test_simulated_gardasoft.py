@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.gardasoft import OVER_CURRENT, GardasoftRt
 from simulators.world.world import LightState
 
 
@@ -69,3 +69,26 @@ def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):
     )
     strobe.say("TT0")
     assert (strobe.light.output, strobe.light.sync) == (False, False)
+
+
+def test_the_other_outputs_do_not_drive_the_light(strobe: Strobe):
+    before = strobe.light
+    strobe.say("RS2,100")
+    assert strobe.light == before
+
+
+def test_a_protection_switches_off_and_is_reported_on_request(strobe: Strobe):
+    strobe.say("RS1,100")
+    strobe.device.trip(OVER_CURRENT)
+    assert not strobe.light.output
+    assert strobe.device.unsolicited() == b""
+    assert strobe.say("GR") == "Evt1,131;\r\n>"
+    assert strobe.light.output
+    assert strobe.say("GR") == ">"
+
+
+def test_a_protection_is_reported_unsolicited_if_enabled(strobe: Strobe):
+    strobe.say("GT1")
+    strobe.device.trip()
+    assert strobe.device.unsolicited() == b"Evt1,130;\r\n"
+    assert strobe.device.unsolicited() == b""
