@@ -14,10 +14,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, Self, TypedDict
+from typing import TYPE_CHECKING, Any, Self, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.events import WireLogState
 from bench.records.journal import CAPTURES, Capture, Journal, capture_name, stored_captures
 from bench.records.storage import (
     is_temporary,
@@ -29,6 +28,9 @@ from bench.records.storage import (
     sync_folder,
     write_atomic,
 )
+
+if TYPE_CHECKING:
+    from bench.records.events import WireLogState
 
 JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"

@@ -12,9 +12,8 @@ from datetime import datetime
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bench.records.results import CheckData, ConformityData, Results, StatementData
-
 if TYPE_CHECKING:
+    from bench.records.results import CheckData, ConformityData, Results, StatementData
     from calib.studies.one_view_check import OneViewCheck
 
 # An ``until`` in words: its goals, what it has reached, and how it ended.

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.records.events import CaptureStored
-from bench.records.history import Attempt, History
 from calib.target import StarTarget
 
 if TYPE_CHECKING:
+    from bench.records.events import CaptureStored
+    from bench.records.history import Attempt, History
     from bench.views.measure import ExpectedGrid
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
-from bench.records.events import GateData, MeasuredFacts
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
+
+if TYPE_CHECKING:
+    from bench.records.events import GateData, MeasuredFacts
 
 Verdict = Literal["pass", "marginal", "fail"]
 
