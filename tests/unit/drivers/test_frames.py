@@ -322,6 +322,15 @@ def test_a_camera_that_sends_an_old_picture_is_noticed(monkeypatch, tmp_path):
     assert not (tmp_path / "b.tiff").exists()
 
 
+def test_a_camera_that_has_frozen_is_noticed(monkeypatch, tmp_path):
+    frozen = Live(10)
+    frozen.frozen = True
+    camera = network_camera(monkeypatch, [Live(), frozen])
+    with pytest.raises(RecordingFailed, match="All frames are identical to the last bit"):
+        camera.capture(tmp_path / "a.tiff", 3)
+    assert not (tmp_path / "a.tiff").exists()
+
+
 @pytest.mark.usefixtures("folder")
 def test_pictures_of_files_may_repeat_themselves(tmp_path):
     for k in range(2):

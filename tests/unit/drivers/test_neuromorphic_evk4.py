@@ -240,6 +240,21 @@ def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
     assert RawFile.open(path).scan().events == 2
 
 
+def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
+    device.packets = dict.fromkeys(range(5, 10_000), b"")
+    clock.sleep = lambda _: setattr(clock, "now_s", clock.now_s + 0.02)
+    with pytest.raises(CameraLost, match="clock has stood still for 5 s"):
+        camera.record(tmp_path / "pose.raw", 1.0)
+
+
+def test_an_interrupt_leaves_a_readable_file(device, camera, clock, tmp_path):
+    camera.record(tmp_path / "a.raw", 0.002)
+    clock.error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        camera.record(tmp_path / "b.raw", 1.0)
+    assert RawFile.open(tmp_path / "b.raw").scan().events == 0
+
+
 def test_stop_ends_a_recording_early(device, camera, clock, tmp_path):
     clock.sleep = lambda _: camera.stop() if device.step > 3 else None
     assert not camera.record(tmp_path / "pose.raw", 1.0).complete

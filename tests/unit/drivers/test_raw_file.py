@@ -51,6 +51,13 @@ def test_a_scan_tells_counts_times_and_size(raw):
     assert not scan.truncated
 
 
+def test_counts_are_the_events_of_each_pixel(raw):
+    image = RawFile.open(raw()).counts()
+    assert image.shape == (2, 720, 1280)
+    assert image.sum() == 2
+    assert image[1, 5, 3] == image[0, 5, 4] == 1
+
+
 def test_chunks_hold_no_more_than_asked_for_and_all_together(raw):
     words = [0x8001, 0x6002, 0x0005, *[0x2000 | x for x in range(1000)]]
     chunks = list(RawFile.open(raw(words)).chunks(max_events=64))

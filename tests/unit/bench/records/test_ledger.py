@@ -46,6 +46,16 @@ def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_an
     assert not ledger.contains(other)
 
 
+def test_runs_of_a_camera_are_counted_as_they_stand(ledger, tmp_path):
+    for how in ("failed", "finished", "failed", None):
+        number = begin(ledger)["number"]
+        if how:
+            ledger.end(number, how=how, folder=tmp_path)
+    begin(ledger, camera="00050999")
+    begin(ledger, simulated=True)
+    assert begin(ledger)["of_camera"] == {"failed": 2, "finished": 1, "open": 2}
+
+
 def test_the_seal_of_a_run_is_entered_and_held_against_its_folder(ledger, make_run, key, tmp_path):
     numbers = {}
     for name in ("kept", "removed", "changed", "unsealed"):
