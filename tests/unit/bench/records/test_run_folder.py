@@ -270,6 +270,14 @@ def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, jo
             recover(run, journal)
 
 
+def test_what_is_set_aside_twice_is_kept_twice(run, journal):
+    for data in (b"one", b"two"):
+        record(run, 1, 1, data)
+        recover(run, journal)
+    kept = sorted(p.read_bytes() for p in (run.path / "quarantine").iterdir())
+    assert kept == [b"one", b"two"]
+
+
 def test_work_is_seen_to_go_on_while_a_long_recording_is_hashed(run):
     pieces = []
     run.capture_part_path(1, 1).write_bytes(bytes(3 * HASH_CHUNK_BYTES + 1))
