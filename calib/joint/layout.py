@@ -40,6 +40,9 @@ RADIAL_RATIO = 20.0
 SHIFTED_SIZES = (1.0, 1.0, RADIAL_RATIO, RADIAL_RATIO)
 #: The same for a pupil that moves aside, as 40 ray-traced collimators have it: field curvature, and less astigmatism.
 _CURVATURE_SIZES = (1.0, 0.25)
+#: A pupil that is beside the axis at turn 0 sees the coma of `amp.SCALE_TURN_2` by turn too, so many times as large:
+#: twice its place over what a turn of `amp.UNIT_TURN` moves it. Visible discs show where the axis is.
+_BESIDE, _BESIDE_DISC = 10.0, 2.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
 _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
@@ -252,7 +255,8 @@ class Layout:
         """Return the fields by turn of degree 1 and above.
 
         Field curvature and astigmatism, seen by a pupil that moves aside, have an amplitude of their own: they are
-        30 times larger than the others, and can be exchanged against fx.
+        30 times larger than the others, and can be exchanged against fx. So has coma, which can be exchanged against
+        p1, p2 and, with these, the principal point.
         """
         places = both((DEGREES > 0) & (DEGREES <= amp.TURN_DEGREE))
         degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
@@ -260,10 +264,15 @@ class Layout:
             [self.basis.shifted(e, _CURVATURE_SIZES)[places] for e in ((1.0, 0.0), (0.0, 1.0))]
         )
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN, start=1)]
+        parts.append((hyper.at(amp.CURVATURE_TURN), shifted))
+        beside = [
+            np.concatenate([self.basis.shape(partial(_coma, e, turn))[places] for turn in np.eye(2)])
+            for e in np.eye(2)
+        ]
+        size = _BESIDE_DISC if self.rim else _BESIDE
+        parts.append((hyper.at(amp.SCALE_TURN_2), size * np.column_stack(beside)))
         names = [f"{turn}_{k}" for turn in _TURNS for k in places]
-        return RandomBlock(
-            rows.TURN_FIELDS, self.places(names), (*parts, (hyper.at(amp.CURVATURE_TURN), shifted))
-        )
+        return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the fields by turn squared; those of round glass have an amplitude of their own, as in `_turn`."""
@@ -298,6 +307,11 @@ def _turn_squared(powers: tuple[int, int], h: Array) -> Array:
 def _along_turn(powers: tuple[int, int], h: Array) -> Array:
     """Return the part of the field (t h) t that belongs to a product of turns t. h: (N, 2)."""
     return h[:, ::-1] if powers == (1, 1) else h * (np.array(powers) > 0)
+
+
+def _coma(beside: Array, turn: Array, h: Array) -> Array:
+    """Return the field (e h) t + (e t) h + (h t) e: coma, by a turn t, for a pupil beside the axis by e. h: (N, 2)."""
+    return (h @ beside)[:, None] * turn + float(beside @ turn) * h + (h @ turn)[:, None] * beside
 
 
 def _prism(turn: Array, axis: Array, h: Array) -> Array:

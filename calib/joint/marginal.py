@@ -73,6 +73,7 @@ class Solution:
     """The posterior of the unknowns for given amplitudes, about the state of the equations."""
 
     value: float  # -2 log of likelihood times hyperprior
+    gain: float  # By how much the step lowers the cost, if all is linear
     step: Array  # (S,) to the posterior mean
     covariance: Array  # (S, S)
     fields: Array  # (n, F) steps of the poses' own fields
@@ -180,10 +181,12 @@ class Marginal:
         covariance, last = inverse_of(information)
         step = covariance @ pull
         away = eta - self.problem.hyper.mean
-        value = normal.constant + logs + last - float(pull @ step) - float((normal.own_pull * alone).sum())
+        gain = float(pull @ step) + float((normal.own_pull * alone).sum())
+        value = normal.constant + logs + last - gain
         value += float(away @ self.problem.hyper.information @ away)
         fields = alone - follow @ step
-        found = Solution(value, step, covariance, fields, inverse, follow, normal.inside, np.zeros(len(eta)))
+        slopes = np.zeros(len(eta))
+        found = Solution(value, gain, step, covariance, fields, inverse, follow, normal.inside, slopes)
         return replace(found, gradient=self._gradient(eta, squares, found, faults)) if slope else found
 
     def _normal(self, squares: Array, faults: Faults) -> _Normal:

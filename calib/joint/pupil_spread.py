@@ -20,15 +20,23 @@ def spread_of_pupils(marginal: Marginal, eta: Array, found: Solution) -> Array |
     if problem.pupils is None:
         return None
     bench, by_turn = problem.bench, problem.bench.layout.by_turn
-    squares = np.exp(-2.0 * eta[problem.hyper.at(amp.STAR)]) * equations.squares
-    between = squares[:, bench.layout.pose_places]
-    squares = squares - between.swapaxes(1, 2) @ found.own @ between
+    squares = np.exp(2.0 * eta)
+    stars = equations.squares / squares[problem.hyper.at(amp.STAR)]
     b = (marginal.state.shared + found.step)[by_turn.columns]
-    moved = (by_turn.slopes(bench.pupils) * b) @ np.eye(bench.layout.size)[by_turn.rows]
-    seen = squares @ moved.swapaxes(1, 2)
-    across = np.concatenate(list(equations.maps.swapaxes(1, 2) @ seen), axis=1)
-    follow = found.covariance @ across
-    information = problem.pupils.information + _on_diagonal(moved @ seen) - across.T @ follow
+    moved = ((by_turn.slopes(bench.pupils) * b) @ np.eye(bench.layout.size)[by_turn.rows]).swapaxes(1, 2)
+    seen = stars @ moved
+    alone, with_own = moved.swapaxes(1, 2) @ seen, seen[:, bench.layout.pose_places]
+    across = equations.maps.swapaxes(1, 2) @ seen
+    if marginal.uses_readings:  # what the readings say of the places, in the axes of each view's rotation
+        rows = marginal.axes @ equations.coupling @ moved[bench.poses]
+        weighted = marginal.reading_weights(squares)[:, :, None] * rows
+        np.add.at(alone, bench.poses, rows.swapaxes(1, 2) @ weighted)
+        np.add.at(with_own, bench.poses, marginal.own_rows.swapaxes(1, 2) @ weighted)
+        np.add.at(across, bench.poses, marginal.rows.swapaxes(1, 2) @ weighted)
+    alone = alone - with_own.swapaxes(1, 2) @ found.own @ with_own
+    shared = np.concatenate(list(across - found.follow.swapaxes(1, 2) @ with_own), axis=1)
+    follow = found.covariance @ shared
+    information = problem.pupils.information + _on_diagonal(alone) - shared.T @ follow
     return np.asarray(follow @ np.linalg.solve(information, follow.T))
 
 

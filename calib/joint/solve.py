@@ -31,12 +31,15 @@ _CENTRE_ROUNDS = 12
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
+#: Nor are amplitudes sought elsewhere: two ends, each better by the equations of the other, would take turns for ever.
 _LATE, _LATE_SHARE = 20, 0.25
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
 #: From this round on the amplitudes go half way to the better ones: else state and amplitudes may swing on for ever.
 _DAMPED = 12
 _HALVINGS = 6
+#: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966).
+_LEAST_GAIN = 0.1
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
@@ -87,7 +90,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
             found = solved(marginal, eta)
         centre, share = k < _CENTRE_ROUNDS, _SMALL_SHARE if k < _LATE else _LATE_SHARE
         if k > _FIRST_ROUNDS and small(marginal, found, share, centre=centre):
-            eta, found = better_amplitudes(marginal, eta)
+            eta, found = better_amplitudes(marginal, eta, elsewhere=k < _LATE)
             if small(marginal, found, share, centre=centre):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
@@ -161,15 +164,16 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start, or from the expected ones if these end clearly better.
+def better_amplitudes(marginal: Marginal, eta: Array, *, elsewhere: bool) -> tuple[Array, Solution]:
+    """Return the best amplitudes from a start, or, ``elsewhere``, from the expected ones if these end clearly better.
 
     Where the equations do not hold at their end, the start is returned.
     """
     at, found = searched(marginal, eta, _LONG, enough=FINE)
-    other, behind = searched(marginal, marginal.problem.hyper.mean, _LONG)
-    if behind.value < found.value - _CLEARLY:
-        at, found = searched(marginal, other, _LONG, enough=FINE)
+    if elsewhere:
+        other, behind = searched(marginal, marginal.problem.hyper.mean, _LONG)
+        if behind.value < found.value - _CLEARLY:
+            at, found = searched(marginal, other, _LONG, enough=FINE)
     if relative_step(marginal, found.step) < _TRUSTED:
         return at, found
     return eta, marginal.solve(eta)
@@ -187,11 +191,12 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, l
     for k in range(_HALVINGS):
         state = _moved(marginal, eta, found, size)
         lengths = bench.whitened(state)
-        if cost(marginal, eta, state, lengths) <= before * (1.0 + 1e-9):
+        enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * found.gain
+        if cost(marginal, eta, state, lengths) <= enough:
             break
         if k in _CORRECTED_AT and share < _CORRECTED:
             corrected, lengths = _corrected(marginal, eta, state)
-            if cost(marginal, eta, corrected, lengths) <= before:
+            if cost(marginal, eta, corrected, lengths) <= enough:
                 return corrected, lengths
         size *= 0.5
     return state, lengths

@@ -27,7 +27,7 @@ from calib.model.homography import view_homography
 from calib.model.rotation import exp_map
 from tests.validation.test_collimator_real import read
 
-L2 = CalibrationOptions(loss="l2")
+L2 = CalibrationOptions(model="spherical", loss="l2")
 TRIPLES = 810
 FOCAL_PX = (2369.0, 2428.0)
 
