@@ -176,7 +176,8 @@ class Bench:
     def fields(self, state: State) -> Array:
         """Return (n, 2, K) the coefficients of each pose's field; the shift by the centre is in it."""
         whole = self.maps[:, self.layout.field :] @ state.shared
-        whole[:, self.layout.pose_places - self.layout.field] += state.fields
+        places = self.layout.pose_places - self.layout.field
+        whole[:, places[places >= 0]] += state.fields[:, places >= 0]
         return np.asarray(whole[:, :COEFFICIENTS].reshape(self.n_poses, 2, -1))
 
     def points(self, state: State) -> list[Array]:
@@ -189,9 +190,13 @@ class Bench:
         one, depth = self.stars[v], state.shared[self.layout.index["r"]]
         moved = one.polynomials @ fields[self.poses[v]].T
         if self.layout.rim:
-            moved = moved + self._rim(v, state) @ state.shared[self.layout.places(self.layout.rim)]
+            moved = moved + self._rim(v, state) @ self._rims(v, state)
         moved *= self.layout.basis.reference[2]
         return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
+
+    def _rims(self, v: int, state: State) -> Array:
+        """Return (R,) the sizes of the displacements about the middle of a view's disc."""
+        return state.shared[self.layout.places(self.layout.rim)] + state.fields[self.poses[v], -4:-2]
 
     def _rim(self, v: int, state: State) -> Array:
         """Return (N, 2, R) the displacements about the middle of a view's disc."""
@@ -343,7 +348,7 @@ class Bench:
         columns[:, :, :k] = root[:, :, None] * one.whitened(by_camera)
         columns[:, :, k] = by_star[:, :, 2]
         if self.layout.rim:
-            rims = state.shared[self.layout.places(self.layout.rim)]
+            rims = self._rims(v, state)
             columns[:, :, k + 1 : self.layout.field] = r_mm * by_star[:, :, :2] @ self._rim(v, state)
             by_middle = np.einsum("ncrd,r->ncd", one.middle, rims)
             columns[:, :, self.layout.middle : size] = r_mm * by_star[:, :, :2] @ by_middle

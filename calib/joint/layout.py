@@ -32,6 +32,8 @@ DECENTRING = ("decentring_x", "decentring_y")
 RIM, RIM_POWERS = ("rim_4", "rim_10"), np.array([4, 10])
 #: rim_10 is typically this share of rim_4.
 _RIM_RATIO = 0.3
+#: They differ from pose to pose by these shares of the amplitude of rim_4.
+RIM_OWN = 0.2 * np.array([1.0, _RIM_RATIO])
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
 #: radial_4 is typically so many times radial.
@@ -145,8 +147,9 @@ class Layout:
 
     @cached_property
     def pose_places(self) -> Places:
-        """Places of the pose's own field in its basis, and of the middle of its disc."""
-        return np.concatenate([POSE_PLACES + self.field, np.arange(self.middle, self.size)])
+        """Places of the pose's own field in its basis, of its own part of the rim, and of the middle of its disc."""
+        rims = np.arange(self.field - len(self.rim), self.field)
+        return np.concatenate([POSE_PLACES + self.field, rims, np.arange(self.middle, self.size)])
 
     def maps(self, turns: Array, axes: Array, pupils: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.

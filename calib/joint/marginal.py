@@ -17,7 +17,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, Equations, State
 from calib.joint.fields import DEGREES
 from calib.joint.knowledge import Knowledge
-from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RandomBlock
+from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RIM_OWN, RandomBlock
 from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_of
 from calib.joint.pupils import Pupils
 
@@ -55,7 +55,8 @@ class Problem:
     def pose_amplitudes(self) -> NDArray[np.int64]:
         """(F,) place of the amplitude of each coefficient of an own field."""
         fields = self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
-        return np.concatenate([fields, self.hyper.places((amp.DISCS,) * (self._own - len(fields)))])
+        rest = (amp.RIM, amp.RIM, amp.DISCS, amp.DISCS) if self.bench.layout.rim else ()
+        return np.concatenate([fields, self.hyper.places(rest)])
 
     @property
     def _own(self) -> int:
@@ -65,6 +66,8 @@ class Problem:
         """Return (F,) prior information of the coefficients of an own field."""
         sizes = np.ones(self._own)
         sizes[: len(_POSE_DEGREE)] += _POSE_DEGREE
+        if self.bench.layout.rim:
+            sizes[len(_POSE_DEGREE) : -2] = RIM_OWN**-2
         return np.asarray(sizes / squares[self.pose_amplitudes])
 
 
