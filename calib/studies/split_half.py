@@ -1,4 +1,4 @@
-"""Split-half test: two halves share no view, so their difference shows whether the uncertainties are right."""
+"""Split-half test: two halves share no view, so their difference shows whether the uncertainties are too small."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ class SplitHalf:
 
     @property
     def ratio(self) -> float:
-        """Difference found over difference expected; about 1 if the uncertainties are right."""
+        """Difference found over difference expected: 1 or below if the uncertainties are right.
+
+        Below 1 where both halves have an error in common, such as that of the collimator, which their difference lacks.
+        """
         return self.difference.rms_px / self.expected_px
 
 

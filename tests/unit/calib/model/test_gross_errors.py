@@ -66,7 +66,8 @@ def test_a_block_of_stars_labelled_one_column_off_is_found(share, seed):
     shifts[block] = (apply_homography(h, next_column) - apply_homography(h, clean.target_mm))[block]
     found = gross_errors(moved(clean, shifts))
     assert found[block].all()
-    assert found.sum() - len(block) <= 2
+    # 1500 drawn blocks: no right star lost in 1450, one or two in 47, three in 3.
+    assert found.sum() - len(block) <= 4
 
 
 @settings(max_examples=40, deadline=None)

@@ -11,6 +11,7 @@ from calib.studies.camera_check import check_camera
 from calib.studies.one_view_check import check_one_view
 from calib.studies.split_half import split_half
 from calib.view import View
+from tests.support.drawn_benches import NINE, draw_bench
 
 SIZE = (1280, 720)
 
@@ -179,9 +180,10 @@ def test_another_size_and_too_few_points_are_refused():
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (-1, 1, 200))
 
 
-def test_halves_of_ideal_views_differ_as_expected(bench):
-    ratios = [split_half(bench.views(np.random.default_rng(i), 0.05, poses=POSES)).ratio for i in range(8)]
-    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.8
+def test_halves_of_drawn_benches_differ_by_no_more_than_expected():
+    """What both halves have in common, the collimator, does not show: .67 in ten benches."""
+    ratios = [split_half(draw_bench("like-bench", NINE, seed).views).ratio for seed in range(6)]
+    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
 def test_a_moving_centre_makes_the_halves_differ_more_than_noise_would(bench):
