@@ -29,18 +29,20 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
     problem, squares = marginal.problem, np.exp(2.0 * eta)
     n, f, size = marginal.dimensions
     random = problem.random
+    at = random.places
     scale = np.sqrt(marginal.problem.own_information(squares))
-    fields = (scale[:, None] * found.follow).reshape(n * f, size)
-    across = fields @ found.covariance
-    own = -(across @ fields.T)
+    fields = (scale[:, None] * found.followed).reshape(n * f, size)
+    own = -(fields @ fields.T)
     blocks = np.eye(f) - scale[:, None] * found.own * scale
     for k in range(n):
         own[k * f : (k + 1) * f, k * f : (k + 1) * f] += blocks[k]
-    shapes = random.shapes * np.sqrt(squares[random.amplitudes])
-    pulled = found.inside @ shapes
-    at = random.places
-    shared = shapes.T @ pulled - pulled.T @ found.covariance[at[:, None], at] @ pulled
-    both = across[:, at] @ pulled
+    pulled = random.pulled(squares, found.inside)
+    spread = random.times_pulled(found.root[:, at], pulled)
+    shared = -(spread.T @ spread)
+    for rows, columns in random.blocks:
+        shapes = random.shapes[rows, columns] * np.sqrt(squares[random.amplitudes[columns]])
+        shared[columns, columns] += shapes.T @ pulled[rows, columns]
+    both = fields @ spread
     parts = np.block([[own, both], [both.T, shared]])
     belongs = np.zeros((len(parts), len(eta)))
     belongs[range(len(parts)), np.concatenate([np.tile(problem.pose_amplitudes, n), random.amplitudes])] = 1.0
@@ -48,26 +50,24 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
     star = problem.hyper.at(amp.STAR)
     whole[star, star] += 4.0 * marginal.rows_observed
     whole += 2.0 * problem.hyper.information
-    return _with_readings(marginal, squares, found, pulled, whole) if marginal.uses_readings else whole
+    return _with_readings(marginal, squares, found, spread, whole) if marginal.uses_readings else whole
 
 
-def _with_readings(marginal: Marginal, squares: Array, found: Solution, pulled: Array, whole: Array) -> Array:
-    """Return the curvature with that by the readings' noise; ``pulled`` (K, Q) is prior information times shapes."""
+def _with_readings(marginal: Marginal, squares: Array, found: Solution, spread: Array, whole: Array) -> Array:
+    """Return the curvature with that by the readings' noise; ``spread`` (S, Q) is that of the columns, times R."""
     problem, poses = marginal.problem, marginal.problem.bench.poses
     n_rows = 3 * len(poses)
     weights = marginal.reading_weights(squares)
     scaled = np.sqrt(marginal.reading_variance(squares)) * weights
     direct = marginal.rows - marginal.own_rows @ found.follow[poses]
-    seen = (scaled[:, :, None] * direct).reshape(n_rows, -1)
-    across = seen @ found.covariance
-    parts = np.diag((scaled**2 / weights).reshape(-1)) - across @ seen.T
+    seen = (scaled[:, :, None] * direct).reshape(n_rows, -1) @ found.root.T
+    parts = np.diag((scaled**2 / weights).reshape(-1)) - seen @ seen.T
     own = scaled[:, :, None] * marginal.own_rows
     local = own @ found.own[poses] @ np.swapaxes(own, 1, 2)
     for v in range(len(poses)):
         parts[3 * v : 3 * v + 3, 3 * v : 3 * v + 3] -= local[v]
     reading = problem.hyper.at(amp.READING)
-    both = across[:, problem.random.places] @ pulled
-    row = 4.0 * np.bincount(problem.random.amplitudes, (both**2).sum(axis=0), len(squares))
+    row = 4.0 * np.bincount(problem.random.amplitudes, ((seen @ spread) ** 2).sum(axis=0), len(squares))
     whole[reading] += row
     whole[:, reading] += row
     whole[reading, reading] += 4.0 * float((parts**2).sum())
@@ -81,16 +81,19 @@ def best_amplitudes(
     faults: Faults = NO_FAULT,
     farthest: float = np.inf,
     enough: float = FINE,
+    curvature: Array | None = None,
 ) -> tuple[Array, Solution]:
     """Return the logarithms of the amplitudes of the largest posterior, from a start, and their solution.
 
     Steps of Newton with the expected curvature, halved while the value does not fall; each changes a logarithm by at
-    most ``farthest``, and promises at least ``enough``. The equations must be solvable at the start.
+    most ``farthest``, and promises at least ``enough``. The equations must be solvable at the start, whose (A, A)
+    ``curvature`` may be known.
     """
     bounds = np.array(marginal.problem.hyper.bounds).T
     low, high = np.maximum(bounds[0], eta - farthest), np.minimum(bounds[1], eta + farthest)
     found = marginal.solve(eta, faults)
-    curvature = expected_curvature(marginal, eta, found)
+    if curvature is None:
+        curvature = expected_curvature(marginal, eta, found)
     for _ in range(steps):
         step = _newton(curvature, found.gradient, eta <= low, eta >= high)
         if -float(found.gradient @ step) < enough:
@@ -105,6 +108,7 @@ def best_amplitudes(
         else:
             break
         assert tried is not None
+        tried = marginal.with_gradient(tried, ahead, faults)
         if float(np.abs(ahead - eta).max()) > _CURVED:
             curvature = expected_curvature(marginal, ahead, tried)
         eta, found = ahead, tried
@@ -114,7 +118,7 @@ def best_amplitudes(
 def _tried(marginal: Marginal, eta: Array, faults: Faults) -> Solution | None:
     """Return the solution; None if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, faults)
+        return marginal.solve(eta, faults, slope=False)
     except np.linalg.LinAlgError:
         return None
 

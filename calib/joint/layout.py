@@ -67,10 +67,6 @@ class RandomBlock:
     parts: tuple[tuple[int, Array], ...]  # For each amplitude its place and (K, M) its U_j
     stated: Array | float = 0.0  # (K, K) covariance that a station states
 
-    def covariance(self, squares: Array) -> Array:
-        """Return the (K, K) prior covariance for (A,) squares of the amplitudes."""
-        return np.asarray(self.stated + sum(squares[at] * shape @ shape.T for at, shape in self.parts))
-
 
 @dataclass(frozen=True)
 class TurnFields:

@@ -18,7 +18,7 @@ from calib.joint.equations import Bench, Equations, State
 from calib.joint.fields import DEGREES
 from calib.joint.knowledge import Knowledge
 from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RIM_OWN, RandomBlock
-from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_of
+from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_root
 from calib.joint.pupils import Pupils
 
 Array = NDArray[np.float64]
@@ -78,12 +78,32 @@ class Solution:
     value: float  # -2 log of likelihood times hyperprior
     gain: float  # By how much the step lowers the cost, if all is linear
     step: Array  # (S,) to the posterior mean
-    covariance: Array  # (S, S)
+    root: Array  # (S, S) R, covariance R^T R
     fields: Array  # (n, F) steps of the poses' own fields
-    own: Array  # (n, F, F) covariance of the own fields, if the shared unknowns were known
-    follow: Array  # (n, F, S) how the own fields follow the shared unknowns, with a minus sign
+    own_root: Array  # (n, F, F) R, covariance R^T R of the own fields, if the shared unknowns were known
+    between: Array  # (n, F, S) R times the information between own fields and shared unknowns
     inside: Array  # (K, K) prior information of the shared unknowns with amplitudes
     gradient: Array  # (A,) of the value by the logarithms of the amplitudes
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(S, S) of the shared unknowns."""
+        return np.asarray(self.root.T @ self.root)
+
+    @cached_property
+    def own(self) -> Array:
+        """(n, F, F) covariance of the own fields, if the shared unknowns were known."""
+        return np.asarray(np.swapaxes(self.own_root, 1, 2) @ self.own_root)
+
+    @cached_property
+    def follow(self) -> Array:
+        """(n, F, S) how the own fields follow the shared unknowns, with a minus sign."""
+        return np.asarray(np.swapaxes(self.own_root, 1, 2) @ self.between)
+
+    @cached_property
+    def followed(self) -> Array:
+        """(n, F, S) `follow` times R^T: its products are the covariance of the own fields that the shared ones make."""
+        return np.asarray(self.follow @ self.root.T)
 
 
 @dataclass(frozen=True)
@@ -175,22 +195,21 @@ class Marginal:
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
         normal = self._normal(squares, faults)
-        inverse, logs = inverse_of(normal.own)
-        follow = inverse @ normal.between
-        alone = (inverse @ normal.own_pull[:, :, None])[:, :, 0]
-        flat = follow.reshape(n * f, size)
-        information = normal.information - normal.between.reshape(n * f, size).T @ flat
-        pull = normal.pull - normal.own_pull.reshape(-1) @ flat
-        covariance, last = inverse_of(information)
-        step = covariance @ pull
+        own_root, logs = inverse_root(normal.own)
+        between = own_root @ normal.between
+        alone = own_root @ normal.own_pull[:, :, None]
+        flat = between.reshape(n * f, size)
+        root, last = inverse_root(normal.information - flat.T @ flat)
+        along = root @ (normal.pull - alone.reshape(-1) @ flat)
+        step = along @ root
         away = eta - self.problem.hyper.mean
-        gain = float(pull @ step) + float((normal.own_pull * alone).sum())
+        gain = float(along @ along) + float((alone**2).sum())
         value = normal.constant + logs + last - gain
         value += float(away @ self.problem.hyper.information @ away)
-        fields = alone - follow @ step
+        fields = (np.swapaxes(own_root, 1, 2) @ (alone - (between @ step)[:, :, None]))[:, :, 0]
         slopes = np.zeros(len(eta))
-        found = Solution(value, gain, step, covariance, fields, inverse, follow, normal.inside, slopes)
-        return replace(found, gradient=self._gradient(eta, squares, found, faults)) if slope else found
+        found = Solution(value, gain, step, root, fields, own_root, between, normal.inside, slopes)
+        return self.with_gradient(found, eta, faults) if slope else found
 
     def _normal(self, squares: Array, faults: Faults) -> _Normal:
         """Return the normal equations."""
@@ -233,25 +252,26 @@ class Marginal:
         )
 
     # -- gradient
+    def with_gradient(self, found: Solution, eta: Array, faults: Faults = NO_FAULT) -> Solution:
+        """Return a solution for given logarithms of the amplitudes and faults with its gradient."""
+        return replace(found, gradient=self._gradient(eta, np.exp(2.0 * eta), found, faults))
+
     def _gradient(self, eta: Array, squares: Array, found: Solution, faults: Faults) -> Array:
         """Return the gradient of the value: number minus expected square of what each amplitude scales."""
         hyper, random = self.problem.hyper, self.problem.random
         n, f, size = self.dimensions
         gradient = 2.0 * hyper.information @ (eta - hyper.mean)
-        followed = found.follow @ found.covariance
-        spread = np.diagonal(found.own, axis1=1, axis2=2) + (followed * found.follow).sum(axis=2)
+        spread = (found.own_root**2).sum(axis=1) + (found.followed**2).sum(axis=2)
         expected = self.problem.own_information(squares)
         second = spread + (self.state.fields + found.fields) ** 2
         own = 2.0 * (n - expected * second.sum(axis=0))
         gradient += np.bincount(self.problem.pose_amplitudes, own, len(eta))
-        b = (self.state.shared + found.step)[random.places]
-        held = found.inside @ found.covariance[random.places[:, None], random.places]
-        pulled = found.inside @ b
-        left = found.inside - held @ found.inside - np.outer(pulled, pulled)
-        parts = 2.0 * squares[random.amplitudes] * ((left @ random.shapes) * random.shapes).sum(axis=0)
-        gradient += np.bincount(random.amplitudes, parts, len(eta))
+        at = random.places
+        b = (self.state.shared + found.step)[at]
+        parts, held = random.gradient(found.inside, found.covariance[at[:, None], at], b)
+        gradient += np.bincount(random.amplitudes, 2.0 * squares[random.amplitudes] * parts, len(eta))
         # Of all unknowns the priors and the readings determine so many, and the stars the rest.
-        taken = float(np.trace(held) + (expected * spread).sum())
+        taken = held + float((expected * spread).sum())
         taken += float((self.problem.stated(faults).information * found.covariance).sum())
         return gradient + self._noise_gradient(squares, found, size + n * f - taken)
 

@@ -33,6 +33,8 @@ COVERAGE = 0.9545
 #: Halvings of an interval until its half width is known to 1e-9 of the widest.
 _HALVINGS = 30
 _PAIRS, _FAULT_PAIRS = 12, 4
+#: A mode of a smaller share stands for all amplitudes about it.
+_SMALL_SHARE = 0.01
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
 _FAULT_STEPS = 20
@@ -170,7 +172,10 @@ def posterior(optimum: Optimum) -> Posterior:
     probabilities: dict[str, float] = {}
     for mode in modes:
         share = mode.odds / whole
-        nodes += nodes_about(marginal, mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
+        if share < _SMALL_SHARE:
+            nodes.append(Node(share, mode.eta, mode.faults, mode.solution))
+        else:
+            nodes += nodes_about(marginal, mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
         for name, _ in mode.faults:
             probabilities[name] = probabilities.get(name, 0.0) + share
     spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
@@ -210,12 +215,15 @@ def _faults(optimum: Optimum, curvature: Array) -> list[Mode]:
         for fault, probability in FAULTS.items():
             faults: Faults = tuple((name, fault) for name in names)
             start, eta = min(
-                ((marginal.solve(eta, faults), eta) for eta in starts), key=lambda one: one[0].value
+                ((marginal.solve(eta, faults, slope=False), eta) for eta in starts),
+                key=lambda one: one[0].value,
             )
+            start = marginal.with_gradient(start, eta, faults)
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
             if 0.5 * (start.value - none) - gain > _FOLLOWED:
                 continue
-            eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults)
+            known = 2.0 * curvature if eta is optimum.eta else None
+            eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, curvature=known)
             beyond = relative_step(marginal, ended.step - optimum.solution.step) / HOLDS
             evidence = float(np.exp(min(0.5 * (none - ended.value), 500.0))) / (1.0 + beyond**4)
             if evidence > 1.0:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 
 from calib.joint.knowledge import Statement
 from calib.joint.layout import RandomBlock
@@ -20,28 +21,14 @@ Faults = tuple[tuple[str, str], ...]
 NO_FAULT: Faults = ()
 
 
-#: Triangles of this size are inverted as a whole; larger ones in halves.
-_WHOLE = 50
-
-
-def inverse_of(matrices: Array) -> tuple[Array, float]:
-    """Return the inverses of (..., K, K) positive definite matrices and the sum of the logarithms of determinants."""
+def inverse_root(matrices: Array) -> tuple[Array, float]:
+    """Return R with R^T R the inverses of (..., K, K) positive definite matrices, and the sum of log det of these."""
     lower = np.asarray(np.linalg.cholesky(matrices), np.float64)
     logarithm = 2.0 * float(np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum())
-    root = _inverse_of_triangle(lower)
-    return np.swapaxes(root, -1, -2) @ root, logarithm
-
-
-def _inverse_of_triangle(lower: Array) -> Array:
-    """Return the inverses of (..., K, K) lower triangles, by halves (Golub and Van Loan, 2013)."""
-    half = lower.shape[-1] // 2
-    if half < _WHOLE:
-        return np.asarray(np.linalg.inv(lower))
-    found = np.zeros_like(lower)
-    first = found[..., :half, :half] = _inverse_of_triangle(lower[..., :half, :half])
-    last = found[..., half:, half:] = _inverse_of_triangle(lower[..., half:, half:])
-    found[..., half:, :half] = -last @ (lower[..., half:, :half] @ first)
-    return found
+    found = np.empty_like(lower)
+    for at in np.ndindex(lower.shape[:-2]):
+        found[at] = dtrtri(lower[at].T)[0].T
+    return found, logarithm
 
 
 @dataclass(frozen=True)
@@ -53,35 +40,60 @@ class RandomPrior:
     amplitudes: Places  # (Q,) place of the amplitude of each column
     stated: Array  # (K, K)
     groups: tuple[str, ...]  # The row of the budget of each unknown
-    blocks: tuple[slice, ...]  # The rows of unknowns that are independent of all others
+    blocks: tuple[tuple[slice, slice], ...]  # Rows and columns of unknowns that are independent of all others
 
     @classmethod
     def of(cls, blocks: Sequence[RandomBlock]) -> RandomPrior:
         """Return the blocks as one."""
         places = np.concatenate([block.places for block in blocks])
-        columns = [(b, at, shape) for b, block in enumerate(blocks) for at, shape in block.parts]
-        shapes = np.zeros((len(places), sum(shape.shape[1] for *_, shape in columns)))
-        stated = np.zeros((len(places), len(places)))
-        ends = np.cumsum([len(block.places) for block in blocks])
-        own = tuple(slice(end - len(block.places), end) for end, block in zip(ends, blocks, strict=True))
-        for rows, block in zip(own, blocks, strict=True):
-            stated[rows, rows] = block.stated
-        begin = 0
-        for b, _, shape in columns:
-            shapes[own[b], begin : begin + shape.shape[1]] = shape
-            begin += shape.shape[1]
-        amplitudes = np.repeat([at for _, at, _ in columns], [shape.shape[1] for *_, shape in columns])
+        parts = [part for block in blocks for part in block.parts]
+        amplitudes = np.repeat([at for at, _ in parts], [shape.shape[1] for _, shape in parts])
+        shapes, stated = np.zeros((len(places), len(amplitudes))), np.zeros((len(places), len(places)))
+        own, row, column = [], 0, 0
+        for block in blocks:
+            shape = np.concatenate([shape for _, shape in block.parts], axis=1)
+            rows, columns = slice(row, row + len(shape)), slice(column, column + shape.shape[1])
+            shapes[rows, columns], stated[rows, rows] = shape, block.stated
+            own.append((rows, columns))
+            row, column = rows.stop, columns.stop
         groups = tuple(block.group for block in blocks for _ in block.places)
-        return cls(places, shapes, amplitudes, stated, groups, own)
+        return cls(places, shapes, amplitudes, stated, groups, tuple(own))
 
     def information(self, squares: Array) -> tuple[Array, float]:
         """Return the (K, K) prior information for (A,) squares of amplitudes, and log det of the covariance."""
-        covariance = (self.shapes * squares[self.amplitudes]) @ self.shapes.T + self.stated
-        found, logarithm = np.zeros_like(covariance), 0.0
-        for own in self.blocks:
-            found[own, own], more = inverse_of(covariance[own, own])
+        found, logarithm = np.zeros_like(self.stated), 0.0
+        for rows, columns in self.blocks:
+            shape = self.shapes[rows, columns] * np.sqrt(squares[self.amplitudes[columns]])
+            root, more = inverse_root(shape @ shape.T + self.stated[rows, rows])
+            found[rows, rows] = root.T @ root
             logarithm += more
         return found, logarithm
+
+    def pulled(self, squares: Array, inside: Array) -> Array:
+        """Return (K, Q) the (K, K) prior information times the columns with their amplitudes."""
+        found = np.zeros_like(self.shapes)
+        for rows, columns in self.blocks:
+            found[rows, columns] = inside[rows, rows] @ self.shapes[rows, columns]
+        return np.asarray(found * np.sqrt(squares[self.amplitudes]))
+
+    def gradient(self, inside: Array, covariance: Array, mean: Array) -> tuple[Array, float]:
+        """Return (Q,) number minus expected square of what each column scales, at unit amplitude, and a number.
+
+        For the (K, K) prior information, and covariance and mean of the unknowns. The prior determines so many.
+        """
+        found, determined = np.zeros(len(self.amplitudes)), 0.0
+        for rows, columns in self.blocks:
+            own, shape = inside[rows, rows], self.shapes[rows, columns]
+            held, pulled = own @ covariance[rows, rows], own @ mean[rows]
+            left = own - held @ own - np.outer(pulled, pulled)
+            found[columns] = ((left @ shape) * shape).sum(axis=0)
+            determined += float(np.trace(held))
+        return found, determined
+
+    def times_pulled(self, values: Array, pulled: Array) -> Array:
+        """Return (..., Q) values (..., K) times `pulled`."""
+        parts = [values[..., rows] @ pulled[rows, columns] for rows, columns in self.blocks]
+        return np.concatenate(parts, axis=-1)
 
 
 @dataclass(frozen=True)

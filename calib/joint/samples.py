@@ -81,12 +81,12 @@ def _main_directions(marginal: Marginal, eta: Array, found: Solution, lower: Arr
     """Return (A, D) orthonormal standardised directions along which the variances of the camera change."""
     problem, random = marginal.problem, marginal.problem.random
     squares = np.exp(2.0 * eta)
-    shapes = np.sqrt(squares[random.amplitudes])[:, None] * (random.shapes.T @ found.inside)
+    pulled = random.pulled(squares, found.inside)
     scale = np.sqrt(problem.own_information(squares))
     columns = []
     for at in problem.bench.layout.places(_QUANTITIES):
         row = found.covariance[at] / np.sqrt(found.covariance[at, at])
-        change = np.bincount(random.amplitudes, (shapes @ row[random.places]) ** 2, len(eta))
+        change = np.bincount(random.amplitudes, (row[random.places] @ pulled) ** 2, len(eta))
         own = ((scale * (found.follow @ row)) ** 2).sum(axis=0)
         change += np.bincount(problem.pose_amplitudes, own, len(eta))
         change[problem.hyper.at(amp.READING)] += _by_readings(marginal, squares, found, row)

@@ -233,12 +233,8 @@ def _maps(maps: Array, gimbal: NDArray[np.int64] | None) -> Array:
 
 def _prior(problem: Problem, squares: Array) -> Array:
     """Return the (S, S) information of all that is known beside the poses."""
-    size = len(problem.bench.layout.names)
-    information = np.zeros((size, size))
-    for one in problem.knowledge.statements:
-        information += one.rows.T @ one.information() @ one.rows
-    for block in problem.blocks:
-        information[block.places[:, None], block.places] += np.linalg.inv(block.covariance(squares))
+    information, at = problem.stated().information.copy(), problem.random.places
+    information[at[:, None], at] += problem.random.information(squares)[0]
     return information
 
 
