@@ -11,16 +11,14 @@ from threadpoolctl import threadpool_limits
 KERNEL: Final[dict[str, Any]] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiler options. Only Python and other loops call these loops: an entry for C costs 4 % of the time of compiling."""
 
-INNER_WITH_ARRAYS: Final[dict[str, Any]] = {
+INNER: Final[dict[str, Any]] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
     "no_cpython_wrapper": True,
+    "_nrt": False,
 }
-"""Compiler options of a function that only loops call, and that makes arrays. Without an entry for Python, less is
-compiled; a call from Python would crash the process."""
-
-INNER: Final[dict[str, Any]] = {**INNER_WITH_ARRAYS, "_nrt": False}
-"""The same of one that makes no arrays: references to its arguments need not be counted."""
+"""Compiler options of a function that only loops call, and that makes no arrays: references to its arguments need not be
+counted. Without an entry for Python, less is compiled; a call from Python would crash the process."""
 
 
 # Linear algebra on one thread: the engine's matrices are small, and a second thread waits longer than it works.

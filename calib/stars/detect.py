@@ -29,7 +29,7 @@ from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap, fit_grid_map
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.printed_star import cell_reach, open_sides
-from calib.stars.template import SHARP_CORRELATION, StarTemplate, learnt_contrasts, star_contrasts
+from calib.stars.template import SHARP_CORRELATION, StarTemplate, star_contrasts
 from calib.target import StarTarget
 from calib.view import View
 
@@ -245,8 +245,8 @@ def _scores(
     learnt = sharp.learnt(image, fit.centres[seen], linear[seen], sign)
     if learnt is None:
         return score, contrast, True
-    score, _ = star_contrasts(image, fit.centres, linear, learnt, sign)
-    return score, learnt_contrasts(image, fit.centres, linear, learnt, sign), True
+    score, contrast = star_contrasts(image, fit.centres, linear, learnt, sign)
+    return score, contrast, True
 
 
 def _without_outliers(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from calib.errors import StarsUnnamed
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.grid_map import predict_locally
 from calib.stars.growth import StarGrid
+from calib.stars.template import values_at
 from calib.target import StarTarget
 
 #: Largest share of the visible modules of a tag that may be wrong.
@@ -139,7 +139,7 @@ def _white_and_black(
     """Return white's and black's brightness times the sign: quantiles 0.8 and 0.2 on circles around the stars (own)."""
     around = np.array([[np.cos(a), np.sin(a)] for a in np.arange(64) * np.pi / 32]) * 0.4
     at = apply_homography(h, (grown.nodes()[:, None, :] + around[None]).reshape(-1, 2))
-    values = sign * _values(image, at)
+    values = sign * values_at(image, *at.T)
     values = values[np.isfinite(values)]
     return float(np.quantile(values, 0.8)), float(np.quantile(values, 0.2))
 
@@ -160,17 +160,8 @@ def _modules(
     on_grid = middle + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     inner = np.zeros((across, across), bool)
     inner[1:-1, 1:-1] = True
-    roughly = np.isfinite(_values(image, apply_homography(h, on_grid[inner.ravel()])))
+    roughly = np.isfinite(values_at(image, *apply_homography(h, on_grid[inner.ravel()]).T))
     if np.count_nonzero(roughly) < MIN_INNER_SHARE * roughly.size:
         return None
     at = predict_locally(h, grown.nodes().astype(float), grown.places(), on_grid)
-    return _values(image, at).reshape(inner.shape)
-
-
-def _values(image: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the bilinear values, (N,), at (N, 2) points; nan outside."""
-    x, y = (np.ascontiguousarray(at[:, i], np.float32) for i in (0, 1))
-    return np.asarray(
-        cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")),
-        float,
-    ).ravel()
+    return values_at(image, *at.T).reshape(inner.shape).astype(float)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
-
-from calib.compiled import INNER, INNER_WITH_ARRAYS, KERNEL
 
 #: Radii at which a star's segments are compared with the image, pitches. Further inside, segments may merge.
 TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
@@ -27,8 +24,9 @@ MIN_COVERED = 0.8
 SHARP_CORRELATION = 0.65
 #: Least correlation of a learnt pattern with the sharp one; below it, the places that it was learnt from are no stars.
 MIN_LIKENESS = 0.2
-#: Least variance of a learnt pattern in an octant, as a share of that of the octant with the largest one.
-MIN_STRUCTURE = 0.1
+#: Standard deviation, as a share of the brightness, up to which an image counts as flat: it is interpolated in single
+#: precision, which is right to 6e-8.
+FLAT = 2e-6
 
 
 class StarTemplate(NamedTuple):
@@ -77,7 +75,7 @@ class StarTemplate(NamedTuple):
         procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black and
         white), as the print is. So the learnt pattern cannot move a centre. Linear maps are (N, 2, 2) px per pitch.
         """
-        samples = _samples(image, centres, linear, self)
+        samples = values_at(image, *self.places(centres, linear))
         samples = sign * samples[np.isfinite(samples).all(axis=1)]
         if not len(samples):
             return None
@@ -93,123 +91,62 @@ class StarTemplate(NamedTuple):
             return None
         return self._replace(expected=(whole - whole.mean()) / spread)
 
-
-def _samples(
-    image: NDArray[np.float32],
-    centres: NDArray[np.float64],
-    linear: NDArray[np.float64],
-    template: StarTemplate,
-) -> NDArray[np.float64]:
-    """Return the (N, S) bilinear values of the image at the samples of N stars; nan outside of the image."""
-    at = centres[:, None, :] + np.einsum("nij,sj->nsi", linear, template.offsets)
-    last = np.array(image.shape[::-1]) - 1
-    inside = ((at >= 0) & (at < last)).all(axis=2)
-    x, y = np.moveaxis(np.where(inside[:, :, None], at, 0.0).astype(np.float32), 2, 0)
-    return np.where(inside, cv2.remap(image, x, y, cv2.INTER_LINEAR).astype(float), np.nan)
+    def places(self, centres: NDArray[np.float64], linear: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the x and y, (2, N, S) px, of the samples of N stars, given their (N, 2, 2) linear maps."""
+        return np.asarray((centres[:, :, None] + linear @ self.offsets.T).swapaxes(0, 1))
 
 
-def learnt_contrasts(
+def values_at(
+    image: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """Return the bilinear values of an image at points, of the shape of ``x`` and ``y``, px; nan outside."""
+    if not x.size:
+        return np.zeros(x.shape, np.float32)
+    across, down = (np.asarray(each, np.float32).reshape(-1, x.shape[-1]) for each in (x, y))
+    found = cv2.remap(
+        image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+    )
+    return np.asarray(found, np.float32).reshape(x.shape)
+
+
+def correlations(seen: NDArray[np.float32], template: StarTemplate) -> NDArray[np.float64]:
+    """Return the correlation (Lewis, 1995) of (..., S) values with a star; nan if too many of them are nan.
+
+    It is 0 if the image is flat there.
+    """
+    known = ~np.isnan(seen)
+    count = known.sum(axis=-1, dtype=np.float32)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(known, seen, 0.0).sum(axis=-1) / count
+        off = np.where(known, seen - mean[..., None], 0.0)
+        variance = np.einsum("...s,...s->...", off, off) / count
+        found = off @ template.expected.astype(np.float32) / count / np.sqrt(variance)
+    found = np.where(variance > (FLAT * mean) ** 2, found, 0.0)
+    return np.where(count >= MIN_COVERED * seen.shape[-1], found, np.nan)
+
+
+def star_contrasts(
     image: NDArray[np.float32],
     centres: NDArray[np.float64],
     linear: NDArray[np.float64],
     template: StarTemplate,
     sign: float,
-) -> NDArray[np.float64]:
-    """Return how strongly each octant of each star shows a learnt pattern: (N, OCTANTS) brightness.
-
-    Own measure: the slope of the image over ``template.expected``, by least squares in each octant; nan if a part lies
-    outside of the image. An octant in which the learnt pattern is nearly flat gets the median of the star's others.
-    """
-    seen = sign * _samples(image, centres, linear, template)
-    slopes, squares = np.empty((len(centres), OCTANTS)), np.empty(OCTANTS)
-    for octant in range(OCTANTS):
-        here = template.octants == octant
-        expected = template.expected[here] - template.expected[here].mean()
-        squares[octant] = expected @ expected
-        slopes[:, octant] = seen[:, here] @ expected / max(squares[octant], 1e-9)
-    flat = squares < MIN_STRUCTURE * squares.max()
-    slopes[:, flat] = np.median(slopes[:, ~flat], axis=1, keepdims=True)
-    return slopes
-
-
-@njit(**INNER)
-def _sample(image: Any, x: float, y: float) -> float:
-    """Return the bilinear value of the image at a point; nan outside (Abramowitz and Stegun, 1972, section 25.2)."""
-    if not (0.0 <= x < image.shape[1] - 1 and 0.0 <= y < image.shape[0] - 1):
-        return np.nan
-    c, r = int(x), int(y)
-    a, b = x - c, y - r
-    top = (1.0 - a) * image[r, c] + a * image[r, c + 1]
-    bottom = (1.0 - a) * image[r + 1, c] + a * image[r + 1, c + 1]
-    return (1.0 - b) * top + b * bottom
-
-
-@njit(**INNER_WITH_ARRAYS)
-def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> Any:
-    """Return the (S,) bilinear values of the image at the samples of a star at (x, y); nan outside."""
-    offsets = template.offsets
-    seen = np.empty(len(offsets))
-    for i in range(len(offsets)):
-        u, v = offsets[i, 0], offsets[i, 1]
-        seen[i] = _sample(
-            image, x + linear[0, 0] * u + linear[0, 1] * v, y + linear[1, 0] * u + linear[1, 1] * v
-        )
-    return seen
-
-
-@njit(**INNER)
-def _correlation(seen: Any, template: StarTemplate) -> float:
-    """Return the correlation (Lewis, 1995) of what was seen with a star; nan if too much of it lies outside."""
-    expected = template.expected
-    total = squares = product = balance = 0.0
-    n = 0
-    for i in range(seen.size):
-        value = seen[i]
-        if not np.isnan(value):
-            n += 1
-            total += value
-            squares += value * value
-            product += value * expected[i]
-            balance += expected[i]
-    if n < MIN_COVERED * seen.size:
-        return np.nan
-    mean = total / n
-    variance = squares / n - mean * mean
-    return (product - mean * balance) / n / np.sqrt(variance) if variance > 0.0 else 0.0
-
-
-@njit(**KERNEL)
-def star_contrasts(
-    image: Any, centres: Any, linear: Any, template: StarTemplate, sign: float
-) -> tuple[Any, Any]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return each star's correlation with its pattern, (N,) -1 to 1, and its contrast by octants, (N, OCTANTS).
 
-    Correlation: Lewis (1995); nan if too much of the star lies outside of the image. Own contrast: mean of white minus
-    mean of black in the outer part of each octant; an octant with more white than black, or one of them only, is
-    compared with the mean of the star. Centres (N, 2), px; linear maps (N, 2, 2), px per pitch; the sign is +1 if white
-    is bright.
+    Own contrast: twice the slope of the image over the pattern in the outer part of each octant, both without their
+    mean over the star; of a sharp star that is white minus black. Nan if too much, or all of an octant, lies outside of
+    the image. Centres (N, 2), px; linear maps (N, 2, 2), px per pitch; the sign is +1 if white is bright.
     """
-    n = len(centres)
-    score, contrast = np.empty(n), np.empty((n, OCTANTS))
-    for k in range(n):
-        x, y = centres[k, 0], centres[k, 1]
-        seen = _seen(image, x, y, linear[k], template)
-        score[k] = sign * _correlation(seen, template)
-        sums, counts, excess = np.zeros(OCTANTS), np.zeros(OCTANTS), np.zeros(OCTANTS)
-        shades, shade_counts = np.zeros(2), np.zeros(2)
-        for i in range(template.values.size):
-            if template.outer[i]:
-                excess[template.octants[i]] += template.values[i]
-                value = seen[i]
-                if not np.isnan(value):
-                    sums[template.octants[i]] += sign * value * template.values[i]
-                    counts[template.octants[i]] += 0.5
-                    shade = 1 if template.values[i] > 0.0 else 0
-                    shades[shade] += sign * value
-                    shade_counts[shade] += 1.0
-        mean = 0.5 * (shades[0] / shade_counts[0] + shades[1] / shade_counts[1])
-        for octant in range(OCTANTS):
-            if excess[octant] != 0.0:
-                sums[octant] -= excess[octant] * mean
-            contrast[k, octant] = sums[octant] / counts[octant]
-    return score, contrast
+    seen = sign * values_at(image, *template.places(centres, linear))
+    outer, expected = seen[:, template.outer].astype(float), template.expected[template.outer]
+    expected = expected - expected.mean()
+    known, octants = ~np.isnan(outer), template.octants[template.outer, None] == np.arange(OCTANTS)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bright, dark = (
+            np.where(known & side, outer, 0.0).sum(axis=1) / (known & side).sum(axis=1)
+            for side in (expected > 0.0, expected <= 0.0)
+        )
+        off = np.where(known, outer - 0.5 * (bright + dark)[:, None], 0.0)
+        contrast = 2.0 * (off * expected) @ octants / ((known * expected**2) @ octants)
+    return correlations(seen, template), contrast
