@@ -17,7 +17,7 @@ INNER: Final[dict[str, Any]] = {
     "no_cpython_wrapper": True,
     "_nrt": False,
 }
-"""Compiler options of a function that only loops call, and that makes no arrays: references to its arguments need not be
+"""Compiler options of a function that only loops call, and that makes no arrays: references to its arguments are not
 counted. Without an entry for Python, less is compiled; a call from Python would crash the process."""
 
 

@@ -55,7 +55,7 @@ class Fit:
     views: Sequence[View]
     kept: Sequence[View]
     bundle: Bundle
-    refined: Refinement
+    refined: Refinement[AdjustmentParameters]
     loss: Loss
     whole: Bundle  # Bundle of all stars, also of those that were not used
     used: NDArray[np.bool_]  # (N,) bool, which stars of `whole` were used
@@ -103,7 +103,11 @@ def fit_model(
 
 
 def _constrained(
-    views: Sequence[View], options: CalibrationOptions, bundle: Bundle, refined: Refinement, loss: Loss
+    views: Sequence[View],
+    options: CalibrationOptions,
+    bundle: Bundle,
+    refined: Refinement[AdjustmentParameters],
+    loss: Loss,
 ) -> Uncertainty:
     """Refuse views that do not constrain the camera; else return the uncertainty if the model is right."""
     parameters = refined.parameters
@@ -131,7 +135,7 @@ _LIMIT_ROUNDS = 3
 
 def refine_robustly(
     bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
-) -> tuple[Refinement, Loss]:
+) -> tuple[Refinement[AdjustmentParameters], Loss]:
     """Adjust with the chosen loss; return the optimum, and the loss with its limit, which comes from the residuals.
 
     The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at

@@ -25,6 +25,10 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
+#: Number of rounded operations in a projection.
+_ROUNDED_OPERATIONS = 10.0
+_EPSILON = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class Bundle:
@@ -73,7 +77,7 @@ class Bundle:
         """
         residuals = self.weighted_residuals(parameters)
         influence = residuals * loss.weights(lengths(residuals))[:, None]
-        slopes = curving = self._derivatives(parameters)
+        slopes = curving = self.derivatives(parameters)
         if curved and loss.is_robust:
             curving = mapped(loss.curvature_root(residuals), slopes)
         normal, right = [], []
@@ -83,6 +87,17 @@ class Bundle:
             right.append(slopes[:, :, rows].reshape(len(slopes), -1) @ influence[rows].T.ravel())
         return ViewEquations(np.array(normal), np.array(right), len(self.names))
 
+    def rounding(self, cost: float) -> float:
+        """Return how much rounding of the image points changes the cost.
+
+        A smaller predicted reduction cannot be verified. For stars known to thousandths of a pixel, this limit exceeds
+        the tolerance of an adjustment. Each residual has a random error of the machine's epsilon times its coordinates.
+        Own estimate: independent errors d of the residuals e change sum e^2 / 2 by about d (sum e^2)^(1/2) = d (2
+        cost)^(1/2).
+        """
+        obs = self.observations
+        return _ROUNDED_OPERATIONS * _EPSILON * obs.farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)
+
     def _in_camera(self, parameters: AdjustmentParameters) -> Array:
         """Return the (3, N) stars in the camera frame, P = R (X - c), mm (arXiv:2512.16092, eq. 2)."""
         obs = self.observations
@@ -90,7 +105,7 @@ class Bundle:
         seen = [turn @ (obs.target[rows] - centre).T for rows, turn, centre in of_views]
         return np.concatenate(seen, axis=1)
 
-    def _derivatives(self, parameters: AdjustmentParameters) -> Array:
+    def derivatives(self, parameters: AdjustmentParameters) -> Array:
         """Return the (G + L, 2, N) derivatives of the weighted image points, one row of stars for each.
 
         Own, by the chain rule: a rotation t on the camera's side moves P by t x P, a shift s of the centre by -R s.

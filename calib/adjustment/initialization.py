@@ -23,6 +23,8 @@ from calib.model.closed_forms import (
 )
 from calib.model.collimator import Collimator
 from calib.model.passport import Passport
+from calib.model.rotation import exp_map
+from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -35,6 +37,8 @@ _FINALISTS = 3
 _FINAL_STEPS = 30
 #: The comparison ends when no step lowers the cost by this share; the best start is refined on all stars later.
 _COMPARISON_TOLERANCE = 1e-6
+#: Fewest points for a pose before a known camera, and their least spread across a line, as a share of that along it.
+_LEAST_POINTS, _IN_A_LINE = 6, 1e-6
 
 
 def spherical_starts(
@@ -97,6 +101,30 @@ def passport_starts(
     yield from _about(homographies, centres, [*cameras, *(start.camera for start in spherical)])
 
 
+def pose_start(camera: CameraModel, view: View) -> AdjustmentParameters | None:
+    """Return the pose of a plane before a known camera, in closed form (Collins and Bartoli, 2014; by OpenCV).
+
+    None if the points, of which some may have no ray, lie on a line.
+    """
+    import cv2
+
+    rays = camera.rays(view.points_px)
+    seen = np.isfinite(rays).all(axis=1)
+    flat = np.column_stack([view.target_mm, np.zeros(len(view))])[seen]
+    if len(flat) < _LEAST_POINTS:
+        return None
+    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)
+    if not spread[1] > _IN_A_LINE * spread[0]:
+        return None
+    plane = np.ascontiguousarray(rays[seen, :2] / rays[seen, 2:])
+    done, vector, place = cv2.solvePnP(flat, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    if not done:
+        return None
+    rotation = exp_map(np.asarray(vector, np.float64).reshape(1, 3))
+    centre = -np.asarray(place, np.float64).reshape(1, 3) @ rotation[0]
+    return AdjustmentParameters(camera, Collimator(0.0, 0.0, 0.0), rotation, centre)
+
+
 def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> AdjustmentParameters:
     """Return the best starting values; `DegenerateViews` if none leads to a real camera.
 
@@ -114,14 +142,16 @@ def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> Adjust
     return last[0].parameters
 
 
-def _refined_starts(bundle: Bundle, starts: Sequence[AdjustmentParameters], steps: int) -> list[Refinement]:
+def _refined_starts(
+    bundle: Bundle, starts: Sequence[AdjustmentParameters], steps: int
+) -> list[Refinement[AdjustmentParameters]]:
     """Refine all starts by some steps; return those with finite cost, real cameras first, then by cost."""
     ends = (refine(bundle, start, Loss("l2"), steps, _COMPARISON_TOLERANCE) for start in starts)
     finite = (one for one in ends if np.isfinite(one.cost))
     return sorted(finite, key=lambda one: (not _is_camera(one), one.cost))
 
 
-def _is_camera(refined: Refinement) -> bool:
+def _is_camera(refined: Refinement[AdjustmentParameters]) -> bool:
     """Tell whether the focal lengths are positive and the radius is not negative."""
     camera = refined.parameters.camera
     return camera.fx > 0 and camera.fy > 0 and refined.parameters.collimator.r >= 0

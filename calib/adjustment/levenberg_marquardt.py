@@ -8,13 +8,17 @@ gradient and by its curvature along and across the residual, so that the search 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.adjustment.bundle import Bundle
+from calib.adjustment.bundle import ViewEquations
 from calib.adjustment.loss import Loss
-from calib.adjustment.parameters import AdjustmentParameters
+
+Array = NDArray[np.float64]
 
 #: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12
@@ -26,28 +30,53 @@ _MAX_DAMPING = 1e12
 #: Focal length and radius lie along a curved valley, and a damped step follows its tangent only. Little damping needs
 #: fewer steps, and more starts reach the bottom.
 _FIRST_DAMPING = 1e-6
-#: Number of rounded operations in a projection.
-_ROUNDED_OPERATIONS = 10.0
-_EPSILON = float(np.finfo(float).eps)
+
+
+class Adjusted(Protocol):
+    """The unknowns of an adjustment."""
+
+    def after_step(self, names: Sequence[str], shared: Array, local: Array, /) -> Self:
+        """Return the unknowns after a step: (G,) increments of the shared ones, (n, L) of those of each view."""
+
+
+A = TypeVar("A", bound=Adjusted)
+A_contra = TypeVar("A_contra", bound=Adjusted, contravariant=True)
+
+
+class Adjustable(Protocol[A_contra]):
+    """What an adjustment minimises: a bundle of views, or of the boards before a rig."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the shared unknowns."""
+
+    def costs(self, parameters: A_contra, loss: Loss, /) -> Array:
+        """Return the (n,) cost of each view, NaN if it cannot be projected."""
+
+    def equations(self, parameters: A_contra, loss: Loss, /) -> ViewEquations:
+        """Return the normal equations."""
+
+    def rounding(self, cost: float, /) -> float:
+        """Return how much rounding of the image points changes the cost."""
 
 
 @dataclass(frozen=True)
-class Refinement:
+class Refinement(Generic[A]):
     """The end of a refinement."""
 
-    parameters: AdjustmentParameters
+    parameters: A
     cost: float
     converged: bool  # Whether no further step promises a reduction above the tolerance
     iterations: int
 
 
 def refine(
-    bundle: Bundle,
-    start: AdjustmentParameters,
+    bundle: Adjustable[A],
+    start: A,
     loss: Loss,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = RELATIVE_TOLERANCE,
-) -> Refinement:
+) -> Refinement[A]:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
     It ends when the predicted reduction is below the share ``tolerance`` of the cost. ``converged`` is False if the
@@ -58,8 +87,8 @@ def refine(
 
 
 def _search(
-    bundle: Bundle, start: AdjustmentParameters, loss: Loss, max_iterations: int, tolerance: float
-) -> Refinement:
+    bundle: Adjustable[A], start: A, loss: Loss, max_iterations: int, tolerance: float
+) -> Refinement[A]:
     parameters, cost = start, bundle.costs(start, loss).sum()
     if not np.isfinite(cost):
         return Refinement(start, math.inf, False, 0)
@@ -83,19 +112,8 @@ def _search(
         if gain > 0.0:
             parameters, cost, equations = moved, new_cost, None
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
-        elif predicted * (1.0 + damping) <= _rounding(bundle, cost):
+        elif predicted * (1.0 + damping) <= bundle.rounding(cost):
             return Refinement(parameters, float(cost), True, iteration)
         else:
             damping, growth = damping * growth, growth * 2.0
     return Refinement(parameters, float(cost), False, iteration)
-
-
-def _rounding(bundle: Bundle, cost: float) -> float:
-    """Return how much rounding of the image points changes the cost.
-
-    A smaller predicted reduction cannot be verified. For stars known to thousandths of a pixel, this limit exceeds
-    `RELATIVE_TOLERANCE`. Each residual has a random error of the machine's epsilon times its coordinates. Own estimate:
-    independent errors d of the residuals e change sum e^2 / 2 by about d (sum e^2)^(1/2) = d (2 cost)^(1/2).
-    """
-    obs = bundle.observations
-    return _ROUNDED_OPERATIONS * _EPSILON * obs.farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)

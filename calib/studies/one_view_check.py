@@ -9,26 +9,26 @@ comparison for views that determine the camera).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from calib.adjustment.bundle import Bundle, Observations
+from calib.adjustment.initialization import pose_start
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
-from calib.model.closed_forms import poses_from_homographies
-from calib.model.homography import fit_homography
-from calib.model.rotation import exp_map, skew
 from calib.view import View
 
 Array = NDArray[np.float64]
 
 _COVERAGE = 0.95
-_STEPS = 20
-_DONE = 1e-10
 #: Changes of the camera that a pose imitates to this share of their effect are not judged.
 _UNSEEN = 1e-3
 #: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error.
@@ -108,15 +108,16 @@ class _Seen:
                 f"Cannot check by one view: {kept.sum()} usable points; at least {_LEAST_POINTS} are needed.",
                 remedy="Record the target so that it fills more of the image.",
             )
-        points, target = view.points_px[kept], view.target_mm[kept]
-        whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2[kept]))
-        residuals, by_pose, by_camera = _best_pose(camera, points, target, whitening)
+        bundle, posed = _best_pose(camera, view.part(kept))
+        rows = bundle.derivatives(posed).transpose(2, 1, 0).reshape(-1, len(camera.values) + 6)
+        by_camera, by_pose = rows[:, :-6], rows[:, -6:]
+        residuals = bundle.weighted_residuals(posed).ravel()
         pose = np.linalg.qr(by_pose)[0]
         columns = by_camera - pose @ (pose.T @ by_camera)
         residuals = residuals - pose @ (pose.T @ residuals)
         whole = np.linalg.norm(by_camera, axis=0)
         left, sizes, _ = np.linalg.svd(columns / whole, full_matrices=False)
-        return cls(residuals, columns, left[:, sizes > _UNSEEN], whitening)
+        return cls(residuals, columns, left[:, sizes > _UNSEEN], bundle.observations.whitening)
 
     def gross(self) -> NDArray[np.bool_]:
         """Return (N,) which points lie far off whatever the camera and the pose are."""
@@ -125,32 +126,14 @@ class _Seen:
         return np.asarray(np.linalg.norm(over.reshape(-1, 2), axis=1) > _GROSS * max(sigma, 1e-12))
 
 
-def _best_pose(
-    camera: CameraModel, points: Array, target: Array, whitening: Array
-) -> tuple[Array, Array, Array]:
-    """Adjust the pose; return whitened (2 N,) residuals, derivatives by the pose, (2 N, 6), and by the camera."""
-    rays = camera.rays(points)
-    plane = np.column_stack([target, np.zeros(len(target))])
-    homography = fit_homography(target, rays[:, :2] / rays[:, 2:])
-    rotations, centres = poses_from_homographies(homography[None], np.eye(3))
-    rotation, centre = rotations[0], centres[0]
-    for _ in range(_STEPS):
-        seen = (plane - centre) @ rotation.T
-        if not (seen[:, 2] > 0).all():
-            raise DegenerateViews("The stated camera does not see these points on a plane before it.")
-        found, by_point, by_camera = camera.project_with_jacobians(seen)
-        by_pose = np.concatenate([-by_point @ skew(seen), -by_point @ rotation], axis=2)
-        residuals = np.einsum("nab,nb->na", whitening, points - found).ravel()
-        by_pose, by_camera = (
-            np.einsum("nab,nbk->nak", whitening, one).reshape(len(residuals), -1)
-            for one in (by_pose, by_camera)
-        )
-        scale = np.linalg.norm(by_pose, axis=0)
-        step = np.linalg.lstsq(by_pose / scale, residuals, rcond=None)[0]
-        if step @ step < _DONE:
-            break
-        rotation, centre = exp_map((step / scale)[None, :3])[0] @ rotation, centre + (step / scale)[3:]
-    return residuals, by_pose, by_camera
+def _best_pose(camera: CameraModel, view: View) -> tuple[Bundle, AdjustmentParameters]:
+    """Adjust the pose before the camera, which is held; return also the bundle in which the camera is free."""
+    bundle = Bundle(Observations.from_views([view]), camera.parameter_names, free_centres=True)
+    start = pose_start(camera, view)
+    found = refine(replace(bundle, names=()), start, Loss("l2")) if start else None
+    if found is None or not found.converged:
+        raise DegenerateViews("The stated camera does not see these points on a plane before it.")
+    return bundle, found.parameters
 
 
 def _judge(

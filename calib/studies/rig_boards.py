@@ -1,7 +1,9 @@
 """Boards at finite distance that two cameras of a rig saw at once: the adjustment of both cameras, the rig, the boards.
 
-Bundle adjustment (Triggs et al., 2000) by Gauss-Newton steps; the boards' poses are eliminated. The noise of the points
-is scaled by what each camera alone leaves, so that points without a stated uncertainty are weighed rightly.
+Each camera has a bundle of the boards with free centres (`calib.adjustment.bundle`). The pose of a board before the
+second camera follows from that before the first one and from the rig, so the equations of the second bundle are mapped
+to these. The noise of the points is scaled by what each camera alone leaves, so that points without a stated
+uncertainty are weighed rightly.
 """
 
 from __future__ import annotations
@@ -9,25 +11,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment.bundle import Bundle, Observations, ViewEquations
+from calib.adjustment.initialization import pose_start
+from calib.adjustment.levenberg_marquardt import refine
+from calib.adjustment.loss import Loss
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map, nearest_rotation, skew
+from calib.uncertainty.covariance import inverse_information
 from calib.view import View
 
 Array = NDArray[np.float64]
 
 _MIN_POINTS = 6
-_IN_A_LINE = 1e-6
-_ROUNDS = 60
-_SMALL = 1e-3
-"""Last step, in sigmas."""
-_SINGULAR = 1e-13
-_POSE_STEPS = 5
-_HALVINGS = 12
 _NOISE_ROUNDS = 3
 
 
@@ -56,28 +57,90 @@ class BoardsFound:
 
 @dataclass(frozen=True)
 class _State:
-    cameras: tuple[CameraModel, CameraModel]
+    """Both cameras with the poses of the m boards before each; the second ones follow from the rig."""
+
+    first: AdjustmentParameters
+    camera: CameraModel  # The second one
     rotation: Array
     translation: Array
-    turns: Array  # (m, 3, 3) first camera <- board
-    places: Array  # (m, 3) mm
     away: Array  # (G,) from where the prior lies
 
-    def moved(self, shared: Array, own: Array) -> _State:
-        """Return the state after a step. shared: (G,). own: (m, 6) rotation vector and place."""
-        k = len(self.cameras[0].values)
-        first, second = self.cameras
+    @property
+    def second(self) -> AdjustmentParameters:
+        """The boards before the second camera: P = rotation R (X - c) + translation."""
+        rotations = self.rotation @ self.first.rotations
+        return replace(
+            self.first,
+            camera=self.camera,
+            rotations=rotations,
+            offsets=self.first.offsets - self.translation @ rotations,
+        )
+
+    def after_step(self, names: Sequence[str], shared: Array, local: Array) -> _State:
+        """Return the state after a step. shared: (G,). local: (m + 1, 6); the last row is that of the prior."""
+        k = len(self.first.camera.values)
         return _State(
-            (
-                first.with_values(first.values + shared[:k]),
-                second.with_values(second.values + shared[k:-6]),
-            ),
+            self.first.after_step(names[:k], shared[:k], local[:-1]),
+            self.camera.with_values(self.camera.values + shared[k:-6]),
             exp_map(shared[-6:-3]) @ self.rotation,
             self.translation + shared[-3:],
-            exp_map(own[:, :3]) @ self.turns,
-            self.places + own[:, 3:],
             self.away + shared,
         )
+
+
+@dataclass(frozen=True)
+class _Boards:
+    """What is adjusted: the boards in both images, and (G, G) information of what is known before."""
+
+    bundles: tuple[Bundle, Bundle]
+    information: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the G shared unknowns: values of both cameras, rotation vector and translation of the rig."""
+        rig = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
+        return (*self.bundles[0].names, *self.bundles[1].names, *rig)
+
+    def squares(self, state: _State) -> Array:
+        """Return the (m, 2) sums of squares of each board in each image; NaN behind a camera."""
+        seen = zip(self.bundles, (state.first, state.second), strict=True)
+        return 2.0 * np.column_stack([bundle.costs(own, Loss("l2")) for bundle, own in seen])
+
+    def costs(self, state: _State, _loss: Loss) -> Array:
+        """Return the (m + 1,) costs of the boards, and that of the prior."""
+        prior = state.away @ self.information @ state.away
+        return 0.5 * np.append(self.squares(state).sum(axis=1), prior)
+
+    def equations(self, state: _State, loss: Loss) -> ViewEquations:
+        """Return the normal equations; the prior stands as a board of its own, whose pose does not matter.
+
+        The second camera's poses follow from a turn t and a shift s of the board before the first camera, a turn u and
+        a shift v of the rig: they turn by R t + u, and their centres move by s + R_2^T ((R t + u) x T - v).
+        """
+        first, second = self.bundles
+        k, size, boards = len(first.names), len(self.information), len(state.first.rotations)
+        normal, right = np.zeros((boards + 1, size + 6, size + 6)), np.zeros((boards + 1, size + 6))
+        to = np.zeros((boards, len(second.names) + 6, size + 6))
+        to[:, : len(second.names), k : size - 6] = np.eye(len(second.names))
+        turns = np.hstack([np.eye(3), np.zeros((3, 3)), state.rotation, np.zeros((3, 3))])
+        back = np.swapaxes(state.second.rotations, 1, 2)
+        to[:, -6:-3, -12:] = turns
+        to[:, -3:, -12:] = -back @ skew(state.translation) @ turns
+        to[:, -3:, -9:-6] -= back
+        to[:, -3:, -3:] += np.eye(3)
+        other = second.equations(state.second, loss)
+        normal[:-1] = np.swapaxes(to, 1, 2) @ other.normal @ to
+        right[:-1] = np.einsum("mab,ma->mb", to, other.right)
+        own, at = first.equations(state.first, loss), np.r_[0:k, size : size + 6]
+        normal[:-1, at[:, None], at] += own.normal
+        right[:-1, at] += own.right
+        normal[-1, :size, :size], normal[-1, size:, size:] = self.information, np.eye(6)
+        right[-1, :size] = -self.information @ state.away
+        return ViewEquations(normal, right, size)
+
+    def rounding(self, cost: float) -> float:
+        """Return how much rounding of the image points changes the cost."""
+        return max(bundle.rounding(cost) for bundle in self.bundles)
 
 
 def adjusted(
@@ -92,216 +155,103 @@ def adjusted(
     ``information`` is (G, G), of both cameras' values, rotation vector and translation, about the start.
     Raises DegenerateViews: If a view has too few points, or the boards do not determine the rig.
     """
-    for pair in pairs:
-        for view in (pair.first, pair.second):
-            if len(view) < _MIN_POINTS:
-                raise DegenerateViews(
-                    f"The view {view.name} has {len(view)} points of the board; at least {_MIN_POINTS} are needed."
-                )
-    alone = [
-        [_pose(camera, view) for camera, view in ((first, pair.first), (second, pair.second))]
-        for pair in pairs
+    views = [pair.first for pair in pairs], [pair.second for pair in pairs]
+    alone = [_alone(camera, own) for camera, own in zip((first, second), views, strict=True)]
+    state = _start((first, second), rotation, alone, len(information))
+    bundles = [
+        Bundle(Observations.from_views(own), camera.parameter_names, free_centres=True)
+        for camera, own in zip((first, second), views, strict=True)
     ]
-    found = _start((first, second), rotation, alone)
-    points = np.array([[len(pair.first), len(pair.second)] for pair in pairs])
-    left = 2.0 * points.sum(axis=0) - 6 * len(pairs)
-    apart = _apart(found, pairs)
+    left = 2.0 * np.array([len(bundle.observations.view) for bundle in bundles]) - 6 * len(pairs)
+    apart = _apart(bundles, alone)
     for _ in range(_NOISE_ROUNDS):
         noise = np.sqrt(apart.sum(axis=0) / left)
-        found, covariance, squares, converged = _searched(found, pairs, information, noise)
-        now = _apart(found, pairs)
+        scaled = [_with_noise(bundle, sigma) for bundle, sigma in zip(bundles, noise, strict=True)]
+        boards = _Boards((scaled[0], scaled[1]), information)
+        found = refine(boards, state, Loss("l2"))
+        state = found.parameters
+        now = _apart(bundles, (state.first, state.second))
         apart = np.where(
             now.sum(axis=0) < apart.sum(axis=0), now, apart
         )  # cameras that were bent to fit count not
+    try:
+        known = boards.equations(state, Loss("l2")).eliminated().information.sum(axis=0)
+        covariance = inverse_information(known, boards.names)
+    except DegenerateViews as error:
+        raise DegenerateViews(
+            "The boards do not determine the rig.",
+            remedy="Show the board at more angles and distances to both cameras.",
+        ) from error
+    squares = [
+        [
+            (bundle.residuals_px(own)[rows] ** 2).sum() / (rows.stop - rows.start)
+            for rows in bundle.observations.slices
+        ]
+        for bundle, own in zip(bundles, (state.first, state.second), strict=True)
+    ]
     return BoardsFound(
-        *found.cameras,
-        found.rotation,
-        found.translation,
+        state.first.camera,
+        state.camera,
+        state.rotation,
+        state.translation,
         covariance,
-        _rms_px(found, pairs),
-        squares.sum(axis=1),
+        np.sqrt(np.transpose(squares)),
+        boards.squares(state).sum(axis=1),
         (apart / noise**2).sum(axis=1),
-        converged,
+        found.converged,
     )
 
 
-def _apart(state: _State, pairs: Sequence[BoardPair]) -> Array:
+def _with_noise(bundle: Bundle, sigma: float) -> Bundle:
+    """Return the bundle of points whose noise is so many times the stated one."""
+    seen = bundle.observations
+    return replace(bundle, observations=replace(seen, whitening=seen.whitening / sigma))
+
+
+def _alone(camera: CameraModel, views: Sequence[View]) -> AdjustmentParameters:
+    """Return the poses of boards before a camera, from each image alone."""
+    poses = []
+    for view in views:
+        if len(view) < _MIN_POINTS:
+            raise DegenerateViews(
+                f"The view {view.name} has {len(view)} points of the board; at least {_MIN_POINTS} are needed."
+            )
+        pose = pose_start(camera, view)
+        if pose is None:
+            raise DegenerateViews(
+                f"The view {view.name} does not show how the board stands.",
+                remedy="Show more of the board, and check that the calibration is of this camera.",
+            )
+        poses.append(pose)
+    turns, centres = (
+        np.concatenate([getattr(one, name) for one in poses]) for name in ("rotations", "offsets")
+    )
+    return AdjustmentParameters(camera, Collimator(0.0, 0.0, 0.0), turns, centres)
+
+
+def _apart(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
     """Return the (m, 2) sums of squares of each board with a pose for each camera alone, in units of the stated noise.
 
     What is left there is noise, also if the rig is not rigid.
     """
-    return np.array(
-        [
-            [
-                _alone(camera, view)
-                for camera, view in zip(state.cameras, (pair.first, pair.second), strict=True)
-            ]
-            for pair in pairs
-        ]
+    held = [replace(bundle, names=()) for bundle in bundles]
+    ends = [refine(bundle, own, Loss("l2")).parameters for bundle, own in zip(held, seen, strict=True)]
+    return 2.0 * np.column_stack(
+        [bundle.costs(end, Loss("l2")) for bundle, end in zip(held, ends, strict=True)]
     )
 
 
 def _start(
     cameras: tuple[CameraModel, CameraModel],
     rotation: Array | None,
-    alone: Sequence[Sequence[tuple[Array, Array]]],
+    alone: Sequence[AdjustmentParameters],
+    size: int,
 ) -> _State:
     """Return a start from the poses that each camera finds alone; medians, since a flat board may be seen turned."""
-    pairs = np.array([turn_b @ turn_a.T for (turn_a, _), (turn_b, _) in alone])
+    first, second = alone
+    pairs = second.rotations @ np.swapaxes(first.rotations, 1, 2)
     if rotation is None:
         apart = np.arccos(np.clip((np.einsum("iab,jab->ij", pairs, pairs) - 1.0) / 2.0, -1.0, 1.0))
         rotation = nearest_rotation(pairs[np.median(apart, axis=1).argmin()])
-    places = np.array([place - rotation @ at for (_, at), (_, place) in alone])
-    return _State(
-        cameras,
-        rotation,
-        np.median(places, axis=0),
-        np.array([turn for (turn, _), _ in alone]),
-        np.array([at for (_, at), _ in alone]),
-        np.zeros(sum(len(camera.values) for camera in cameras) + 6),
-    )
-
-
-def _pose(camera: CameraModel, view: View) -> tuple[Array, Array]:
-    """Return rotation and translation from the board to the camera, in closed form (Collins and Bartoli, 2014)."""
-    rays = camera.rays(view.points_px)
-    seen = np.isfinite(rays).all(axis=1)
-    flat = np.column_stack([view.target_mm, np.zeros(len(view))])[seen]
-    spread = (
-        np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False) if len(flat) >= _MIN_POINTS else np.zeros(2)
-    )
-    plane = np.ascontiguousarray(rays[seen, :2] / rays[seen, 2:])
-    done = bool(spread[1] > _IN_A_LINE * spread[0])
-    if done:
-        done, vector, place = cv2.solvePnP(flat, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    if not done:
-        raise DegenerateViews(
-            f"The view {view.name} does not show how the board stands.",
-            remedy="Show more of the board, and check that the calibration is of this camera.",
-        )
-    return exp_map(np.asarray(vector.ravel(), np.float64)), np.asarray(place.ravel(), np.float64)
-
-
-def _whitening(view: View, sigma: float) -> Array:
-    """Return (N, 2, 2) factors that make the noise of the points one."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(view.covariances_px2)) / sigma)
-
-
-def _equations(state: _State, at: int, view: View, which: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return (2N,) whitened residuals of a board in one image, and their (2N, G) and (2N, 6) slopes."""
-    arm = view.target_mm @ state.turns[at][:, :2].T
-    points, by_own = arm + state.places[at], np.zeros((len(view), 3, 6))
-    by_own[:, :, :3], by_own[:, :, 3:] = -skew(arm), np.eye(3)
-    by_rig = np.zeros((len(view), 3, 6))
-    if which:
-        turned = points @ state.rotation.T
-        by_rig[:, :, :3], by_rig[:, :, 3:] = -skew(turned), np.eye(3)
-        points, by_own = turned + state.translation, state.rotation @ by_own
-    pixels, by_points, by_camera = state.cameras[which].project_with_jacobians(points)
-    k = [len(camera.values) for camera in state.cameras]
-    shared = np.zeros((len(view), 2, sum(k) + 6))
-    shared[:, :, which * k[0] : which * k[0] + k[which]] = by_camera
-    shared[:, :, -6:] = by_points @ by_rig
-    white = _whitening(view, sigma)
-    residual = np.einsum("nab,nb->na", white, view.points_px - pixels)
-    return (
-        residual.ravel(),
-        (white @ shared).reshape(2 * len(view), -1),
-        (white @ by_points @ by_own).reshape(-1, 6),
-    )
-
-
-def _residuals(state: _State, pairs: Sequence[BoardPair], noise: Array) -> Array:
-    """Return the (m, 2) sums of squares of each board in each image; infinite behind a camera."""
-    squares = np.empty((len(pairs), 2))
-    for at, pair in enumerate(pairs):
-        for which, view in enumerate((pair.first, pair.second)):
-            points = view.target_mm @ state.turns[at][:, :2].T + state.places[at]
-            if which:
-                points = points @ state.rotation.T + state.translation
-            off = view.points_px - state.cameras[which].project(points)
-            white = np.einsum("nab,nb->na", _whitening(view, noise[which]), off)
-            squares[at, which] = np.nan_to_num((white**2).sum(), nan=np.inf)
-    return squares
-
-
-def _searched(
-    state: _State, pairs: Sequence[BoardPair], information: Array, noise: Array
-) -> tuple[_State, Array, Array, bool]:
-    """Return the optimum, the (G, G) covariance, the (m, 2) sums of squares, and whether it is an optimum."""
-    squares, damping = _residuals(state, pairs, noise), 1e-6
-    for _ in range(_ROUNDS):
-        cost = squares.sum() + state.away @ information @ state.away
-        normal, right, follow, back = _normal_equations(state, pairs, noise)
-        normal, right = normal + information, right - information @ state.away
-        covariance = _inverse(normal)
-        for _ in range(_HALVINGS):
-            shared: Array = np.asarray(
-                np.linalg.solve(normal + damping * np.diag(np.diag(normal)), right), np.float64
-            )
-            moved = state.moved(shared, back - follow @ shared)
-            squares = _residuals(moved, pairs, noise)
-            if squares.sum() + moved.away @ information @ moved.away <= cost * (1.0 + 1e-12):
-                break
-            damping = max(10.0 * damping, 1e-4)
-        else:
-            break
-        state, damping = moved, damping / 10.0
-        if np.sqrt(shared @ normal @ shared / len(shared)) < _SMALL:
-            return state, covariance, squares, True
-    return state, covariance, _residuals(state, pairs, noise), False
-
-
-def _normal_equations(
-    state: _State, pairs: Sequence[BoardPair], noise: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return (G, G) and (G,) equations of the shared unknowns, and the (m, 6, G) and (m, 6) of the boards' poses.
-
-    Elimination of the poses: Triggs et al. (2000), section 6.
-    """
-    size = len(state.away)
-    normal, right = np.zeros((size, size)), np.zeros(size)
-    follow, back = np.empty((len(pairs), 6, size)), np.empty((len(pairs), 6))
-    for at, pair in enumerate(pairs):
-        parts = [_equations(state, at, view, c, noise[c]) for c, view in enumerate((pair.first, pair.second))]
-        off, shared, own = (np.concatenate(part) for part in zip(*parts, strict=True))
-        inverse = np.linalg.inv(own.T @ own)
-        follow[at], back[at] = inverse @ own.T @ shared, inverse @ own.T @ off
-        normal += shared.T @ shared - shared.T @ own @ follow[at]
-        right += shared.T @ off - shared.T @ own @ back[at]
-    return normal, right, follow, back
-
-
-def _inverse(information: Array) -> Array:
-    """Return the covariance, or raise `DegenerateViews` if the boards leave an unknown free."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    unit = information / np.outer(scale, scale)
-    if np.linalg.eigvalsh(unit)[0] < _SINGULAR:
-        raise DegenerateViews(
-            "The boards do not determine the rig.",
-            remedy="Show the board at more angles and distances to both cameras.",
-        )
-    return np.asarray(np.linalg.inv(unit) / np.outer(scale, scale))
-
-
-def _alone(camera: CameraModel, view: View) -> float:
-    """Return the sum of squares of a board with a pose for this camera alone."""
-    turn, place = _pose(camera, view)
-    nothing = np.zeros(2 * len(camera.values) + 6)
-    state = _State((camera, camera), np.eye(3), np.zeros(3), turn[None], place[None], nothing)
-    for _ in range(_POSE_STEPS):
-        off, _, own = _equations(state, 0, view, 0, 1.0)
-        step: Array = np.asarray(np.linalg.lstsq(own, off)[0], np.float64)
-        state = state.moved(nothing, step[None])
-    off, _, _ = _equations(state, 0, view, 0, 1.0)
-    return float(off @ off)
-
-
-def _rms_px(state: _State, pairs: Sequence[BoardPair]) -> Array:
-    """Return the (m, 2) root mean square lengths of the residuals, px."""
-    plain = [
-        BoardPair(*(replace(view, covariances_px2=np.tile(np.eye(2), (len(view), 1, 1))) for view in views))
-        for views in ((pair.first, pair.second) for pair in pairs)
-    ]
-    numbers = np.array([[len(pair.first), len(pair.second)] for pair in pairs])
-    return np.asarray(np.sqrt(_residuals(state, plain, np.ones(2)) / numbers))
+    at, there = (-np.einsum("nij,nj->ni", one.rotations, one.offsets) for one in alone)
+    return _State(first, cameras[1], rotation, np.median(there - at @ rotation.T, axis=0), np.zeros(size))
