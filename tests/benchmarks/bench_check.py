@@ -22,15 +22,32 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[2]))
 from calib.calibration import Calibration, CalibrationOptions
 from calib.engine import calibrate
+from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.studies.camera_check import check_camera
+from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import CameraTruth
 from tests.support.drawn_benches import TWENTY_FIVE, draw_bench
-from tests.support.truth_table import CERTIFICATE_MM, gimbal_errors, readings
 
 ONE = [{"pan": 3.0, "tilt": 2.0}]
 CHANGES = (0.0, 0.5, 1.0, 2.0, 3.0)
+CERTIFICATE_MM = (255.0, 0.05)
+SCALE_SIGMA = 2e-4  # of the gimbal, as its station states it
 KINDS = {"scale": ("fx", "fy"), "principal point": ("cx",)}
+
+
+def gimbal_errors(seed: int) -> GimbalTruth:
+    """Draw the errors of a gimbal, of the sizes that its readings state."""
+    rng = np.random.default_rng((seed, 11))
+    return GimbalTruth(
+        wobble_deg=0.001,
+        eccentricity_deg=0.001,
+        scale=tuple((SCALE_SIGMA * rng.normal(size=3)).tolist()),
+        backlash_deg=(0.001, 0.001, 0.001),
+        nonorthogonality_deg=float(0.02 * rng.normal()),
+        reading_sigma_deg=0.002,
+        seed=seed,
+    )
 
 
 def stated(profile: str, seed: int) -> Calibration:
@@ -38,7 +55,8 @@ def stated(profile: str, seed: int) -> Calibration:
     bench = draw_bench(profile, TWENTY_FIVE, seed, gimbal=gimbal_errors(seed))
     r, sigma = CERTIFICATE_MM
     drawn = r + sigma * np.random.default_rng((seed, 21)).normal()
-    options = CalibrationOptions(passport=Passport.of_radius(drawn, sigma), gimbal=readings(bench, None))
+    readings = GimbalReadings(tuple(bench.readings_deg), 0.002, SCALE_SIGMA, 0.001, None, "drawn")
+    options = CalibrationOptions(passport=Passport.of_radius(drawn, sigma), gimbal=readings)
     return calibrate(bench.views, options)
 
 

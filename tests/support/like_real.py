@@ -41,7 +41,7 @@ BORDER_PX = 20.0
 EDGE = 1.04
 """Where the light ends, in radii of the disc that best parts stars seen from stars not seen."""
 OUTER = 0.9
-MODELS: tuple[ModelName, ...] = ("spherical", "field", "planar")
+MODELS: tuple[ModelName, ...] = ("spherical", "joint", "planar")
 
 
 class Recorded(NamedTuple):
@@ -53,12 +53,12 @@ class Recorded(NamedTuple):
 
 
 def recordings(folder: Path) -> Recorded:
-    """Read the recordings; turns are those that the field model finds."""
+    """Read the recordings; turns are those that the joint adjustment finds."""
     views = []
     for number in range(1, 21):
         rows = np.loadtxt(folder / f"image{number}.txt")
         views.append(_seen(str(number), rows[:, 4].astype(np.int64), rows[:, :2] - 0.5))
-    rotations = np.asarray(calibrate(views, CalibrationOptions(model="field", loss="l2")).rotations)
+    rotations = np.asarray(calibrate(views, CalibrationOptions()).rotations)
     return Recorded(views, rotations, visible_discs(views))
 
 
@@ -92,7 +92,7 @@ def figures(views: Sequence[View]) -> Figures:
     """Statistics of the residuals and of the free centres, by name: px, drift in % of r, focal gaps in %."""
     discs = visible_discs(views)
     fits = {name: calibrate(views, CalibrationOptions(model=name, loss="l2")) for name in MODELS}
-    spherical, field, planar = fits.values()
+    spherical, joint, planar = fits.values()
     found: Figures = {f"{name}_rms": fit.rms_px for name, fit in fits.items()}
     found |= {f"{name}_left_out": float(fit.left_out_rms_px or math.nan) for name, fit in fits.items()}
     rho = np.concatenate(
@@ -110,8 +110,8 @@ def figures(views: Sequence[View]) -> Figures:
         f"disc_{axis}": float(np.corrcoef(drift[:, k], places[:, k])[0, 1]) for k, axis in enumerate("xy")
     }
     found["stars"], found["beyond"] = float(len(rho)), float(np.mean(rho > 1.0))
-    found["planar_focal_gap"] = 100.0 * (planar.camera.fx / field.camera.fx - 1.0)
-    found["spherical_focal_gap"] = 100.0 * (spherical.camera.fx / field.camera.fx - 1.0)
+    found["planar_focal_gap"] = 100.0 * (planar.camera.fx / joint.camera.fx - 1.0)
+    found["spherical_focal_gap"] = 100.0 * (spherical.camera.fx / joint.camera.fx - 1.0)
     return found
 
 

@@ -53,9 +53,10 @@ def test_a_study_without_any_calibration_is_refused_with_the_first_reason():
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("loss", ["l2", "huber"])
-def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
-    study = run_monte_carlo(NARROW, POSES, CalibrationOptions("spherical", loss=loss), 500, 17)
+@pytest.mark.parametrize(("loss", "outliers"), [("l2", 0), ("huber", 0), ("huber", 0.02), ("cauchy", 0.02)])
+def test_two_sigma_intervals_cover_as_often_as_they_should(loss, outliers):
+    options = CalibrationOptions("spherical", loss=loss)
+    study = run_monte_carlo(NARROW, POSES, options, 500, 17, outliers=outliers)
     low, high = study.coverage_band
     assert not study.failed
     assert all(low <= share <= high for share in study.coverage.values())
@@ -63,36 +64,6 @@ def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
     # With half the sigmas the same study fails.
     halved = np.abs(study.values - study.truth) <= study.sigmas
     assert (halved.mean(axis=0) < low).all()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize(("loss", "outliers"), [("l2", 0), ("huber", 0), ("huber", 0.02), ("cauchy", 0.02)])
-def test_errors_are_as_large_as_their_sigmas_for_every_parameter(loss, outliers):
-    # 500 runs tell a ratio to 3 %, 2000 to 1.6 %.
-    study = run_monte_carlo(
-        NARROW, POSES, CalibrationOptions("spherical", loss=loss), 2000, 18, outliers=outliers
-    )
-    low, high = study.coverage_band
-    assert all(0.95 < z < 1.05 for z in study.z_rms.values())
-    assert all(low <= share <= high for share in study.coverage.values())
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize("count", [5, 8])
-def test_sigmas_and_intervals_of_inconsistent_views_hold(count):
-    rng = np.random.default_rng(99)
-    poses = [
-        {"pan_deg": rng.uniform(-6, 6), "tilt_deg": rng.uniform(-3, 3), "roll_deg": rng.uniform(-60, 60)}
-        for _ in range(count)
-    ]
-    study = run_monte_carlo(NARROW, poses, L2, 100, 23, drift_mm=0.3)
-    ratio = np.sqrt((study.sigmas**2).mean(axis=0)) / list(study.scatter.values())
-    # A hundred runs tell the scatter to 7 %.
-    assert ((ratio > 1 / 1.4) & (ratio < 1.4)).all()
-    assert (study.factors > 2.2).all()
-    assert min(study.coverage.values()) > 0.88
 
 
 @pytest.mark.slow

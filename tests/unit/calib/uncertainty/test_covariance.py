@@ -16,14 +16,10 @@ from calib.uncertainty.projection_uncertainty import camera_difference, projecti
 from calib.view import View
 
 
-def z_scores(bench, options, runs, seed, spoil=None):
+def z_scores(bench, options, runs, seed):
     z = []
     for i in range(runs):
-        rng = np.random.default_rng([seed, i])
-        views = bench.views(rng, 0.05)
-        if spoil:
-            spoil(views, rng)
-        result = calibrate(views, options)
+        result = calibrate(bench.views(np.random.default_rng([seed, i]), 0.05), options)
         truth = np.array([bench.truth[name] for name in result.parameter_names])
         z.append((result.values - truth) / np.sqrt(np.diag(result.covariance)))
     return np.array(z)
@@ -41,29 +37,6 @@ def test_sigmas_are_those_of_repeated_calibrations(bench, options):
     z = z_scores(bench, options, 30, 12)
     assert in_the_band(z).all()
     assert not in_the_band(2.5 * z).any()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize("loss", ["l2", "huber", "cauchy"])
-def test_sigmas_hold_over_many_runs(bench, loss):
-    z = z_scores(bench, CalibrationOptions("spherical", loss=loss), 400, 13)
-    assert in_the_band(z).all()
-    assert not in_the_band(2.0 * z).any()
-    covered = (np.abs(z) < 2).mean(axis=0)
-    assert (np.abs(covered - 0.9545) < 4 * np.sqrt(0.9545 * 0.0455 / len(z))).all()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_sigmas_hold_when_some_stars_are_bad(bench):
-    def spoil(views, rng):
-        for view in views:
-            bad = rng.random(len(view)) < 0.05
-            view.points_px[bad] += 0.5 * rng.standard_normal((bad.sum(), 2))
-
-    z = z_scores(bench, CalibrationOptions("spherical", loss="huber"), 200, 14, spoil)
-    assert in_the_band(z).all()
 
 
 def test_the_variance_factor_shows_star_covariances_that_are_too_small(bench):
