@@ -65,8 +65,9 @@ class Pace:
         if self.factor < TOLD_FROM:
             return ""
         place = f"On station {self.station}" if self.station else "On this computer"
+        runs = "the last run" if self.runs == 1 else f"the last {self.runs} runs"
         return (
-            f"{place}, the last {self.runs} runs took {self.factor:.1f} times as long as planned "
+            f"{place}, {runs} took {self.factor:.1f} times as long as planned "
             "(median). The times below include this: the computer is slower than the plan assumes, or other programs "
             "keep it busy."
         )

@@ -456,10 +456,11 @@ def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
     """Return one line per parameter of a camera, if more than one of its runs has a result."""
     lines = []
+    width = max((len(trend["name"]) for trend in camera["parameters"]), default=0)
     for trend in camera["parameters"]:
         mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
         unit = unit_text(trend["name"])
-        line = f"  {trend['name']:<3} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
+        line = f"  {trend['name']:<{width}} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
         line += "  REPEATS" if trend["repeats"] else ""
         if trend["per_hour"] is not None:
             slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])

@@ -63,11 +63,12 @@ def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
     counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
     factors = "the k of each value" if own else f"k = {exact(round(k, 2))}"
     lines = [f"{model} model, {counted}, {points} {words.points}; U with {factors}:"]
+    width = max(map(len, calibration["sigma"]))
     for name, sigma in calibration["sigma"].items():
         k = coverage_factor(calibration, name)
         value, expanded = with_uncertainty(values[name], k * sigma)
         unit = f"{unit_text(name):<3} (k = {k:.2f})" if own else unit_text(name)
-        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit}".rstrip())
+        lines.append(f"  {name:<{width}} {value:>12} ± {expanded:<8} {unit}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
         f" (how well the model fits the {words.points}; this is not the accuracy)."

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 USUAL_COVERAGE_FACTOR = 2.0
 """The k of results of earlier versions, which do not state one."""
+_MOST_FACTORS = 3
+"""So many different k are listed; of more, the least and the most."""
 
 REPEATS_TEXT = (
     "the runs differ much less than their uncertainties (Birge ratio far below 1). "
@@ -71,10 +73,13 @@ def coverage_factor(stated: Mapping[str, Any], name: str = "") -> float:
 def factors_text(factors: Iterable[float]) -> str:
     """Return the coverage factors of several values as text.
 
-    >>> factors_text([2.2215, 2.2215]), factors_text([2.2215, 2.0])
-    ('k = 2.22', 'k = 2.22, 2')
+    >>> factors_text([2.2215, 2.2215]), factors_text([2.2215, 2.0]), factors_text([2.02, 2.0, 2.21, 2.05])
+    ('k = 2.22', 'k = 2.22, 2', 'k = 2 to 2.21')
     """
-    return "k = " + ", ".join(dict.fromkeys(f"{k:.3g}" for k in factors))
+    found = list(dict.fromkeys(f"{k:.3g}" for k in factors))
+    if len(found) > _MOST_FACTORS:
+        found = [f"{min(found, key=float)} to {max(found, key=float)}"]
+    return "k = " + ", ".join(found)
 
 
 def estimates(solved: Mapping[str, Any]) -> dict[str, Estimate]:

@@ -105,13 +105,15 @@ def summary(how, items, cameras=()):
 def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, outbox, messages, capsys):
     runs = [Estimate(3346.0 + n, 1.2, 2.2, 1.0) for n in range(3)]
     trend = Trend("fx", agreement("fx", runs), repeats=False, per_hour=None, per_c=None)
-    camera = {"camera": "00050423", "model": "radial", "runs": runs, "parameters": [trend.to_dict()]}
+    parameters = [{**trend.to_dict(), "name": name} for name in ("fx", "radial_4")]
+    camera = {"camera": "00050423", "model": "radial", "runs": runs, "parameters": parameters}
     ended = summary("finished", [item("cam-001")], [camera])
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(ended, tmp_path, "b" * 64)
     show_summary(tmp_path, ended)
     (delivery,) = outbox.deliveries()
-    mean = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("  fx"))
+    mean, other = (line for line in capsys.readouterr().out.splitlines() if "Birge" in line)
+    assert mean.index("±") == other.index("±")
     assert f"± {trend.agreed.expanded:.1f}" in mean
     assert mean in delivery.message.text
     assert "U with k = 2.2:" in delivery.message.text

@@ -185,13 +185,14 @@ def test_the_pace_is_the_median_of_runs_that_nothing_stopped(tmp_path):
 
 
 @pytest.mark.parametrize("station", ["Simulated bench", ""])
-@pytest.mark.parametrize("factor", [1.0, 1.9, 2.5])
-def test_the_forecast_has_this_pace_and_says_why_from_twice_on(factor, station):
+@pytest.mark.parametrize(("factor", "runs"), [(1.0, 7), (1.9, 7), (2.5, 7), (2.5, 1)])
+def test_the_forecast_has_this_pace_and_says_why_from_twice_on(factor, runs, station):
     job = JobConfig(name="a", sequence="three_pose", station="simulated")
     queue = Queue(format="starbench/queue/1", name="n", jobs=[job])
-    night = plan_batch(queue, BEGUN, {station: Pace(factor, 7, station)})
+    night = plan_batch(queue, BEGUN, {station: Pace(factor, runs, station)})
     (slot,) = night.slots
     assert slot.end_s - slot.begin_s == pytest.approx(factor * planned_duration_s(job))
     place = f"On station {station}" if station else "On this computer"
-    told = [text.startswith(f"{place}, the last 7 runs took 2.5 times") for text in night.slow]
+    last = "the last run" if runs == 1 else "the last 7 runs"
+    told = [text.startswith(f"{place}, {last} took 2.5 times") for text in night.slow]
     assert told == ([True] if factor > 2 else [])
