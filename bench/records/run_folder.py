@@ -69,14 +69,17 @@ class RunFolder:
         self._lock = lock
 
     @classmethod
-    def create(cls, path: Path, *, bytes_needed: int = 0) -> Self:
-        """Make a new or empty run folder, with its parents, and lock it; there must be room for ``bytes_needed``."""
+    def create(cls, path: Path, *, bytes_needed: int = 0, bytes_kept_free: int = 0) -> Self:
+        """Make a new or empty run folder, with its parents, and lock it; there must be room for both numbers of bytes.
+
+        ``bytes_kept_free`` is what the station wants to stay free after the run.
+        """
         path = path.absolute()
         make_folder(path)
         lock = lock_folder(path)
         try:
             _refuse_occupied(path)
-            _refuse_full(path, bytes_needed + RESERVE_BYTES)
+            _refuse_full(path, bytes_needed + RESERVE_BYTES, bytes_kept_free)
             make_folder(path / CAPTURES)
             _keep_reserve(path)
         except BaseException:
@@ -230,12 +233,15 @@ def _refuse_occupied(path: Path) -> None:
         )
 
 
-def _refuse_full(path: Path, bytes_needed: int) -> None:
+def _refuse_full(path: Path, bytes_needed: int, bytes_kept_free: int) -> None:
     with storage_errors(path):
         free = shutil.disk_usage(path).free
-    if free < bytes_needed:
+    if free < bytes_needed + bytes_kept_free:
+        needs = f"{bytes_needed / 1e6:.0f} MB"
+        if bytes_kept_free:
+            needs += f" and {bytes_kept_free / 1e6:.0f} MB must stay free (disk: min_free_gb of the station)"
         raise StorageError(
-            f"The run needs {bytes_needed / 1e6:.0f} MB, but the disk has only {free / 1e6:.0f} MB left.",
+            f"The run needs {needs}, but the disk has only {free / 1e6:.0f} MB left.",
             where=str(path),
             remedy="Make room, or choose --output on another disk.",
         )

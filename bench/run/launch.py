@@ -234,8 +234,8 @@ def start_run(
     refuse_broken_ledger(ledger, job)
     key = _key(launch)
     folder_path = output or default_folder(plan, launch.clock.utc_now())
-    needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)
-    with RunFolder.create(folder_path, bytes_needed=needed) as folder:
+    kept_free = int(plan.station.value.disk.min_free_gb * 1e9)
+    with RunFolder.create(folder_path, bytes_needed=plan.size_bytes, bytes_kept_free=kept_free) as folder:
         documents = documents_of(plan)
         for name, text in documents.items():
             folder.write_atomic(name, text)
