@@ -67,10 +67,10 @@ _REPRODUCTION = (
 )
 _UNCERTAINTY = (
     "The expanded uncertainty U is the standard uncertainty u multiplied by the coverage factor k that is stated with"
-    " each result: U = k u. For a t-distribution with the stated effective degrees of freedom it corresponds to a"
-    " coverage probability of about 95 %. The standard uncertainties were determined by JCGM 100 (GUM); the joint"
-    " covariance is stated. For quantities that are calculated from several results, use the largest k. U has two"
-    " significant digits and is rounded up, unless rounding down changes it by 1 % or less."
+    " each result: U = k u. By the distribution of the result, Student's t where the effective degrees of freedom are"
+    " few, it corresponds to a coverage probability of about 95 %. The standard uncertainties were determined by"
+    " JCGM 100 (GUM); the joint covariance is stated. For quantities that are calculated from several results, use"
+    " the largest k. U has two significant digits and is rounded up, unless rounding down changes it by 1 % or less."
 )
 _ADJUSTMENT = "The item was calibrated as received. Nothing was adjusted or repaired."
 _NOT_ACCREDITED = "This calibration is not covered by an accreditation."

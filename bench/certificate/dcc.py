@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 GUM = "JCGM 100:2008"
 NO_NUMBER = "not stated"
 _K_DIGITS = 4
+_NORMAL_WITHIN = 5e-4  # of the probability: k by 0.005
 _RANGE = re.compile(r"(-?\d+(?:\.\d+)?) to (-?\d+(?:\.\d+)?) (\S+)")
 _RELEASE = re.compile(r"\d{1,3}(?:\.\d{1,3}){0,3}(?![0-9A-Za-z])")
 _PIXEL = (
@@ -202,9 +203,13 @@ def _expanded(U: float | None, k: float | None) -> dict[str, str] | None:
 
 
 def _as_printed(result: Result) -> dict[str, str]:
-    """Return the expanded uncertainty of a result as printed."""
-    student = "Student's t with the effective degrees of freedom"
-    distribution = "normal" if result.nu_eff is None else student
+    """Return the expanded uncertainty of a result as printed; k of a posterior need not be that of a normal one."""
+    if result.nu_eff is not None:
+        distribution = "Student's t with the effective degrees of freedom"
+    elif abs(2.0 * float(ndtr(result.k)) - 1.0 - result.p) < _NORMAL_WITHIN:
+        distribution = "normal"
+    else:
+        distribution = "posterior of the adjustment"
     return _uncertainty(result.printed_uncertainty, result.k, result.p, distribution)
 
 

@@ -64,6 +64,14 @@ def test_results_are_stated_as_printed_with_k_p_and_degrees_of_freedom():
     assert texts(root, "//dcc:nonSIUnit") == ["pixel"]
 
 
+@pytest.mark.parametrize(("k", "distribution"), [(2.0, "normal"), (2.24, "posterior of the adjustment")])
+def test_without_degrees_of_freedom_only_the_k_of_a_normal_distribution_is_called_normal(k, distribution):
+    full = certificate_sample.full_certificate()
+    first = dataclasses.replace(full.results[0], nu_eff=None, k=k)
+    root = dcc_of(dataclasses.replace(full, results=(first, *full.results[1:])))
+    assert texts(root, "//dcc:quantity[@id='result-fx']//si:expandedUnc/si:distribution") == [distribution]
+
+
 def test_the_joint_list_has_all_digits_and_the_whole_covariance():
     certificate = certificate_sample.full_certificate()
     root = dcc_of(certificate)
