@@ -1,6 +1,6 @@
 """How often each pixel of a recording blinks: the period between the starts of its ON bursts.
 
-The first ON event after an OFF event starts a period. One pass counts these starts, a second one keeps their times.
+The first ON event after an OFF event starts a period.
 """
 
 from __future__ import annotations
@@ -39,44 +39,23 @@ def blink_periods(
     least-squares line through the numbered starts gives the period.
     """
     width, height = size
-    counts = _count_starts(x, y, p, width, height)
-    ends = np.cumsum(counts.ravel(), dtype=np.int64)
-    times = _start_times(t_us, x, y, p, width, height, ends - counts.ravel())
-    frequency = _frequencies(times, ends, counts.ravel())
-    return BlinkPeriods(frequency.reshape(height, width), counts)
+    starts = np.flatnonzero(_starts(x, y, p, width, height))
+    pixel = y[starts].astype(np.int64) * width + x[starts]
+    counts = np.bincount(pixel, minlength=width * height)
+    times = t_us[starts[np.argsort(pixel, kind="stable")]].astype(np.float64)
+    frequency = _frequencies(times, np.cumsum(counts), counts)
+    return BlinkPeriods(frequency.reshape(height, width), counts.astype(np.int32).reshape(height, width))
 
 
 @njit(cache=True)
-def _count_starts(x: Any, y: Any, p: Any, width: int, height: int) -> Any:
-    """Count the ON events of each pixel whose event before was OFF, or that are its first event."""
+def _starts(x: Any, y: Any, p: Any, width: int, height: int) -> Any:
+    """Return which events, (N,), are ON events of a pixel whose event before was OFF, or that are its first event."""
     last = np.full((height, width), -1, np.int8)
-    counts = np.zeros((height, width), np.int32)
+    starts = np.empty(len(x), np.bool_)
     for i in range(len(x)):
-        if p[i] == 1 and last[y[i], x[i]] != 1:
-            counts[y[i], x[i]] += 1
+        starts[i] = p[i] == 1 and last[y[i], x[i]] != 1
         last[y[i], x[i]] = p[i]
-    return counts
-
-
-@njit(cache=True)
-def _start_times(t_us: Any, x: Any, y: Any, p: Any, width: int, height: int, first: Any) -> Any:
-    """Return the times of all starts, pixel after pixel; those of a pixel begin at its place in ``first``."""
-    last = np.full((height, width), -1, np.int8)
-    place = first.copy()
-    total = 0
-    for i in range(len(x)):
-        if p[i] == 1 and last[y[i], x[i]] != 1:
-            total += 1
-        last[y[i], x[i]] = p[i]
-    times = np.empty(total, np.float64)
-    last[:] = -1
-    for i in range(len(x)):
-        if p[i] == 1 and last[y[i], x[i]] != 1:
-            pixel = y[i] * width + x[i]
-            times[place[pixel]] = t_us[i]
-            place[pixel] += 1
-        last[y[i], x[i]] = p[i]
-    return times
+    return starts
 
 
 @njit(cache=True)
@@ -118,31 +97,27 @@ def _frequencies(times: Any, ends: Any, counts: Any) -> Any:
     return found
 
 
-@njit(cache=True)
-def lock_in(t_us: Any, x: Any, y: Any, p: Any, dot_of_pixel: Any, frequencies_hz: Any) -> NDArray[np.float32]:
+def lock_in(
+    t_us: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    dot_of_pixel: NDArray[np.int64],
+    frequencies_hz: NDArray[np.float64],
+) -> NDArray[np.float32]:
     """Return (H, W) how strongly each pixel blinks at the frequency, Hz, of its dot: about its events a period.
 
     Length of the sum of polarity times exp(-2 pi i f t), divided by the number of periods in the recording: lock-in
     detection (Scofield, 1994, American Journal of Physics 62, 129). Noise adds with random phases, so it nearly
     vanishes. ``dot_of_pixel`` is (H, W) int, -1 for no dot; times are in us, polarity 1 is ON.
     """
-    height, width = dot_of_pixel.shape
-    real = np.zeros((height, width), np.float64)
-    imaginary = np.zeros((height, width), np.float64)
-    for i in range(len(x)):
-        dot = dot_of_pixel[y[i], x[i]]
-        if dot < 0:
-            continue
-        angle = 2.0 * np.pi * frequencies_hz[dot] * 1e-6 * t_us[i]
-        sign = 1.0 if p[i] == 1 else -1.0
-        real[y[i], x[i]] += sign * np.cos(angle)
-        imaginary[y[i], x[i]] += sign * np.sin(angle)
-    image = np.zeros((height, width), np.float32)
+    dots = dot_of_pixel.ravel()
+    pixel = y.astype(np.int64) * dot_of_pixel.shape[1] + x
+    angle = 2.0 * np.pi * frequencies_hz[dots[pixel]] * 1e-6 * t_us
+    sign = np.where(p == 1, 1.0, -1.0)
+    real, imaginary = (
+        np.bincount(pixel, sign * wave, minlength=dots.size) for wave in (np.cos(angle), np.sin(angle))
+    )
     span_s = 1e-6 * (t_us[-1] - t_us[0]) if len(x) else 1.0
-    for row in range(height):
-        for column in range(width):
-            dot = dot_of_pixel[row, column]
-            if dot >= 0:
-                length = np.sqrt(real[row, column] ** 2 + imaginary[row, column] ** 2)
-                image[row, column] = length / max(span_s * frequencies_hz[dot], 1.0)
-    return image
+    image = np.hypot(real, imaginary) / np.maximum(span_s * frequencies_hz[dots], 1.0)
+    return np.where(dots >= 0, image, 0.0).astype(np.float32).reshape(dot_of_pixel.shape)
