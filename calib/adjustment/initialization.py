@@ -18,7 +18,6 @@ from calib.model.closed_forms import (
     linear_solution,
     poses_from_homographies,
     rotations_from_centre,
-    two_view_solutions,
     zhang_matrix,
 )
 from calib.model.collimator import Collimator
@@ -46,16 +45,14 @@ def spherical_starts(
 ) -> Iterator[AdjustmentParameters]:
     """Yield starting values of the spherical model, the most reliable first.
 
-    They are the linear solutions with a free and with a central principal point; for two views every real solution;
-    then Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
+    They are the linear solutions with a free and with a central principal point; then Zhang's camera and a range of
+    focal lengths, each with the median of its centres. Distortion starts at zero.
     Sources: arXiv:2512.16092, eq. 5, for the spherical solutions; Zhang (2000), section 3.1, for Zhang's camera.
     ``homographies`` are (n, 3, 3), from `calib.model.homography.view_homography`.
     """
     solutions = [
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
     ]
-    if len(homographies) == 2:
-        solutions += two_view_solutions(homographies, image_size)
     known = [one for one in solutions if one is not None]
     cameras = [_camera(one.matrix, image_size, distortion) for one in known]
     centres = [one.collimator for one in known]

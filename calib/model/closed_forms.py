@@ -21,8 +21,8 @@ from calib.model.rotation import nearest_rotation, skew
 Array = NDArray[np.float64]
 
 _UPPER = np.triu_indices(3)
-#: Entries of K K^T that may be unknown; (2, 2) is 1 if the scale is fixed by it.
-_IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1), (2, 2))
+#: Entries of K K^T that may be unknown; (2, 2) is 1.
+_IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))
 
 
 @dataclass(frozen=True)
@@ -45,43 +45,13 @@ def linear_solution(
         return None
     to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
     inverses = np.linalg.inv(to_unit @ homographies @ plane)
-    unknown = _IMAGE[:5] if free_principal_point else _IMAGE[:2]
+    unknown = _IMAGE if free_principal_point else _IMAGE[:2]
     left = np.concatenate([_equations(g, unknown) for g in inverses])
     right = np.concatenate([-np.outer(g[:, 2], g[:, 2])[_UPPER] for g in inverses])
     scale = np.linalg.norm(left, axis=0)
     solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
     image = dict(zip(unknown, solution, strict=False))
     return _solution_from_entries(image, solution[len(unknown) :], to_unit, plane)
-
-
-def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list[ClosedFormSolution]:
-    """Solve two views with a free principal point; return every real solution, two at most.
-
-    Two views give twelve equations (arXiv:2512.16092, eq. 5), which determine the eleven ratios of the unknowns only
-    weakly. The two weakest directions of the system are combined such that the skew vanishes, w12 w33 = w13 w23. This
-    is a quadratic equation. The homographies are (2, 3, 3) of `view_homography`.
-    """
-    to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
-    inverses = np.linalg.inv(to_unit @ homographies @ plane)
-    left = np.concatenate([_equations(g, _IMAGE) for g in inverses])
-    scale = np.linalg.norm(left, axis=0)
-    u, v = np.linalg.svd(left / scale)[2][-2:] / scale
-    w13, w23, w12, w33 = (_IMAGE.index(ij) for ij in ((0, 2), (1, 2), (0, 1), (2, 2)))
-
-    def skew(t: float) -> float:
-        mixed = u + t * v
-        return float(mixed[w12] * mixed[w33] - mixed[w13] * mixed[w23])
-
-    # A quadratic through three of its values.
-    roots = np.roots(np.polyfit([-1.0, 0.0, 1.0], [skew(-1.0), skew(0.0), skew(1.0)], 2))
-    starts = []
-    for root in roots[np.isreal(roots)].real:
-        mixed = u + root * v
-        if abs(mixed[w33]) > np.finfo(float).tiny:
-            image = dict(zip(_IMAGE, mixed / mixed[w33], strict=False))
-            start = _solution_from_entries(image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
-            starts += [start] if start is not None else []
-    return starts
 
 
 def _solution_from_entries(

@@ -53,7 +53,7 @@ def find_candidates(
     tag = find_tag(image, target, name=name, reduced_only=True)
     if tag is None:
         # The pictures of full size take long, and never show a tag that the border of the image cuts.
-        found = _find_without_tag(smoothed, target, expected, name)
+        found = find_without_tag(smoothed, target, expected, name)
         if not _is_tag_cut(smoothed, found, target):
             tag = find_tag(image, target, name=name)
     if tag is None:
@@ -67,7 +67,7 @@ def printed(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
 
 
-class _Unlabelled(NamedTuple):
+class Unlabelled(NamedTuple):
     """Stars on a relative grid, where growth started (None if nowhere), and their labels by a part of the tag."""
 
     grown: StarGrid
@@ -75,9 +75,9 @@ class _Unlabelled(NamedTuple):
     labels: StarLabels | StarsUnnamed | None
 
 
-def _find_without_tag(
+def find_without_tag(
     image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> _Unlabelled:
+) -> Unlabelled:
     """Find possible stars starting at any of them, and label them by the visible part of the tag if possible."""
     start = find_lattice(image, target.segments)
     starts = [start] if start is not None else _starts_as_expected(image, expected)
@@ -90,14 +90,14 @@ def _find_without_tag(
         if len(found.points) > len(grown.points):
             start, grown = tried, found
     if start is None or len(grown.points) < MIN_STARS:
-        return _Unlabelled(grown, None, None)
+        return Unlabelled(grown, None, None)
     try:
-        return _Unlabelled(grown, start, label_by_tag(image, grown, start.sign, target, name=name))
+        return Unlabelled(grown, start, label_by_tag(image, grown, start.sign, target, name=name))
     except StarsUnnamed as unnamed:
-        return _Unlabelled(grown, start, unnamed)
+        return Unlabelled(grown, start, unnamed)
 
 
-def _is_tag_cut(image: NDArray[np.float32], found: _Unlabelled, target: StarTarget) -> bool:
+def _is_tag_cut(image: NDArray[np.float32], found: Unlabelled, target: StarTarget) -> bool:
     """Return whether the stars tell that a corner of the tag lies clearly outside of the image."""
     if not isinstance(found.labels, StarLabels):
         return False
@@ -109,7 +109,7 @@ def _is_tag_cut(image: NDArray[np.float32], found: _Unlabelled, target: StarTarg
 
 
 def _label_without_tag(
-    found: _Unlabelled, target: StarTarget, expected: NDArray[np.float64] | None, name: str
+    found: Unlabelled, target: StarTarget, expected: NDArray[np.float64] | None, name: str
 ) -> tuple[Candidates, float, NamedBy]:
     """Return stars with their nodes, labelled by the visible part of the tag or by the pose."""
     grown, start, labels = found

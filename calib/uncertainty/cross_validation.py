@@ -16,7 +16,7 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
-from calib.uncertainty.covariance import pose_scores, views_of_poses
+from calib.uncertainty.covariance import views_of_poses
 
 Array = NDArray[np.float64]
 
@@ -24,10 +24,6 @@ Array = NDArray[np.float64]
 MIN_VIEWS = 3
 #: Views differ by far more than what a refit leaves undone at this tolerance: some hundredths of a sigma.
 _TOLERANCE = 1e-8
-#: With as many others, one Newton step from the optimum of all ends within some hundredths of a sigma of theirs.
-_STEP_VIEWS = 9
-#: Singular values below this share of the largest, times their number, are zero.
-_EPSILON = float(np.finfo(float).eps)
 #: Behind a collimator the centres of the views agree to a few per cent of the radius. If they scatter by more than this
 #: share of their distance, the target is a board that was placed anew for each view.
 _PLACED_BY_HAND = 0.1
@@ -50,45 +46,18 @@ class CrossValidation:
 
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
-    """Adjust without each of at least 3 poses in turn, from the optimum of all, and predict its views (Stone, 1974).
-
-    With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
-    """
-    poses = views_of_poses(bundle)
-    at_optimum = bundle.costs(parameters, loss)
-    without: list[AdjustmentParameters] = []
-    for left_out, step in zip(poses, _steps_without(bundle, parameters, loss), strict=True):
+    """Adjust without each of at least 3 poses in turn, from the optimum of all, and predict its views (Stone, 1974)."""
+    poses, without = views_of_poses(bundle), []
+    for left_out in poses:
         others = [j for j in range(len(parameters.rotations)) if j not in left_out]
-        with np.errstate(all="ignore"):  # the step may lead where nothing can be projected
-            far = not bundle.costs(step, loss)[others].sum() <= at_optimum[others].sum()
-        start = (parameters if far else step).subset(others)
-        if far or len(poses) <= _STEP_VIEWS:
-            start = refine(bundle.subset(others), start, loss, tolerance=_TOLERANCE).parameters
-        without.append(start)
+        start = parameters.subset(others)
+        without.append(refine(bundle.subset(others), start, loss, tolerance=_TOLERANCE).parameters)
     order = [i for views in poses for i in views]
     return CrossValidation(
         np.array([one.values(bundle.names) for one in without]),
         np.array(_rms_left_out(bundle, poses, without, parameters)),
         bundle.observations.stars[order],
     )
-
-
-def _steps_without(
-    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
-) -> list[AdjustmentParameters]:
-    """Return, for each pose, the parameters one Newton step from the optimum of all towards that without it.
-
-    Without pose i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i. One-step
-    deletion: Pregibon (1981); the reduced equations are this project's own.
-    """
-    views = bundle.equations(parameters, loss).eliminated()
-    own, scores = pose_scores(bundle, views)
-    left = views.information.sum(axis=0) - own
-    # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(left, axis1=1, axis2=2), np.finfo(float).tiny))
-    inverse = np.linalg.pinv(left * scale[:, :, None] * scale[:, None], rcond=len(left[0]) * _EPSILON)
-    shared = -scale * (inverse @ (scale * scores)[:, :, None])[:, :, 0]
-    return [parameters.after_step(bundle.names, step, -views.answer @ step) for step in shared]
 
 
 def _rms_left_out(

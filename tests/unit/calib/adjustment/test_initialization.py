@@ -11,7 +11,6 @@ from calib.errors import CalibrationError, DegenerateViews
 from calib.model.closed_forms import (
     camera_matrix_from_centre,
     linear_solution,
-    two_view_solutions,
     zhang_matrix,
 )
 from calib.model.collimator import Collimator
@@ -59,8 +58,6 @@ def closed_forms(h):
             found["linear", free] = [solution and (solution.matrix, solution.collimator)]
         matrix = zhang_matrix(h, SIZE, free_principal_point=free)
         found["zhang", free] = [None if matrix is None else (matrix, None)]
-    if len(h) == 2:
-        found["two views"] = [(one.matrix, one.collimator) for one in two_view_solutions(h, SIZE)]
     matrix = camera_matrix_from_centre(h, Collimator(97.0, 140.1, 255.0))
     found["known centre"] = [None if matrix is None else (matrix, None)]
     return {name: [one for one in answers if one is not None] for name, answers in found.items()}

@@ -9,7 +9,6 @@ from calib.model.closed_forms import (
     camera_matrix_from_centre,
     linear_solution,
     rotations_from_centre,
-    two_view_solutions,
 )
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
@@ -36,17 +35,6 @@ def test_two_ideal_views_do_when_the_principal_point_is_the_images_centre(make_b
     )
     assert np.diag(start.matrix) == pytest.approx([bench.fx, bench.fy, 1.0], rel=1e-6)
     assert start.collimator.values == pytest.approx([97.0, 140.1, 255.0], rel=1e-6)
-
-
-@pytest.mark.parametrize("principal_point", [(642.1, 363.3), (500.0, 420.0)])
-def test_two_ideal_views_give_the_principal_point_too_among_their_roots(make_bench, principal_point):
-    bench = make_bench(k=(0.0, 0.0), cx=principal_point[0], cy=principal_point[1])
-    starts = two_view_solutions(homographies(bench.views(poses=bench.poses[:2])), SIZE)
-    assert 1 <= len(starts) <= 2
-    best = min(starts, key=lambda start: abs(start.matrix[0, 0] - bench.fx))
-    assert np.allclose(best.matrix[:2, 2], principal_point, atol=1e-2)
-    assert best.matrix[0, 0] == pytest.approx(bench.fx, rel=1e-4)
-    assert best.collimator.r == pytest.approx(255.0, rel=1e-4)
 
 
 def test_a_known_centre_gives_the_camera_from_one_view(make_bench):
@@ -76,8 +64,8 @@ def test_any_homographies_give_a_real_camera_or_none(seed, noise, n, free):
     rng = np.random.default_rng(seed)
     h = np.array([[10.0, 0, 600], [0, 10.0, 300], [0, 0, 1.0]]) * (1 + noise * rng.standard_normal((n, 3, 3)))
     h = h / np.cbrt(np.linalg.det(h))[:, None, None]
-    starts = [linear_solution(h, SIZE, free_principal_point=free), *two_view_solutions(h[:2], SIZE)]
-    for start in filter(None, starts):
+    start = linear_solution(h, SIZE, free_principal_point=free)
+    if start is not None:
         numbers = np.append(start.matrix, start.collimator.values)
         assert np.isrealobj(numbers)
         assert np.isfinite(numbers).all()

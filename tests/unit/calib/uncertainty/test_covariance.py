@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from monte_carlo_runs import jackknife
 
-from calib.adjustment.levenberg_marquardt import refine
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 from calib.fit import fit_model
@@ -179,17 +178,3 @@ def test_totals_weigh_views_by_their_stars():
     left = CrossValidation(np.array([[1.0], [3.0], [2.0]]), np.array([0.1, 0.2, 0.3]), np.array([10, 10, 80]))
     assert left.total_rms_px == pytest.approx(np.sqrt((0.01 * 10 + 0.04 * 10 + 0.09 * 80) / 100))
     assert jackknife(left) == pytest.approx(np.array([[2 / 3 * 2.0]]))
-
-
-def test_of_many_views_a_step_leads_where_a_refit_without_one_ends(bench):
-    rng = np.random.default_rng(104)
-    poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(10)]
-    whole = fit_model(bench.views(rng, 0.05, poses=poses), L2, "spherical")
-    left = leave_one_out(whole.bundle, whole.parameters, whole.loss)
-    sigma = np.sqrt(np.diag(whole.uncertainty.covariance))
-    moved = (left.values - whole.parameters.values(whole.bundle.names)) / sigma
-    assert np.abs(moved).max() > 0.3
-    for i in (0, 7):
-        others = [j for j in range(10) if j != i]
-        refit = refine(whole.bundle.subset(others), whole.parameters.subset(others), whole.loss).parameters
-        assert np.abs((left.values[i] - refit.values(whole.bundle.names)) / sigma).max() < 0.03
