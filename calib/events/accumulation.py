@@ -102,8 +102,6 @@ def whole_period_window(
 
 # One pass over the events of a window: all sums that event images are made of, one value a pixel.
 
-#: Share of the pixels, as its inverse, up to which medians are computed one by one.
-FEW_MEDIANS = 64
 #: Types of the fields of `PixelSums`, the widest first, so that each begins at a multiple of its size.
 _KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
 
@@ -237,63 +235,29 @@ class LitPixels(NamedTuple):
     silent_rows: int  # Number of rows without any event between rows with lit pixels
 
 
-@njit(**KERNEL)
-def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
-    """Find the pixels that fire in enough bursts of both polarities, in one pass; ``hot`` pixels do not count."""
-    on_count, off_count, on_fired, off_fired = sums.on_count, sums.off_count, sums.on_fired, sums.off_fired
-    height, width = hot.shape
-    on_latency, latency_us = sums.on_latency, np.empty(hot.size, np.float32)
-    n = on = off = all_on = silent = silent_so_far = 0
-    for r in range(height):
-        begin, row_on, row_off = n, 0, 0
-        for c in range(width):
-            row_on += on_count[r, c]
-            row_off += off_count[r, c]
-        for c in range(width):
-            if on_fired[r, c] >= least and off_fired[r, c] >= least and not hot[r, c]:
-                latency_us[n] = on_latency[r, c] / np.float32(max(on_fired[r, c], 1))
-                on += on_count[r, c]
-                off += off_count[r, c]
-                n += 1
-        all_on += row_on
-        silent_so_far += row_on + row_off == 0 and begin > 0
-        if n > begin:
-            silent = silent_so_far
-    return LitPixels(latency_us[:n], on, off, all_on, silent)
+def lit_pixels(sums: PixelSums, hot: NDArray[np.bool_], least: float) -> LitPixels:
+    """Find the pixels that fire in enough bursts of both polarities; ``hot`` pixels do not count."""
+    lit = (sums.on_fired >= least) & (sums.off_fired >= least) & ~hot
+    rows = np.flatnonzero(lit.any(axis=1))
+    silent = (sums.on_count == 0).all(axis=1) & (sums.off_count == 0).all(axis=1)
+    return LitPixels(
+        sums.mean_latency_us()[lit],
+        int(sums.on_count[lit].sum()),
+        int(sums.off_count[lit].sum()),
+        int(sums.on_count.sum()),
+        int(np.count_nonzero(silent[rows[0] : rows[-1]])) if len(rows) else 0,
+    )
 
 
 def hot_pixels(
     on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allowed: int
 ) -> NDArray[np.bool_]:
-    """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each.
-
-    Few medians are computed one by one; for many, a filter of the whole image is faster.
-    """
+    """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each."""
     count = on_count + off_count
-    cut = np.minimum(count, 65535)
-    at = np.divmod(np.flatnonzero(count > allowed), count.shape[1])
-    hot = np.zeros(count.shape, bool)
-    around = (
-        _medians(cut, at, 5)
-        if at[0].size <= count.size // FEW_MEDIANS
-        else cv2.medianBlur(cut.astype(np.uint16), 5)[at]
-    )
-    hot[at] = count[at] > 2.5 * around + allowed
-    return hot
+    around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
+    return np.asarray(count > 2.5 * around + allowed)
 
 
 def without_hot_pixels(image: NDArray[np.float32], hot: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Replace hot pixels by the median of the 3 x 3 pixels around them."""
-    result, at = image.copy(), np.divmod(np.flatnonzero(hot), hot.shape[1])
-    result[at] = _medians(image, at, 3)
-    return result
-
-
-def _medians(image: NDArray[Any], at: tuple[NDArray[np.intp], ...], side: int) -> NDArray[Any]:
-    """Return the medians of ``side`` x ``side`` pixels around some pixels; at the rim, the last pixels are repeated."""
-    steps = np.arange(side) - side // 2
-    rows, columns = (
-        np.clip(place[:, None] + steps, 0, end - 1) for place, end in zip(at, image.shape, strict=True)
-    )
-    around = image[rows[:, :, None], columns[:, None, :]].reshape(-1, side * side)
-    return np.asarray(np.partition(around, side * side // 2, axis=1)[:, side * side // 2])
+    """Replace hot pixels by the median of the 3 x 3 pixels around them; at the rim, the last pixels are repeated."""
+    return np.where(hot, cv2.medianBlur(image, 3), image)

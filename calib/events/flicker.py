@@ -6,13 +6,11 @@ Hundreds of events share a microsecond, and what depends on it is computed once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
 from calib.errors import FlickerNotFound, TooFewEvents
 
 # Events by their time: hundreds share a microsecond, and what depends on it is computed once; no pixel positions.
@@ -33,40 +31,10 @@ class EventTimes(NamedTuple):
 
 def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
     """Gather (N,) events by their time, each time once; times are us, ascending, N >= 1; polarity 1 is ON."""
-    is_on = p if p.dtype == np.uint8 else (p > 0).astype(np.uint8)
-    return EventTimes(*_gathered(np.ascontiguousarray(t, np.int64), np.ascontiguousarray(is_on)))
-
-
-@njit(**KERNEL)
-def _gathered(t: Any, p: Any) -> tuple[Any, Any, Any]:
-    """Return the fields of `EventTimes`.
-
-    The end of each run of equal times is found by doubling steps, then by bisection (Bentley and Yao, 1976).
-    """
-    n = t.size
-    room = min(n, t[n - 1] - t[0] + 1)
-    times, first, on = np.empty(room, np.int64), np.empty(room + 1, np.int64), np.empty(room, np.int64)
-    k = i = 0
-    while i < n:
-        low, high, step = i, i + 1, 1
-        while high < n and t[high] == t[i]:
-            step *= 2
-            low, high = high, high + step
-        high = min(high, n)
-        while high - low > 1:
-            middle = (low + high) // 2
-            if t[middle] == t[i]:
-                low = middle
-            else:
-                high = middle
-        bright = 0
-        for j in range(i, high):
-            bright += p[j] > 0
-        times[k], first[k], on[k] = t[i], i, bright
-        k += 1
-        i = high
-    first[k] = n
-    return times[:k], first[: k + 1], on[:k]
+    first = np.concatenate([[0], np.flatnonzero(t[1:] != t[:-1]) + 1, [len(t)]])
+    return EventTimes(
+        t[first[:-1]].astype(np.int64), first, np.add.reduceat(p > 0, first[:-1], dtype=np.int64)
+    )
 
 
 # Period and phase of the flicker, from times and polarities of trigger edges or events; no pixel positions.

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
 from calib.errors import InputMismatch
 
 #: Share of the pixels that may be clipped at each end of the grey scale.
@@ -35,7 +31,8 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     low, high = _clipped_ends(sample.ravel(), CLIPPED_SHARE)
     if not high > low:
         return np.zeros(image.shape, np.uint8)
-    return np.asarray(_stretched(values, low, 255.0 / (high - low)))
+    grey = (values.astype(np.float64) - low) * (255.0 / (high - low))
+    return np.nan_to_num(np.clip(grey, 0.0, 255.0)).astype(np.uint8)
 
 
 def _clipped_ends(values: NDArray[np.float32], share: float) -> tuple[float, float]:
@@ -48,14 +45,3 @@ def _clipped_ends(values: NDArray[np.float32], share: float) -> tuple[float, flo
         return 0.0, 0.0
     low, high = np.quantile(finite, [share, 1.0 - share])
     return (float(low), float(high)) if high > low else (float(finite.min()), float(finite.max()))
-
-
-@njit(**KERNEL)
-def _stretched(values: Any, low: float, scale: float) -> Any:
-    """Return 255 (value - low) / (high - low), cut at 0 and 255, as uint8; nan is 0."""
-    result = np.empty(values.shape, np.uint8)
-    for r in range(values.shape[0]):
-        for c in range(values.shape[1]):
-            grey = (np.float64(values[r, c]) - low) * scale
-            result[r, c] = np.uint8(min(max(grey, 0.0), 255.0)) if grey > 0.0 else 0
-    return result

@@ -112,9 +112,7 @@ ON.ravel()[rng.choice(ON.size, 150, replace=False)] += np.arange(150, dtype=np.u
 
 
 @pytest.mark.parametrize("allowed", [0, 3, 8, 30])
-@pytest.mark.parametrize("few", [1, 64])
-def test_hot_pixels_are_those_of_the_median_filter(allowed, few, monkeypatch):
-    monkeypatch.setattr(accumulation, "FEW_MEDIANS", few)
+def test_hot_pixels_are_those_of_the_median_filter(allowed):
     count = (ON + OFF).astype(np.int64)
     around = cv2.medianBlur(count.astype(np.uint16), 5)
     found = accumulation.hot_pixels(ON, OFF, allowed)
