@@ -102,7 +102,7 @@ def whole_period_window(
 
 # One pass over the events of a window: all sums that event images are made of, one value a pixel.
 
-#: Types of the fields of `PixelSums`, the widest first, so that each begins at a multiple of its size.
+#: Types of the fields of `PixelSums`.
 _KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
 
 
@@ -128,16 +128,7 @@ class PixelSums(NamedTuple):
     @classmethod
     def empty(cls, size: tuple[int, int]) -> PixelSums:
         """Return the sums before the first event, all 0; size is width and height, px."""
-        pixels, start = size[0] * size[1], 0
-        parts: list[Any] = []
-        # One block: the system gives a large one in few pages. The thousands of pages of many small ones take longer
-        # than the loop over the events.
-        block = np.zeros(pixels * sum(np.dtype(kind).itemsize for kind in _KINDS), np.uint8)
-        for kind in _KINDS:
-            end = start + pixels * np.dtype(kind).itemsize
-            parts.append(block[start:end].view(kind).reshape(size[1], size[0]))
-            start = end
-        return cls(*parts)
+        return cls(*(np.zeros(size[::-1], kind) for kind in _KINDS))
 
     def mean_latency_us(self) -> NDArray[np.float32]:
         """Return (H, W) the mean latency of each pixel's first ON events, us; nan where no ON burst held an event."""

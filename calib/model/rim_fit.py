@@ -67,15 +67,25 @@ def _linearised(points: Array, about: Array) -> tuple[Array, Array]:
     With the direction u of a point from the centre, the direction t across it, and n = u - shape'(phi) t / distance,
     distance + n . centre = n . c + R + shape(phi).
     """
+    rho, u, waves, slopes, _ = _waves(points, about)
+    n = u - (slopes @ about[3:] / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
+    return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
+
+
+def _waves(points: Array, about: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the (K,) distances and (K, 2) directions of points from a centre, and the waves of the edge's shape there.
+
+    The last three are the (K, P - 3) waves, and their first derivatives by the direction and minus the second ones.
+    """
     away = points - about[:2]
     rho = np.maximum(np.hypot(*away.T), 1e-9)
     u = away / rho[:, None]
     orders = np.arange(2, _ORDERS + 1)
     phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
-    waves = np.stack([np.cos(phi), np.sin(phi)], axis=-1).reshape(len(points), UNKNOWNS - 3)
-    slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(waves.shape) @ about[3:]
-    n = u - (slopes / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
-    return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
+    cosine, sine = np.cos(phi), np.sin(phi)
+    pairs = (cosine, sine), (-orders * sine, orders * cosine), (orders**2 * cosine, orders**2 * sine)
+    waves, slopes, bends = (np.stack(pair, axis=-1).reshape(len(points), UNKNOWNS - 3) for pair in pairs)
+    return rho, u, waves, slopes, bends
 
 
 def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> Evidence:
@@ -101,18 +111,8 @@ def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Arra
     have (V, P) means, mm, and (V, P, P) covariances.
     """
     found = []
-    orders = np.arange(2, _ORDERS + 1)
     for own, mean, covariance in zip(points, means, covariances, strict=True):
-        away = own - mean[:2]
-        rho = np.maximum(np.hypot(*away.T), 1e-9)
-        u = away / rho[:, None]
-        phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
-        slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(
-            len(own), UNKNOWNS - 3
-        )
-        bends = np.stack([orders**2 * np.cos(phi), orders**2 * np.sin(phi)], axis=-1).reshape(
-            len(own), UNKNOWNS - 3
-        )
+        rho, u, _, slopes, bends = _waves(own, mean)
         turn, change = np.zeros((2, len(own), UNKNOWNS))
         turn[:, :2] = np.column_stack([u[:, 1], -u[:, 0]]) / rho[:, None]
         change[:, :2] = (slopes @ mean[3:] / rho)[:, None] * u

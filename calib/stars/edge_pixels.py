@@ -140,10 +140,6 @@ class ScoreTables(NamedTuple):
     fisher: NDArray[np.float32]  # (bins,) float32, 1/px^2, Fisher information of a pixel about tau
 
 
-#: Length of the table over the values of an image, from the first to the last border of levels.
-_TABLE = 4096
-
-
 def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Reduce an image without nan to at most `LEVELS` levels of brightness, from 0.
 
@@ -166,45 +162,7 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype.kind == "u" and image.dtype.itemsize <= 2:
         every = np.arange(int(image.max()) + 1)
         return np.searchsorted(borders, every, side="right").astype(np.uint8)[image]
-    if len(borders) == 0:
-        return np.zeros(image.shape, np.uint8)
-    borders = np.asarray(borders, float)
-    steps = (
-        np.arange(_TABLE) / (_TABLE / (borders[-1] - borders[0])) if len(borders) > 1 else np.zeros(_TABLE)
-    )
-    table = np.append(np.searchsorted(borders, borders[0] + steps), len(borders))
-    return np.asarray(_levels_of(np.ascontiguousarray(image), borders, table))
-
-
-@njit(**KERNEL)
-def _levels_of(image: Any, borders: Any, table: Any) -> Any:
-    """Return for each pixel how many borders are at most its value, (H, W) uint8.
-
-    The search starts from a table over the values, and bisects what the table leaves open. The table says how many
-    borders lie below each of `_TABLE` equal steps from the first border to the last one.
-    """
-    levels = np.zeros(image.shape, np.uint8)
-    low, high = borders[0], borders[-1]
-    scale = _TABLE / (high - low) if high > low else 0.0
-    for r in range(image.shape[0]):
-        for c in range(image.shape[1]):
-            value = float(image[r, c])
-            if value < low:
-                continue
-            if value >= high:
-                levels[r, c] = len(borders)
-                continue
-            i = min(int((value - low) * scale), _TABLE - 1)
-            # One place more on both sides: the table is rounded.
-            first, end = max(table[i] - 1, 0), min(table[i + 1] + 1, len(borders))
-            while first < end:
-                middle = (first + end) // 2
-                if borders[middle] <= value:
-                    first = middle + 1
-                else:
-                    end = middle
-            levels[r, c] = first
-    return levels
+    return np.searchsorted(borders, image, side="right").astype(np.uint8)
 
 
 @njit(**KERNEL, fastmath={"contract"})

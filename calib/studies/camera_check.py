@@ -119,8 +119,7 @@ def check_camera(
     allowed, slopes = np.zeros((_DRAWS, len(grid), 2)), {}
     covariances = {"stated": (stated, stated_covariance), "found": (found, found_covariance)}
     for name, (camera, covariance) in covariances.items():
-        places, derivatives = projection_derivatives(camera, _POINTS_ACROSS)
-        at = _indices(grid, places)
+        derivatives, at = projection_derivatives(camera, _POINTS_ACROSS)
         slope = np.full((len(grid), 2, derivatives.shape[2]), np.nan)
         slope[at] = derivatives
         slopes[name] = slope
@@ -137,12 +136,6 @@ def check_camera(
         factor,
         _shares(found, slopes["found"][seen], offset[seen]),
     )
-
-
-def _indices(grid: Array, places: Array) -> NDArray[np.int64]:
-    """Return where each place stands in the grid; both have the same order, and some places may be missing."""
-    keys = {tuple(point): at for at, point in enumerate(grid.tolist())}
-    return np.array([keys[tuple(place)] for place in places.tolist()], np.int64)
 
 
 def _regions(

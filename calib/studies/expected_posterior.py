@@ -167,7 +167,7 @@ class PoseGains:
         self._maps = _maps(own.maps, own.gimbal_places if own.readings else None)
         self._prior = _prior(problem, squares)
         self._camera = len(own.layout.camera)
-        self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[1]
+        self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
 
     def covariance(self, weights: Array) -> Array:
         """Return the (S, S) covariance of the shared unknowns for (k,) weights of the first poses."""

@@ -98,15 +98,15 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     return ProjectionMap(grid, sigma_px.reshape(shape), sigma_arcsec.reshape(shape))
 
 
-def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, Array]:
+def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, NDArray[np.bool_]]:
     """Return how image points over the sensor follow the camera's parameters, as `projection_uncertainty` uses it.
 
-    Without the implied rotation: (P, 2) points, px, none beyond the fold of the distortion; (P, 2, K) derivatives, in
-    the order of `CameraModel.parameter_names`.
+    Without the implied rotation: (P, 2, K) derivatives, in the order of `CameraModel.parameter_names`, at those of the
+    N points of `sensor_grid`, (N,) bool, that do not lie beyond the fold of the distortion.
     """
     pixels = sensor_grid(camera.image_size, points_across).reshape(-1, 2)
     left, _, _, seen = _without_turn(camera, pixels)
-    return pixels[seen], left
+    return left, seen
 
 
 def _without_turn(camera: CameraModel, pixels: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
@@ -171,7 +171,7 @@ def _across(rays: Array) -> Array:
 
 def worst_point(camera: CameraModel, covariance: Array) -> Array:
     """Return the (K,) gradient of the point and direction of the sensor with the largest projection uncertainty."""
-    derivatives = projection_derivatives(camera)[1]
+    derivatives = projection_derivatives(camera)[0]
     spread = derivatives @ covariance @ np.swapaxes(derivatives, 1, 2)
     values, vectors = np.linalg.eigh(spread)
     worst = int(np.argmax(values[:, 1]))
