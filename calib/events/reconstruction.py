@@ -25,14 +25,11 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from calib.compiled import KERNEL
 from calib.errors import InputMismatch, TooFewEvents
 
 DEFAULT_CUTOFF_HZ = 10.0
@@ -81,17 +78,19 @@ class HighPassFilter:
         self.alpha_us = 2e-6 * math.pi * _checked_cutoff_hz(cutoff_hz)
         if not all(0 < side <= _MOST_PX for side in size):
             raise InputMismatch(f"The size of the sensor is {size}.", where="reconstruction")
-        self._sums = np.zeros((2, size[1], size[0]))
-        self._seen_us = np.zeros((size[1], size[0]), np.int64)
+        self._sums, self._at_us = np.zeros((2, size[1], size[0])), 0
 
     def add(self, events: EventArrays) -> None:
         """Add events: times, us, ascending and not before those added earlier; columns, rows, polarities."""
         _require_inside(events, self.size)
-        _add_events(*events, self.alpha_us, self._sums, self._seen_us)
+        if len(events[0]):
+            last_us = int(events[0][-1])
+            self._sums = self.sums_at(last_us) + _weighted(events, last_us, self.alpha_us, self._sums.shape)
+            self._at_us = last_us
 
     def sums_at(self, at_us: float) -> NDArray[np.float64]:
         """Return the decayed sums of OFF, then ON events, at a time, us, not before the last; new events count 1."""
-        return np.asarray(self._sums * np.exp(-self.alpha_us * (at_us - self._seen_us)))
+        return np.asarray(self._sums * np.exp(-self.alpha_us * (at_us - self._at_us)))
 
 
 def reconstruct(
@@ -144,7 +143,8 @@ class _OpenPicture:
         """Add the events that lie within reach after the picture's time."""
         if self._later is not None:
             first, last = np.searchsorted(events[0], [self.at_us, self.at_us + reach_us], side="right")
-            _add_later(*_part(events, int(first), int(last)), self.at_us, alpha_us, self._later)
+            later = _part(events, int(first), int(last))
+            self._later += _weighted(later, self.at_us, alpha_us, self._later.shape)
 
     def finished(self) -> ReconstructedPicture:
         """Return the picture."""
@@ -187,7 +187,7 @@ def _checked_cutoff_hz(cutoff_hz: float) -> float:
 
 
 def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:
-    """Raise InputMismatch if an event lies outside of the sensor: the compiled loops do not check."""
+    """Raise InputMismatch if an event lies outside of the sensor."""
     _, x, y, _ = events
     if len(x) and (int(x.max()) >= size[0] or int(y.max()) >= size[1]):
         raise InputMismatch(
@@ -196,25 +196,11 @@ def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:
         )
 
 
-@njit(**KERNEL)
-def _add_events(t: Any, x: Any, y: Any, p: Any, alpha_us: float, sums: Any, seen_us: Any) -> None:
-    """Add events to the sums of their pixels, decayed to their times: Scheerlinck et al. (2018)."""
-    for i in range(t.size):
-        r, c = y[i], x[i]
-        decay = np.exp(-alpha_us * (t[i] - seen_us[r, c]))
-        sums[0, r, c] *= decay
-        sums[1, r, c] *= decay
-        seen_us[r, c] = t[i]
-        sums[1 if p[i] else 0, r, c] += 1.0
-
-
-@njit(**KERNEL)
-def _add_later(t: Any, x: Any, y: Any, p: Any, at_us: float, alpha_us: float, sums: Any) -> None:
-    """Add events with the weight that they have seen from an earlier time: the same filter backwards."""
-    seen = np.int64(-1)
-    weight = 0.0
-    for i in range(t.size):
-        if t[i] != seen:
-            seen = t[i]
-            weight = np.exp(-alpha_us * (t[i] - at_us))
-        sums[1 if p[i] else 0, y[i], x[i]] += weight
+def _weighted(
+    events: EventArrays, at_us: float, alpha_us: float, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Return (2, H, W) sums of OFF and of ON events with the weights that they have at an earlier or later time, us."""
+    t, x, y, p = events
+    place = ((p > 0).astype(np.int64) * shape[1] + y) * shape[2] + x
+    weights = np.exp(-alpha_us * np.abs(t - at_us))
+    return np.asarray(np.bincount(place, weights, minlength=math.prod(shape)).reshape(shape), np.float64)
