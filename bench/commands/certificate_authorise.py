@@ -14,7 +14,7 @@ import click
 
 from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
-from bench.commands.options import ExistingFile, ExistingFolder, NewFile, epilog
+from bench.commands.options import ExistingFile, ExistingFolder, NewFile, epilog, status_text
 from bench.commands.output import JSON, STOPPED, ask_passphrase, show, wants_json
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.timestamp import LABORATORY_TSA_FILE, STAMPED, TSA_FILE
@@ -204,6 +204,7 @@ _KINDS = {"certificate": "Certificate", "run": "Run", "results": "Recalculated r
     epilog=epilog(
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
         "starbench certificate authorise certificates/2026-0042 --key SHA256:...",
+        status=status_text("0 authorised, 1 failed{invalid}, 3 you did not confirm{ctrl_c}"),
     ),
 )
 @click.argument("folder", metavar="FOLDER", type=ExistingFolder())

@@ -14,7 +14,7 @@ import click
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, UsageError
-from bench.commands.options import SEED, STATION, STATION_NAME, Family, NewFile, Number, epilog
+from bench.commands.options import SEED, STATION, STATION_NAME, Family, NewFile, Number, epilog, status_text
 from bench.commands.output import JSON, STOPPED, print_json, show
 
 if TYPE_CHECKING:
@@ -263,7 +263,13 @@ def schema(document: str) -> int:
 # The command `devices`: what is connected, and with ``--wiring`` a test of the trigger cable.
 
 
-@click.command(epilog=epilog("starbench devices"))
+@click.command(
+    epilog=epilog(
+        "starbench devices",
+        "starbench devices --wiring --station my_bench.yaml",
+        status=status_text("0 done, 1 failed{invalid}, 3 you did not confirm the test{ctrl_c}"),
+    )
+)
 @click.option(
     "--wiring",
     is_flag=True,

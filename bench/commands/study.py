@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.commands.calibrations import LOSS_HELP, LOSSES, MODEL_HELP, MODELS
-from bench.commands.options import SEED, SEQUENCE_NAME, STATION_NAME, NewFile, Number, OutputFolder, epilog
+from bench.commands.options import (
+    SEED,
+    SEQUENCE_NAME,
+    STATION_NAME,
+    NewFile,
+    Number,
+    OutputFolder,
+    epilog,
+    status_text,
+)
 from bench.commands.output import JSON, STOPPED, show
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
 
@@ -31,7 +40,9 @@ PAGE, RESULTS = "comparison.html", "results.json"
 
 @click.command(
     epilog=epilog(
-        "starbench compare table1 --repetitions 3", "starbench compare my_comparison.yaml -o comparisons/mine"
+        "starbench compare table1 --repetitions 3",
+        "starbench compare my_comparison.yaml -o comparisons/mine",
+        status=status_text("0 done, 1 failed{invalid}, 3 stopped by Ctrl-C: the same command continues."),
     )
 )
 @click.argument("spec")

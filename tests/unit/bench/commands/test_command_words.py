@@ -95,6 +95,12 @@ def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words)
         assert not isinstance(option, click.Option) or option.hidden or option.help, option.name
 
 
+@pytest.mark.parametrize("words", [("compare",), ("certificate", "authorise"), ("devices",), ("run",)])
+def test_a_command_that_can_be_stopped_or_refused_says_with_which_status(say, words):
+    _, said, _ = say(*words, "--help")
+    assert re.search(r"Exit status: 0 [^.]* 3 ", " ".join(said.split()))
+
+
 def test_the_list_of_commands_is_complete_and_not_truncated(say):
     listed = say("--help")[1]
     assert "..." not in listed.partition("A run:")[2]
