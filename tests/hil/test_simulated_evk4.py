@@ -230,16 +230,6 @@ def test_an_independent_decoder_reads_the_same_events(camera, tmp_path, monkeypa
     assert len(triggers.timestamp) == 4
 
 
-def test_triggers_stand_at_the_edges_of_the_light():
-    t, value = sync_edges(LightState(frequency_hz=60.0, duty_percent=30.0, output=True), -1234.5, 0, 100_000)
-    period = 1e6 / 60.0
-    rising, falling = t[value == 1], t[value == 0]
-    k = np.arange(1, 1 + len(rising))
-    np.testing.assert_array_equal(rising, np.floor(-1234.5 + k * period))
-    np.testing.assert_array_equal(falling, np.floor(-1234.5 + (np.arange(len(falling)) + 0.3) * period))
-    assert len(rising) == len(falling) == 6
-
-
 def test_the_light_stays_one_clock_over_recordings(monkeypatch):
     """The phase drawn for a recording is the light's own phase at the moment the sensor starts."""
     now = [3.1]
@@ -355,6 +345,3 @@ def test_previews_over_the_wire_go_on_with_the_same_sensor(camera, monkeypatch):
         assert sum(more.get("preview", False) for more in made) == 1
         assert second >= first + 9 * FRAME_US
         assert not host.ask("start", preview="yes")["ok"]
-
-
-# ---------------------------------------------------------------- temperature

@@ -18,7 +18,6 @@ from sequences.script import (
     MoveStep,
     RecordStep,
     ReportStep,
-    SettleStep,
     SolveStep,
     Step,
 )
@@ -101,25 +100,6 @@ def test_limits_depend_on_the_waveform_and_the_sequence_always_wins():
         for one in (sine, square, given)
     ]
     assert limits == [(500, 5), (200, 0.5), (200, 0.5)]
-
-
-def test_what_follows_failed_attempts_and_the_limits_of_a_result_are_settings_too():
-    _, record, solve = steps(
-        "defaults: {record: {attempts: 3, backoff_s: 2}, solve: {limits: {rms_px: 0.5, sigma_fx_px: 9}}}\n"
-        "steps: [{move: {pan_deg: 0}}, {record: {on_failure: skip}}, {solve: {limits: {sigma_fx_px: 4}}}]\n"
-    )
-    assert (record.attempts, record.backoff_s, record.on_failure, record.hold_s) == (3, 2, "skip", 3600)
-    assert solve.limits == {"rms_px": 0.5, "sigma_fx_px": 4}
-
-
-def test_a_repeat_over_a_named_set_visits_its_poses_in_order():
-    script = steps(
-        "poses:\n  two: [{name: left, pan_deg: -1}, {name: up, tilt_deg: 2}]\n"
-        "steps: [{repeat: {poses: two, steps: [move, settle, record]}}]\n"
-    )
-    assert [type(step) for step in script] == [MoveStep, SettleStep, RecordStep] * 2
-    assert poses(script) == [(1, "left", {"pan": -1, "tilt": 0}), (2, "up", {"pan": 0, "tilt": 2})]
-    assert [step.pose.key for step in script if isinstance(step, RecordStep)] == ["pose-001", "pose-002"]
 
 
 def test_an_axis_a_pose_does_not_name_stands_at_zero_wherever_the_camera_was_before():

@@ -97,34 +97,3 @@ def test_what_the_language_does_not_allow_is_answered_at_its_place(text, fault):
     with pytest.raises(DocumentFaults) as caught:
         read(text + "\n")
     assert any(fault in str(each) for each in caught.value.faults), str(caught.value)
-
-
-def test_all_words_are_understood_with_all_their_settings():
-    sequence = read(
-        "description: all of it\n"
-        "defaults:\n"
-        "  light: {waveform: sine, frequency_hz: 80, level_percent: 50}\n"
-        "  settle: {duration_s: 1}\n"
-        "  record: {window_ms: 50, image: lock_in, attempts: 3,"
-        " gates: {min_stars: 9, max_event_rate_mev_s: 60, require_triggers: no}}\n"
-        "  solve: {model: auto, distortion: [k1, k2, p1, p2, k3], loss: l2, huber_px: 0.3}\n"
-        "poses:\n"
-        "  list: [{name: a, pan_deg: 1, tilt_deg: -1, roll_deg: 0.5}]\n"
-        "  grid: {pan_deg: {first: -1, last: 1, count: 3}, tilt_deg: [0, 1], order: rows}\n"
-        "steps:\n"
-        "  - prompt: {text: 'ready?', default: abort, timeout_s: 5}\n"
-        "  - light: {duty_percent: 25}\n"
-        "  - move: {roll_deg: 90}\n"
-        "  - settle: {duration_s: 0}\n"
-        "  - wait: {duration_s: 60}\n"
-        "  - record:\n"
-        "  - repeat: {poses: grid, steps: [move, settle, record]}\n"
-        "  - repeat: {times: 2, steps: [{repeat: {poses: [{pan_deg: 2}], steps: [move]}}]}\n"
-        "  - solve: {distortion: []}\n"
-        "  - report:\n"
-    )
-    assert [step.word for step in sequence.steps] == [
-        "prompt", "light", "move", "settle", "wait", "record", "repeat", "repeat", "solve", "report",
-    ]  # fmt: skip
-    assert sequence.defaults.record.gates.require_triggers is False
-    assert sequence.steps[8].solve.distortion == ()

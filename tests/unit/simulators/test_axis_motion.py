@@ -63,17 +63,6 @@ def test_a_move_takes_the_time_of_its_trapezoid():
     assert one.counter(1.0 + expected) == 4.0 * SCALE
 
 
-def test_the_load_settles_exponentially_and_then_stands_exactly():
-    one = homed_axis(settle_s=0.02)
-    one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    end = 20.0 + 2.0 * math.sqrt(3.0 / 200.0)
-    early, later = (3.0 - one.pointing.angle_deg(end + wait) for wait in (0.01, 0.03))
-    assert later / early == pytest.approx(math.exp(-1.0), rel=1e-6)
-    assert end + 0.01 < one.pointing.settled_from_s < end + 0.3
-    assert one.pointing.angle_deg(end + 0.3) == 3.0
-    assert one.pointing.rest == 3 * 6400
-
-
 def test_the_load_matches_a_step_by_step_integration():
     one = homed_axis(settle_s=0.03)
     one.move_to(2.0 * SCALE, 20.0, SPEED, ACCELERATION)
@@ -91,12 +80,6 @@ def test_a_new_target_in_motion_is_reached_without_a_jump():
     one.move_to(-5.0 * SCALE, 20.1, SPEED, ACCELERATION)
     assert (one.motor.position(20.1), one.motor.velocity(20.1)) == pytest.approx(before)
     assert one.counter(22.0) == -5.0 * SCALE
-
-
-def test_an_end_stop_holds_the_axis():
-    one = homed_axis(highest_deg=12.0)
-    one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    assert one.pointing.angle_deg(30.0) == 12.0
 
 
 def test_backlash_puts_the_load_behind_the_motor_on_the_side_it_came_from():
@@ -135,25 +118,6 @@ def test_a_slip_shows_in_the_encoder_only_and_stays_until_homing():
     one.home(40.0, SPEED, SPEED / 10, ACCELERATION)
     assert one.counter(50.0) == one.encoder(50.0) == 0.0
     assert one.pointing.angle_deg(50.0) == 0.0
-
-
-def test_creep_begins_after_arrival_and_never_settles():
-    one = move_with(MotionFault("creep", creep_deg_s=0.5))
-    assert not one.busy(20.5)
-    assert one.counter(22.45) == 10.0 * SCALE
-    assert one.encoder(22.45) == pytest.approx(11.0 * SCALE)
-    assert math.isinf(one.pointing.settled_from_s)
-    one.move_to(0.0, 22.45, SPEED, ACCELERATION)
-    assert one.pointing.angle_deg(30.0) == pytest.approx(1.0, abs=1e-3)
-
-
-def test_a_fault_waits_for_its_motion():
-    one = homed_axis()
-    one.arm(MotionFault("stop_short", skip=1))
-    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    assert one.counter(30.0) == 10.0 * SCALE
-    one.move_to(0.0, 30.0, SPEED, ACCELERATION)
-    assert one.counter(40.0) > 0.0
 
 
 def test_a_report_may_be_false_while_the_motion_is_not():

@@ -80,25 +80,6 @@ def test_every_event_comes_back_in_order(seed, n, density):
     assert events == as_tuples(stream)
 
 
-@given(seed=st.integers(0, 1000), cuts=st.lists(st.integers(1, DURATION_US - 1), max_size=8, unique=True))
-@settings(max_examples=40, deadline=None)
-def test_slicing_does_not_change_the_words(seed, cuts):
-    stream = random_stream(seed, 50)
-    edges = np.arange(100, DURATION_US, 700)
-    values = np.arange(len(edges), dtype=np.uint8) % 2
-    whole = Evt3Writer().write(*stream, until_us=DURATION_US, trigger_t=edges, trigger_value=values)
-    writer, parts, begin = Evt3Writer(), [], 0
-    for end in [*sorted(cuts), DURATION_US]:
-        inside = slice(*np.searchsorted(stream[0], [begin, end]))
-        between = slice(*np.searchsorted(edges, [begin, end]))
-        slices = [a[inside] for a in stream]
-        parts.append(
-            writer.write(*slices, until_us=end, trigger_t=edges[between], trigger_value=values[between])
-        )
-        begin = end
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
-
-
 def test_time_goes_on_through_silence_and_starts_with_high_and_low():
     words = Evt3Writer().write(*random_stream(0, 0), until_us=10_000)
     assert words[0] >> 12 == 0x8
@@ -109,31 +90,11 @@ def test_time_goes_on_through_silence_and_starts_with_high_and_low():
     assert [int(words[i]) & 0xFFF for i in lows] == [t & 0xFFF for t in range(0, 10_000, 2000)]
 
 
-def test_the_24_bit_clock_wraps():
-    start = (1 << 24) - 3200
-    stream = random_stream(5, 40, start)
-    words = Evt3Writer(start).write(*stream, until_us=start + DURATION_US)
-    assert read(words)[0] == as_tuples(stream)
-    assert stream[0][0] < 1 << 24 < stream[0][-1]
-
-
 def test_trigger_edges_keep_their_time_and_value():
     edges = np.array([0, 16, 17, 2000, 5999])
     values = np.array([1, 0, 1, 0, 1], np.uint8)
     words = Evt3Writer().write(*random_stream(1, 30), until_us=6000, trigger_t=edges, trigger_value=values)
     assert read(words)[1] == [(int(t), int(v), 0) for t, v in zip(edges, values, strict=True)]
-
-
-def test_counters_add_up_to_the_events():
-    stream = random_stream(3, 80)
-    entered = np.sort(np.concatenate([stream[0], stream[0][::2]]))
-    writer = Evt3Writer()
-    words = [writer.write(*stream, until_us=6000, entered_t=entered)]
-    words.append(writer.write(*random_stream(0, 0), until_us=6400))
-    _, _, counters, _ = read(np.concatenate(words))
-    assert sum(counters[0x16]) == len(stream[0])
-    assert sum(counters[0x14]) == len(entered)
-    assert len(counters[0x14]) == len(counters[0x16]) == 6400 // 200 - 1
 
 
 def test_dense_rows_are_sent_as_vectors():

@@ -130,18 +130,6 @@ def test_a_mended_axis_has_no_faults_to_come(bench: Bench):
     assert " 6400:" in bench.say("/1 1 get pos")
 
 
-def test_faults_of_a_line_stay_on_it(bench: Bench):
-    bench.order("light lost count=0")
-    assert bench.parts.lines["light"].receive(b"*IDN?\n") == b""
-    assert bench.say("/1 0") != ""
-    bench.order("light mend")
-    assert bench.parts.lines["light"].receive(b"*IDN?\n") != b""
-    bench.order("gimbal unplug")
-    assert (bench.ports["gimbal"].plugged, bench.ports["light"].plugged) == (False, True)
-    bench.order("gimbal replug")
-    assert bench.ports["gimbal"].plugged
-
-
 def test_mending_the_light_mends_lamp_and_line(bench: Bench):
     bench.parts.lines["light"].receive(b"OUTP ON\n")
     bench.order("light lamp_open")

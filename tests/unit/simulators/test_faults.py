@@ -11,14 +11,9 @@ from hypothesis import strategies as st
 
 from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.catalogue import (
-    AXIS_FAULTS,
-    CAMERA_FAULTS,
-    LIGHT_FAULTS,
-    LINE_FAULTS,
     FaultOrder,
     fault_order,
     fault_order_from_text,
-    faults_of,
 )
 from simulators.lights.driver import Lamp
 from simulators.world.world import LightState, SyncLine
@@ -73,13 +68,6 @@ def test_a_wrong_order_names_its_key(given_order, where):
 def test_any_text_is_an_order_or_a_clear_error(text):
     with suppress(ConfigError):
         assert fault_order_from_text(text).device in {"pan", "tilt", "roll", "gimbal", "light", "camera"}
-
-
-def test_every_device_has_its_catalogue():
-    assert faults_of("roll") == AXIS_FAULTS
-    assert faults_of("gimbal") == LINE_FAULTS
-    assert faults_of("camera") == CAMERA_FAULTS
-    assert {*LINE_FAULTS, *LIGHT_FAULTS} == set(faults_of("light"))
 
 
 # ---------------------------------------------------------------- the lamp

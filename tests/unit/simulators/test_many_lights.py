@@ -144,14 +144,6 @@ def test_dots_are_found_again_when_the_board_is_placed_anew():
         assert np.abs(np.array(middle) - corner).max() < 0.15
 
 
-def test_steady_dots_give_no_events():
-    truth = truth_of({**DOTS, "placements": [{**DOTS["placements"][0], "flicker": False}]})
-    world = World(truth, clock=lambda: 100.0)
-    stream = SensorStream(world, CameraState(), {})
-    words = b"".join(stream.next_frame() for _ in range(5))
-    assert sum(len(e.t) for e, _ in Evt3Decoder(320, 240).decode(np.frombuffer(words, "<u2"))) == 0
-
-
 def test_a_shaking_hand_moves_the_dots():
     hand = {"shake_mm": 1.0, "shake_spectrum": [[9, 1], [10, 1]]}
     truth = truth_of({**DOTS, "hand": hand})

@@ -8,7 +8,6 @@ from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.config import bench_config
 from simulators.optics.collimator_errors import disc_of
 from simulators.optics.picture import beam_of, project, projection_of, true_rotation
 from simulators.optics.scene import corners
@@ -54,11 +53,6 @@ def test_drift_goes_on_from_recording_to_recording():
     crept = drift_since_on_arcsec(mount, 90.0)
     assert crept == pytest.approx((9.0, -4.5), abs=STEP_ARCSEC / 2)
     np.testing.assert_allclose(at(mount, 10.0, crept), [10.0, -5.0, 0.0], atol=1e-9)
-
-
-def test_both_are_set_in_the_simulation_section_of_a_station():
-    section = {"vibration_arcsec": 5, "vibration_hz": 40, "drift_arcsec_per_min": [2, -1]}
-    assert bench_config({"mount": section}).truth.mount == MountTruth(5.0, 40.0, (2.0, -1.0))
 
 
 def stream(mount, asked_s):
@@ -143,10 +137,6 @@ def test_a_shifted_camera_sees_a_screen_from_another_place():
     )
     moved = corners(replace(truth, mount=shift), {}) - corners(truth, {})
     np.testing.assert_allclose(moved, [[-5e-3 * 3345.06, 3e-3 * 3345.27]] * 12, atol=1e-6)
-
-
-def test_the_shift_is_set_in_the_simulation_section_of_a_station():
-    assert bench_config({"mount": {"shift_mm": [3, -1]}}).truth.mount.shift_mm == (3.0, -1.0)
 
 
 def test_the_world_remembers_where_the_camera_stood():

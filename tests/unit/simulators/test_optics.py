@@ -72,13 +72,6 @@ def test_a_pixel_of_a_fisheye_sees_the_print_that_is_projected_onto_it():
     assert image[lit].mean() == pytest.approx(0.5, abs=0.03)
 
 
-def test_the_truth_names_fisheye_coefficients_as_calibrations_do():
-    written = truth_from_config({"camera": {"projection": "fisheye", "k1": 0.01}}).to_dict()["camera"]
-    assert written["kb1"] == 0.01
-    assert {"k1", "p1"}.isdisjoint(written)
-    assert Truth().to_dict()["camera"]["k1"] == Truth().camera.k1
-
-
 def test_pose_turns_pan_first_then_tilt_then_roll():
     none = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
     pan, tilt, roll = 3.0, 5.0, 20.0

@@ -19,7 +19,6 @@ from tests.unit.simulators.ode_pixel import (
 
 MISMATCH_ONLY = NoiseTruth(mismatch=0.12, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0)
 SQUARE = LightState(waveform="square", output=True)
-SINE = LightState(waveform="sine", output=True)
 
 
 def picture(height, width, seed=0):
@@ -122,18 +121,6 @@ def test_a_slower_follower_delays_and_calms():
     assert first_on(20)[0] == first_on(0)[0]  # the photoreceptor's own pole is the slower one
 
 
-def test_the_high_pass_forgets_an_edge():
-    def off_share_while_bright(hpf):
-        setting = PixelSettings.from_biases({"bias_hpf": hpf})
-        events = simulate(
-            np.ones((8, 32), np.float32), SQUARE, 8_000, noise=NOISE_LEVELS["none"], settings=setting
-        )
-        return np.count_nonzero(events.p == 0) / len(events.t)
-
-    assert off_share_while_bright(0) == 0.0
-    assert off_share_while_bright(110) > 0.3
-
-
 def test_dead_pixels_never_fire_and_stay_with_the_camera():
     noise = replace(NOISE_LEVELS["heavy"], dead_share=0.05)
 
@@ -163,19 +150,6 @@ def test_a_slow_link_stalls_the_readout_and_loses_events():
     assert slow < 0.8 * fast
 
 
-def test_hot_pixels_stay_where_they_are_over_seeds_and_move_with_the_camera():
-    noise = NoiseTruth(mismatch=0.0, background_hz=0.0, hot_share=2e-3, hot_hz=2000.0, reset_noise=0.0)
-    dark = LightState(output=False)
-
-    def hot(camera_seed, seed):
-        events = simulate(picture(48, 64), dark, 5e4, noise=noise, camera_seed=camera_seed, seed=seed)
-        return set(zip(events.x.tolist(), events.y.tolist(), strict=True))
-
-    assert len(hot(1, 1)) == round(2e-3 * 48 * 64)
-    assert hot(1, 1) == hot(1, 2)
-    assert hot(1, 1) != hot(2, 1)
-
-
 def test_a_new_picture_fires_where_it_changed():
     sensor = Sensor(64, 48, noise=NOISE_LEVELS["none"])
     steady = LightState(low_v=5.0, high_v=5.0, output=True)
@@ -186,25 +160,6 @@ def test_a_new_picture_fires_where_it_changed():
     sensor.change(changed, steady, 0.0, 2000.0)
     events = sensor.run(4000)
     assert set(zip(events.x, events.y, events.p, strict=True)) == {(20, 10, 1), (21, 11, 0)}
-
-
-def test_switching_the_light_on_shows_the_picture():
-    sensor = Sensor(64, 48, noise=NOISE_LEVELS["none"])
-    sensor.begin(picture(48, 64), LightState(output=False), 0.0)
-    assert len(sensor.run(5000).t) == 0
-    sensor.change(None, SQUARE, 0.1, 2000.0)
-    events = sensor.run(10_000)
-    assert events.p.all()  # the dark is followed by light
-    assert len(np.unique(events.y.astype(int) * 64 + events.x)) > 2000
-
-
-def test_higher_thresholds_give_fewer_events():
-    def count(on):
-        setting = PixelSettings.from_biases({"bias_diff_on": on})
-        events = simulate(picture(48, 64), SINE, 34_000, settings=setting)
-        return np.count_nonzero(events.p)
-
-    assert count(-60) > 1.3 * count(0) > 1.3 * 1.3 * count(100)
 
 
 def test_a_sensor_without_a_picture_of_its_shape_is_refused():

@@ -48,14 +48,6 @@ def test_the_camera_warms_up_and_follows_its_room():
     assert world(self_heating_c=5.0, warm_up_min=0.0, room_c=20.0).temperature_c(0.0) == 25.0
 
 
-def test_the_focal_length_follows_the_temperature_by_the_configured_coefficient():
-    found = world(focal_ppm_per_c=100.0, room_c=50.0, self_heating_c=0.0, warm_up_min=0.0)
-    camera = found.truth(0.0).camera
-    assert camera.fx == pytest.approx(3345.06 * (1 + 1e-3))  # 10 degrees above the reference of 40
-    assert camera.fy / camera.fx == pytest.approx(3345.27 / 3345.06)
-    assert world().truth(0.0).camera.fx == 3345.06
-
-
 def true_stars(found, angles):
     truth = found.truth(50.0)
     return star_centres(truth, true_rotation(angles, truth), clearance=1.0, border_px=6.0)[1]

@@ -178,27 +178,6 @@ def test_every_star_of_a_target_of_its_own_is_found_with_its_id(family, tag, sid
     assert np.abs(of_found - points).max() < 0.05
 
 
-@pytest.mark.parametrize("segments", [8, 12, 20, 24, 32])
-def test_stars_with_other_numbers_of_segments_are_found(segments):
-    """An eighth of a star may hold one colour only, or more of one than of the other."""
-    truth = truth_from_config({"target": {**SMALL, "segments": segments}})
-    rotation = pose_rotation({"pan": 2.0}, truth.optics)
-    found = detect_stars(render(truth, rotation), truth.target).view
-    ids, points = star_centres(truth, rotation, clearance=1.0, border_px=36.0)
-    assert set(ids) <= set(found.ids)
-    assert np.abs(found.points_px[np.searchsorted(found.ids, ids)] - points).max() < 0.06
-
-
-def test_a_negative_reticle_is_dark_where_a_positive_one_is_bright():
-    images = []
-    for polarity in ("positive", "negative"):
-        truth = truth_from_config({"reticle": {"polarity": polarity}, "optics": {"black": 0.0}})
-        images.append(render(truth, pose_rotation({}, truth.optics)))
-    sum_of_both = images[0] + images[1]
-    assert sum_of_both.max() > 0.9
-    assert np.abs(sum_of_both[330:390, 610:670] - sum_of_both[330:390, 610:670].mean()).max() < 0.02
-
-
 def test_the_axis_of_the_collimator_stays_near_the_tag_unless_its_place_is_given():
     standard = truth_from_config({}).collimator
     own = truth_from_config({"target": SMALL}).collimator

@@ -9,11 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.bench import Pulse
-from simulators.config import bench_config
 from simulators.errors import SimulationMisuse
 from simulators.world.drift import lamp_brightness, temperature_c, truth_at_temperature
-from simulators.world.truth import NOISE_LEVELS, REFERENCE_C, ThermalTruth, Truth
-from simulators.world.truth_config import truth_from_config
+from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
 from simulators.world.world import AxisMotion, LightState, World
 
 
@@ -50,12 +48,6 @@ def test_phase_counts_periods_from_the_origin(t_s, frequency_hz, origin_s):
     assert 0.0 <= phase < 1.0
     periods = (t_s - origin_s) * frequency_hz - phase
     assert math.isclose(periods, round(periods), abs_tol=1e-6)
-
-
-def test_configured_truth_replaces_only_what_is_given():
-    truth = truth_from_config({"camera": {"fx": 3000, "width": 640}, "noise": "heavy"})
-    assert (truth.camera.fx, truth.camera.width, truth.camera.fy) == (3000.0, 640, Truth().camera.fy)
-    assert truth.noise == NOISE_LEVELS["heavy"]
 
 
 # ---------------------------------------------------------------- temperature
@@ -105,11 +97,6 @@ def test_focal_length_and_light_follow_the_temperature_of_the_moment():
         assert there.camera.cx == camera.cx
         assert world.light(1000.0 + on_s).high == pytest.approx(0.8 * (1.0 - 0.004 * warmth))
     assert world.truth_at(1000.0).camera.fx < world.truth_at(8200.0).camera.fx
-
-
-def test_the_law_is_set_in_the_simulation_section_of_a_station():
-    config = bench_config({"thermal": {"warm_up_min": 8, "focal_ppm_per_c": 12, "room_c": 20}})
-    assert config.truth.thermal == ThermalTruth(room_c=20.0, warm_up_min=8.0, focal_ppm_per_c=12.0)
 
 
 # ---------------------------------------------------------------- pulses
