@@ -43,14 +43,6 @@ def test_without_a_bound_of_the_parallax_readings_say_less_of_the_focal_length()
     assert abs(unbounded.camera.fx - bench.truth.camera.fx) < expanded
 
 
-def test_a_wide_bound_of_the_parallax_appears_in_the_uncertainty_as_a_scale():
-    bench = draw_bench("ideal", NINE, 13)
-    wide = solved(bench, readings(bench, ParallaxBound(0.0, 0.01, 0.0, 20.0)))
-    # 0.01 x 20 mm / 255 mm = 8e-4 of the focal length, 2.6 px; the stars alone know it to 0.8 px.
-    narrow = solved(bench, readings(bench))
-    assert wide.sigma["fx"] > 1.25 * narrow.sigma["fx"]
-
-
 def test_the_scale_of_the_encoders_enters_as_stated():
     bench = draw_bench("S3", NINE, 14)
     result = solved(bench, readings(bench, scale_sigma=1e-3))

@@ -16,7 +16,6 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.keys import create_key, ensure_key, load_key, load_public_key, read_signers, trust
-from bench.evidence.sshsig import fingerprint
 
 
 @contextmanager
@@ -135,14 +134,6 @@ def read_one(tmp_path, line):
     (tmp_path / "signers").write_text(f"# comment\n\n{line}\n")
     (signer,) = read_signers(tmp_path / "signers")
     return signer
-
-
-def test_the_made_key_is_trusted_for_reports_alone(home, key):
-    (signer,) = read_signers(home / "allowed_signers")
-    assert fingerprint(signer.public_key) == key.fingerprint
-    assert signer.principal == "bench1@lab.example"
-    assert signer.rejection("starbench-report@v1", NOW) is None
-    assert "not for file" in signer.rejection("file", NOW)
 
 
 @pytest.mark.parametrize(

@@ -142,16 +142,6 @@ def test_changed_replies_raise_nothing_else(reply, others, data):
         return
 
 
-def test_a_bare_token_becomes_a_complete_reply(authority, reply):
-    request = make_request(b"signature", nonce=False).data
-    token = authority.reply(request, "-token_out")
-    completed = as_reply(token)
-    (authority.folder / "m").write_bytes(b"signature")
-    (authority.folder / "completed.tsr").write_bytes(completed)
-    assert authority.accepts(authority.folder, "completed.tsr", "m")
-    assert as_reply(reply) == reply
-
-
 def test_a_file_of_authorities_that_others_can_change_is_refused(tmp_path, authority):
     path = tmp_path / "tsa.pem"
     path.write_bytes(authority.root.read_bytes())

@@ -34,17 +34,6 @@ def test_the_untouched_bundle_passes(sealed_once, signers, key):
 # ------------------------------------------------------------------ attacks
 
 
-def test_every_changed_file_is_found(sealed, signers):
-    files = sorted(p for p in sealed.rglob("*") if p.is_file() and not p.name.startswith("SHA256SUMS"))
-    for path in files:
-        before = path.read_bytes()
-        path.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
-        name = path.relative_to(sealed).as_posix()
-        assert ("changed", name) in kinds(verify_folder(sealed, signers))
-        path.write_bytes(before)
-    assert verify_folder(sealed, signers).ok
-
-
 @pytest.mark.parametrize(
     "name", ["captures/pose-003-attempt-1.raw", ".hidden", "exports/.x/y", "SHA256SUMS.sig2"]
 )
@@ -120,14 +109,6 @@ def test_a_signature_for_another_purpose_is_found(sealed, signers, key):
 
 def test_nobody_trusted_means_not_verified(sealed_once):
     assert [f.kind for f in verify_folder(sealed_once, []).faults] == ["key"]
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"garbage", b"-----BEGIN SSH SIGNATURE-----\n!\n-----END SSH SIGNATURE-----\n"]
-)
-def test_a_spoiled_signature_is_found(sealed, signers, content):
-    (sealed / "SHA256SUMS.sig").write_bytes(content)
-    assert kinds(verify_folder(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
 
 
 def test_an_endless_seal_is_not_read(sealed, signers):

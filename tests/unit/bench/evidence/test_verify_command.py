@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from pathlib import Path
 from unittest import mock
 
@@ -61,15 +60,6 @@ def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, 
     assert found["not_compared"][0].startswith("report.html with results.json: it was made with report form")
     said = told_by_command(forger.folder, *elsewhere, "--again")
     assert "NOT COMPARED. Only the seal protects these parts" in said.stdout
-
-
-def test_a_ledger_that_was_set_back_is_found_with_the_run(run_once, bench_home, tmp_path):
-    home = tmp_path / "home"
-    shutil.copytree(bench_home, home)
-    (home / "ledger.jsonl").write_bytes(b"")
-    said = told_by_command(run_once, home)
-    assert said.return_value == 1
-    assert "its ledger does not contain it" in said.stderr
 
 
 def test_another_bench_has_no_ledger_for_the_run_and_that_is_no_fault(run_once, bench_home, tmp_path):

@@ -44,6 +44,12 @@ def test_the_runs_of_two_benches_are_listed_and_exported(tmp_path, capsys, home)
     assert (tmp_path / "runs.csv").read_text().count("starbench/runs-table/1") == 5
 
 
+def test_the_runs_of_a_folder_are_compared(tmp_path, capsys, home):
+    bench(tmp_path / "a", 2)
+    status, out, _ = call(capsys, tmp_path / "a" / "runs", "--compare")
+    assert (status, "2 runs of camera 00050001" in out, "Birge ratio" in out) == (0, True, True)
+
+
 def test_a_fault_is_printed_and_the_table_is_written_all_the_same(tmp_path, capsys, home):
     ledger = bench(tmp_path / "a", 2)
     (tmp_path / "a" / "runs" / "run-00002").rename(tmp_path / "elsewhere")

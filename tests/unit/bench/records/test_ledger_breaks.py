@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.records.journal import Journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_marks import MARK, KnownRun, highest_counts
+from bench.records.ledger_marks import MARK, highest_counts
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -247,15 +247,6 @@ def test_the_second_place_knows_the_highest_number_of_each_series(ledger, anchor
     ledger.append("certificate_reserved", number="2026-0003", series="2026", count=3)
     assert highest_counts(ledger.entries()) == {"2026": 3}
     assert json.loads(anchor.read_bytes().splitlines()[-1])["counts"] == {"2026": 3}
-
-
-def test_two_sealed_runs_with_one_number_are_noticed(ledger):
-    runs(ledger, 2)
-    other = KnownRun("/runs/other", "other", 2, "f" * 64)
-    (fault,) = faults(ledger, None, lambda heads: [] if other.head in heads else [other])
-    assert fault == "The sealed run /runs/other is not in the ledger; its number 2 is that of run run1."
-    begin(ledger, strangers=lambda _: [other])
-    assert len(faults(ledger, None, lambda _: [other])) == 1
 
 
 class LedgerStory(RuleBasedStateMachine):

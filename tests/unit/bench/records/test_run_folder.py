@@ -188,16 +188,6 @@ def test_a_resumed_run_has_its_reserve_again_unless_the_disk_is_full(run, journa
 # ------------------------------------------------------------------ captures
 
 
-def test_a_capture_gets_its_name_when_whole_with_its_hash(run):
-    part = run.capture_part_path(1, 2)
-    part.write_bytes(b"abc")
-    assert visible(run.path) == ["captures/pose-001-attempt-2.raw.part"]
-    capture = run.commit_capture(1, 2)
-    assert visible(run.path) == ["captures/pose-001-attempt-2.raw"]
-    assert capture.name == "captures/pose-001-attempt-2.raw"
-    assert (capture.size, capture.sha256[:8]) == (3, "ba7816bf")  # FIPS 180-2, appendix B.1
-
-
 def test_a_file_its_folder_and_the_names_of_new_folders_are_synced(run, tmp_path, synced):
     run.write_atomic("exports/camera.yaml", b"new")
     assert synced == [run.path, run.path / "exports/.camera.yaml.tmp", run.path / "exports"]

@@ -22,33 +22,6 @@ def parameters_near(bench, rng, n=3):
     )
 
 
-@pytest.mark.parametrize("free_centres", [False, True])
-def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
-    rng = np.random.default_rng(6)
-    bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES, free_centres=free_centres)
-    parameters = parameters_near(bench, rng)
-    residuals = bundle.weighted_residuals(parameters)
-    equations = bundle.equations(parameters, Loss("l2"))
-    depth = 6 if free_centres else 3
-    scales = np.concatenate([[1, 1, 1, 1, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2], [1e-4] * 3, [1e-2] * 3])[: 9 + depth]
-
-    for i, scale in enumerate(scales):
-        shared, local = np.zeros(9), np.zeros((3, depth))
-        if i < 9:
-            shared[i] = scale * 1e-2
-        else:
-            local[1, i - 9] = scale * 1e-2
-        plus = bundle.weighted_residuals(parameters.after_step(NAMES, shared, local))
-        minus = bundle.weighted_residuals(parameters.after_step(NAMES, -shared, -local))
-        slope = (plus - minus) / (2e-2 * scale)
-        gradient = -(slope * residuals).sum()
-        curvature = (slope**2).sum()
-        found = equations.right[:, i].sum() if i < 9 else equations.right[1, i]
-        assert found == pytest.approx(gradient, rel=1e-5)
-        found = equations.normal[:, i, i].sum() if i < 9 else equations.normal[1, i, i]
-        assert found == pytest.approx(curvature, rel=1e-5)
-
-
 def test_the_reduced_information_is_that_of_the_whole_system(bench):
     rng = np.random.default_rng(7)
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)

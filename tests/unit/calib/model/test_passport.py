@@ -7,10 +7,7 @@ import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch
-from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
-from calib.model.type_b_terms import TypeBTerm
-from tests.support.drawn_benches import POSES, draw_bench
 
 EXACT = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), np.diag([1e-4, 1e-4, 1e-4]) ** 2)
 
@@ -34,15 +31,6 @@ def test_the_passports_own_uncertainty_enters(bench):
     sigma = calibrate(views, with_passport(loose)).sigma["fx"]
     # df / f = .98 dr / r, beside what the stars leave.
     assert sigma == pytest.approx(np.hypot(0.98 * 3345 * 0.1 / 255, 0.05), rel=0.05)
-
-
-def test_a_certificate_of_the_radius_alone_helps_too(bench):
-    views = bench.views(np.random.default_rng(63), 0.05)
-    certificate = Passport.of_radius(255.0, 0.02, {"certificate": "A-17"})
-    same = TypeBTerm("effective radius", "effective_radius", 1e-6, "of the simulation")
-    known = calibrate(views, with_passport(certificate, budget=(same,)))
-    assert known.sigma["fx"] < 0.3 * calibrate(views).sigma["fx"]
-    assert known.camera.fx == pytest.approx(bench.fx, abs=4 * known.sigma["fx"])
 
 
 def test_a_certificate_leaves_the_radial_terms_free(bench):
@@ -113,16 +101,3 @@ def test_the_planar_model_has_no_passport_to_give(bench):
     planar = calibrate(bench.views(np.random.default_rng(67), 0.05), CalibrationOptions(model="planar"))
     with pytest.raises(InputMismatch, match="planar"):
         planar.passport()
-
-
-def test_a_certificate_and_readings_together_are_near_the_truth():
-    drawn = draw_bench("like-bench", POSES[3], 104)
-    bound = ParallaxBound(0.066, 0.01, 2.0, 0.5)
-    readings = GimbalReadings(tuple(drawn.readings_deg), 0.002, 2e-4, 0.002, bound)
-    certificate = Passport.of_radius(255.0, 0.05)
-    alone = calibrate(drawn.views, with_passport(certificate))
-    both = calibrate(drawn.views, with_passport(certificate, gimbal=readings))
-    for found in (alone, both):
-        error = abs(found.camera.fx - drawn.truth.camera.fx)
-        assert error < 3.0 * found.sigma["fx"]
-        assert found.coverage_factor * found.sigma["fx"] < 4.0

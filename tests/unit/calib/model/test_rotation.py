@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,20 +17,6 @@ from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation, 
 from calib.view import View
 
 RNG = np.random.default_rng(3)
-
-
-def test_exponential_agrees_with_rodrigues_formula_of_opencv():
-    vectors = RNG.normal(size=(20, 3))
-    expected = [cv2.Rodrigues(v)[0] for v in vectors]
-    assert np.allclose(exp_map(vectors), expected, atol=1e-14)
-
-
-def test_logarithm_inverts_exponential_down_to_zero():
-    directions = RNG.normal(size=(20, 3))
-    angles = RNG.uniform(0.0, 3.1, (20, 1))  # beyond pi the shortest vector is another one
-    vectors = angles * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    vectors = np.vstack([vectors, np.zeros(3), [1e-12, 0, 0]])
-    assert np.allclose(log_map(exp_map(vectors)), vectors, atol=1e-13)
 
 
 @pytest.mark.parametrize("count", [1, 5, 300])
@@ -69,12 +54,6 @@ def test_nearest_rotation_undoes_scale_and_noise_and_is_never_a_reflection():
     assert np.allclose(np.linalg.det(wild), 1.0)
 
 
-def test_pan_turns_about_y_first_and_roll_about_z_last():
-    axis = euler_zxy(90.0, 0.0, 0.0) @ [0.0, 0.0, 1.0]
-    assert np.allclose(axis, [1.0, 0.0, 0.0])
-    assert np.allclose(euler_zxy(10.0, 20.0, 30.0), euler_zxy(0, 0, 30) @ euler_zxy(0, 20) @ euler_zxy(10, 0))
-
-
 def test_a_gimbal_s_rotation_is_that_of_scipy():
     for pan, tilt, roll in RNG.uniform(-180.0, 180.0, (200, 3)):
         expected = Rotation.from_euler("ZXY", [roll, tilt, pan], degrees=True).as_matrix()
@@ -99,14 +78,6 @@ def test_exact_points_give_the_homography_back_with_determinant_one(stars):
     h = view_homography(view_of(target, apply_homography(TRUE, target)))
     assert np.linalg.det(h) == pytest.approx(1.0)
     assert np.allclose(h / h[2, 2], TRUE, rtol=1e-9)
-
-
-def test_stars_far_off_hardly_count():
-    target = DRAWS.uniform(0, 60, (60, 2))
-    pixels = apply_homography(TRUE, target) + 0.02 * DRAWS.standard_normal((60, 2))
-    pixels[:5] += 200.0
-    h = view_homography(view_of(target, pixels))
-    assert np.abs(apply_homography(h, target[5:]) - apply_homography(TRUE, target[5:])).max() < 1.0
 
 
 def test_a_mirrored_target_is_refused():

@@ -154,14 +154,6 @@ def test_covariances_say_how_surely_stars_are_placed_in_binary_images(seed, roll
     assert 0.75 < np.sqrt(squares.mean()) < 1.3
 
 
-def test_noise_that_frame_cameras_have_is_told_by_the_covariances():
-    scene, image = drawn(roll=37)
-    rng = np.random.default_rng(5)
-    image = image + 0.1 * rng.standard_normal((SIZE[1], SIZE[0])).astype(np.float32)
-    squares = assert_found_where_drawn(detect_view(image, TARGET), scene, rms_px=0.03)
-    assert 0.75 < np.sqrt(squares.mean()) < 1.3
-
-
 def photograph(image, rng, *, bits, electrons=4000, gamma=1.0, contrast=1.0):
     """What a frame camera makes of an image: shot and read noise, a tone curve, so many bits."""
     light = 0.06 + contrast * 0.7 * image + (1 - contrast) * 0.35
@@ -185,16 +177,6 @@ def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px)
     scene, image = drawn(roll=37)
     shown = photograph(image, np.random.default_rng(6), bits=bits, **settings)
     squares = assert_found_where_drawn(detect_view(shown, TARGET), scene, rms_px=rms_px)
-    assert 0.75 < np.sqrt(squares.mean()) < 1.6
-
-
-@pytest.mark.parametrize(("blur", "rms_px"), [(1.5, 0.012), (2.5, 0.03)])
-def test_photographs_out_of_focus_are_told_by_the_covariances(blur, rms_px):
-    scene, image = drawn(roll=37)
-    blurred = cv2.GaussianBlur(image, (0, 0), blur)
-    squares = assert_found_where_drawn(
-        detect_view(photograph(blurred, np.random.default_rng(7), bits=8), TARGET), scene, rms_px=rms_px
-    )
     assert 0.75 < np.sqrt(squares.mean()) < 1.6
 
 
@@ -359,23 +341,10 @@ def test_a_star_out_of_line_is_left_out():
     assert star not in detect_view(image, TARGET).ids
 
 
-def test_the_same_image_gives_the_same_view():
-    image = as_events_show_it(drawn(roll=143)[1], np.random.default_rng(3))
-    first, second = detect_view(image, TARGET), detect_view(image.copy(), TARGET)
-    assert first.points_px.tobytes() == second.points_px.tobytes()
-    assert first.covariances_px2.tobytes() == second.covariances_px2.tobytes()
-
-
 @pytest.mark.parametrize("image", [np.zeros((400, 500)), np.full((400, 500), np.nan), np.eye(300)])
 def test_an_image_without_the_target_is_refused(image):
     with pytest.raises(TargetNotFound, match="view p7: Tag 3 of family 36h11 is not in the image"):
         detect_view(image, TARGET, name="p7")
-
-
-def test_noise_alone_is_refused():
-    rng = np.random.default_rng(9)
-    with pytest.raises(TargetNotFound):
-        detect_view(rng.random((540, 720)), TARGET)
 
 
 def test_another_tag_is_named():
