@@ -285,6 +285,7 @@ class BatchStatus:
     # Runs in progress and to come, in their order; runs without time are last.
     upcoming: tuple[UpcomingRun, ...]
     withdrawn: tuple[str, ...]
+    last_end: datetime | None = None  # Of the runs so far
 
     @property
     def end(self) -> datetime | None:
@@ -335,6 +336,7 @@ def read_batch_status(
         current_run=_current_run_text(folder, record) if running and record.current_run else "",
         upcoming=_upcoming(record, utc_now(), under_way=running),
         withdrawn=tuple(sorted(record.withdrawn)),
+        last_end=max((end.ended for end in record.ends.values()), default=None),
     )
 
 

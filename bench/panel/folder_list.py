@@ -169,6 +169,7 @@ class FolderList:
             "coming": len(status.upcoming),
             "current_run": status.current_run,
             "end_utc": status.end.isoformat() if status.end and running else "",
+            "ended_utc": status.last_end.isoformat() if status.last_end and status.ended else "",
             "started_utc": _first_utc(folder),
         }
         self._batches[folder] = stamp, row

@@ -26,10 +26,14 @@ function runState(run) {
   return lines.map((line) => el("div", {}, line));
 }
 
+function endCell(one) {
+  const end = one.running && one.end_utc ? `about ${clockText(one.end_utc)}` : one.ended_utc ? clockText(one.ended_utc) : "–";
+  const took = one.started_utc && one.ended_utc ? durationText((new Date(one.ended_utc) - new Date(one.started_utc)) / 1000) : "";
+  return el("td", { "data-label": "End", class: "nowrap" }, end, took ? el("div", { class: "note" }, `after ${took}`) : null);
+}
+
 function runRow(run) {
   const most = Math.max(run.most_poses, run.poses);
-  const end = run.running && run.end_utc ? `about ${clockText(run.end_utc)}` : run.ended_utc ? clockText(run.ended_utc) : "–";
-  const took = run.started_utc && run.ended_utc ? durationText((new Date(run.ended_utc) - new Date(run.started_utc)) / 1000) : "";
   return el("tr", {},
     el("td", { class: "name" }, el("a", { href: address("run", run.key) }, run.id), run.id !== run.key ? el("div", { class: "note" }, run.key) : null,
       el("div", { class: "note" }, [run.sequence, run.camera && `camera ${run.camera}`].filter(Boolean).join(" · ")),
@@ -37,18 +41,17 @@ function runRow(run) {
     el("td", { "data-label": "State" }, verdictPill(run.verdict, run.tone)),
     el("td", { "data-label": "Poses", class: "n" }, `${run.accepted} / ${most}`, run.running ? el("div", { class: "bar" }, el("i", { style: `width: ${most ? (100 * run.accepted) / most : 0}%` })) : null),
     el("td", { "data-label": "Began", class: "nowrap" }, run.started_utc ? clockText(run.started_utc) : "–"),
-    el("td", { "data-label": "End", class: "nowrap" }, end, took ? el("div", { class: "note" }, `after ${took}`) : null),
+    endCell(run),
     el("td", { class: "why" }, runState(run)));
 }
 
 function batchRow(batch) {
-  const end = batch.running && batch.end_utc ? `about ${clockText(batch.end_utc)}` : "–";
   return el("tr", {},
     el("td", { class: "name" }, el("a", { href: address("batch", batch.key) }, batch.queue), el("div", { class: "note" }, `batch ${batch.key}`), batch.rehearsal ? el("span", { class: "simulated" }, "REHEARSAL") : null),
     el("td", { "data-label": "State" }, verdictPill(batch.verdict, batch.tone)),
     el("td", { "data-label": "Runs", class: "n" }, `${batch.done} / ${batch.done + batch.coming}`),
     el("td", { "data-label": "Began", class: "nowrap" }, batch.started_utc ? clockText(batch.started_utc) : "–"),
-    el("td", { "data-label": "End", class: "nowrap" }, end),
+    endCell(batch),
     el("td", { class: "why" }, batch.current_run ? el("div", {}, batch.current_run) : null,
       batch.failed.length ? el("div", { class: "bad" }, `Without a result: ${batch.failed.slice(0, 6).join(", ")}${batch.failed.length > 6 ? " …" : ""}`) : null,
       !batch.running && batch.why ? el("div", {}, batch.why) : null));
@@ -59,7 +62,7 @@ function group(name, title, rows, tone, most) {
   const cut = all.has(name) ? rows : rows.slice(0, most);
   return el("section", { class: "card group" }, el("header", {}, el("h2", { class: tone }, title), el("span", { class: "note" }, String(rows.length))),
     el("div", { class: "scroll" }, el("table", { class: "cards list" },
-      el("thead", {}, el("tr", {}, ["Name", "State", "Poses", "Began", "End", "Now, or why"].map((word, i) => el("th", { class: i === 2 ? "n" : null }, word)))),
+      el("thead", {}, el("tr", {}, ["Name", "State", "Poses or runs", "Began", "End", "Now, or why"].map((word, i) => el("th", { class: i === 2 ? "n" : null }, word)))),
       el("tbody", {}, cut))),
     cut.length < rows.length ? el("p", { class: "screen" }, el("button", { onclick: () => { all.add(name); draw(); } }, `Show all ${rows.length}`)) : null);
 }

@@ -9,6 +9,7 @@ import pytest
 from journals import MadeRun
 
 from bench.base.errors import RunFolderError
+from bench.batch.batch_summary import read_batch_status
 from bench.panel.folder_list import FolderList
 from bench.records.storage import lock_folder
 
@@ -85,6 +86,20 @@ def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
     found = _look(tmp_path)
     assert found["runs"] == []
     assert [(row["key"], row["queue"], row["coming"]) for row in found["batches"]] == [("night", "Night", 1)]
+    assert found["batches"][0]["ended_utc"] == ""
+
+
+def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path):
+    batch = MadeRun(tmp_path / "night")
+    (batch.folder / "queue.yaml").write_text(QUEUE)
+    batch.write("batch_begun", queue="Night", files={})
+    (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
+    batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
+    batch.write("item_ended", item=name, how="finished", why="", noticed_s=0.0, unsafe=[])
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == ""
+    last = read_batch_status(batch.folder).last_end
+    batch.write("batch_ended", how="finished", why="")
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == last.isoformat()
 
 
 def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):
