@@ -77,6 +77,8 @@ MEAN_COVERAGE: Final = 0.5
 """Share of the target that lets light through: half of each star is black."""
 POLL_S: Final = 0.1
 """Interval at which waiting threads check whether they must end, s."""
+LEAVING_S: Final = 1.0
+"""Time within which the camera notices that a host which has closed its connection is gone, s."""
 
 
 class _HostGone(Exception):
@@ -132,11 +134,6 @@ class SimulatedEvk4:
             connection.join()
         self.time_base.power_up()
 
-    @property
-    def has_host(self) -> bool:
-        """Whether a host is connected."""
-        return self._connection is not None and self._connection.is_open()
-
     def report_fault(self, message: str) -> None:
         """Send a fault notification to the connected host; without a host, do nothing."""
         connection = self._connection
@@ -150,7 +147,7 @@ class SimulatedEvk4:
                 continue
             link, _ = self._listener.accept()
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if self.has_host:
+            if self._connection is not None and not self._connection.ends_within(LEAVING_S):
                 with suppress(_HostGone):
                     _send(link, b"N", _json({"event": "fault", "message": "Another host holds the camera."}))
                 link.close()
@@ -205,9 +202,9 @@ class _Connection:
         self._keep_alive.start()
         self._thread.start()
 
-    def is_open(self) -> bool:
-        """Whether the host is still connected."""
-        return not self._ended.is_set()
+    def ends_within(self, seconds: float) -> bool:
+        """Whether the host is gone, at the latest after so many seconds."""
+        return self._ended.wait(seconds)
 
     def hang_up(self) -> None:
         """Close the connection from the camera's side."""
