@@ -196,7 +196,6 @@ class TestMicrocontroller(OurLight):
     other_serial = "SB8"
 
 
-@pytest.mark.slow
 class TestSimulatedEvk4(CameraContract):
     section: ClassVar[Mapping[str, Any]] = {
         "driver": "simulated_evk4",

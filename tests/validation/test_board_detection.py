@@ -131,26 +131,6 @@ def test_a_screen_that_is_drawn_line_by_line_keeps_its_height():
     assert abs(slopes["lock-in"]) > 1.5e-4  # its sum is smaller for lines that change early or late
 
 
-def place(position_mm, turn_deg=(0, 0, 0), **more):
-    """A script of one placement."""
-    return {"placements": [{"position_mm": list(position_mm), "turn_deg": list(turn_deg), **more}]}
-
-
-@pytest.mark.parametrize(
-    "placement",
-    [
-        place((190, 0, 1350)),
-        place((0, 0, 1350), flicker=False),
-        place((0, 0, 2600)),
-    ],
-    ids=["cut by the frame", "no flicker", "out of focus"],
-)
-def test_bad_placements_are_not_found(placement):
-    lens = {"focus_distance_m": 0.4, "f_number": 1.4} if "2600" in str(placement) else LENS
-    board = {**CHECKER, **placement}
-    assert found(counted(truth_of(board, lens=lens)), board) is None
-
-
 @pytest.mark.slow
 def test_a_planar_calibration_by_opencv_gives_the_breathed_camera():
     objects, images, truth = [], [], None

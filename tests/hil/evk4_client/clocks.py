@@ -1,24 +1,8 @@
-"""Clocks that a test turns: interrupted, hurried on, or stepped while the camera computes."""
+"""Clocks that a test turns: hurried on, or stepped while the camera computes."""
 
 import time
 
 from drivers.clock import SystemClock
-
-
-class Interrupted(Exception):
-    pass
-
-
-class InterruptingClock(SystemClock):
-    """Raises in its sleep as soon as it is told to, and from then on."""
-
-    def __init__(self):
-        self.now = False
-
-    def sleep(self, seconds):
-        if self.now:
-            raise Interrupted
-        super().sleep(seconds)
 
 
 class HurryingClock(SystemClock):

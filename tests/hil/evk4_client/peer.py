@@ -100,9 +100,6 @@ class Peer:
         self.answer(number, biases=self.biases)
 
     def do_set_bias(self, number, request):
-        if not -150 <= request["value"] <= 255:
-            self.refuse(number, "out_of_range", f"{request['name']} takes -150 to 255.")
-            return
         self.biases[request["name"]] = request["value"]
         self.answer(number)
 

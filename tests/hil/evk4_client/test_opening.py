@@ -11,16 +11,6 @@ from drivers.errors import CameraNotFound, CameraSettingRefused, WrongDevice
 from tests.hil.evk4_client.peer import NOW
 
 
-def test_identity_is_what_the_camera_says(connect):
-    identity = connect().identify()
-    assert (identity.serial, identity.sensor, identity.width, identity.height) == (
-        "00050423",
-        "IMX636",
-        1280,
-        720,
-    )
-
-
 def test_another_serial_number_is_refused_and_the_connection_given_back(peer, connect):
     with pytest.raises(WrongDevice, match="camera 00050423, not 00099999"):
         connect(serial="00099999")
@@ -41,27 +31,9 @@ def test_an_address_without_host_and_port_is_told(address):
         SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW)
 
 
-def test_settings_are_set_read_back_and_all_filters_switched_off(peer, connect):
-    found = connect().apply(CameraSettings({"bias_diff_on": 20}, trigger_in=True))
-    assert found.biases == {
-        "bias_diff_on": 20,
-        "bias_diff_off": 0,
-        "bias_fo": 0,
-        "bias_hpf": 0,
-        "bias_refr": 0,
-    }
-    assert found.trigger_in
-    assert peer.filters == {"afk": False, "stc": False, "trail": False, "erc": False}
-
-
 def test_biases_not_named_go_back_to_the_factory_value(peer, connect):
     peer.biases["bias_fo"] = 30
     assert connect().apply(CameraSettings()).biases["bias_fo"] == 0
-
-
-def test_a_bias_out_of_range_is_refused_with_the_cameras_words(connect):
-    with pytest.raises(CameraSettingRefused, match="takes -150 to 255"):
-        connect().apply(CameraSettings({"bias_diff_on": 400}))
 
 
 def test_an_unknown_bias_is_refused_before_anything_is_sent(peer, connect):

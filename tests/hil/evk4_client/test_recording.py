@@ -7,19 +7,8 @@ import pytest
 
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraError, CameraLost, RecordingFailed
-from tests.hil.evk4_client.clocks import HurryingClock, Interrupted, InterruptingClock, SteppedClock
+from tests.hil.evk4_client.clocks import HurryingClock, SteppedClock
 from tests.hil.evk4_client.peer import words_of
-
-
-def test_a_recording_covers_the_time_asked_of_the_sensors_clock(connect, tmp_path):
-    path = tmp_path / "pose.raw"
-    facts = connect().record(path, 0.033)
-    assert 0.033 <= facts.duration_s < 0.035
-    assert facts.complete
-    assert facts.bytes == path.stat().st_size
-    assert facts.temperature_c == 41.5
-    assert facts.illumination_lux == 120.0
-    assert facts.gaps == ()
 
 
 def test_the_file_is_a_header_and_the_cameras_own_words(connect, tmp_path):
@@ -38,38 +27,6 @@ def test_the_camera_is_told_how_many_frames_were_kept(peer, connect, tmp_path):
     assert peer.kept == 17
     camera.record(tmp_path / "again.raw", 0.002)
     assert peer.kept == 2
-
-
-def test_an_existing_file_is_never_overwritten(peer, connect, tmp_path):
-    path = tmp_path / "pose.raw"
-    path.write_bytes(b"precious")
-    with pytest.raises(RecordingFailed, match="file exists already"):
-        connect().record(path, 0.01)
-    assert path.read_bytes() == b"precious"
-    assert "start" not in peer.asked
-
-
-def test_an_interrupt_stops_the_stream_and_leaves_a_readable_file(peer, connect, tmp_path):
-    clock = InterruptingClock()
-    camera = connect(clock=clock)
-    peer.before_frame[5] = lambda: setattr(clock, "now", True)
-    path = tmp_path / "pose.raw"
-    with pytest.raises(Interrupted):
-        camera.record(path, 10.0)
-    assert peer.asked[-1] == "stop"
-    assert RawFile.open(path).scan().events <= 6
-    clock.now = False
-    peer.before_frame.clear()
-    assert camera.record(tmp_path / "again.raw", 0.01).complete
-
-
-def test_stop_from_another_thread_ends_the_recording_early(peer, connect, tmp_path):
-    camera = connect()
-    peer.before_frame[5] = camera.stop
-    path = tmp_path / "pose.raw"
-    facts = camera.record(path, 1000.0)
-    assert not facts.complete
-    assert RawFile.open(path).scan().events == facts.events
 
 
 def test_a_camera_that_goes_away_names_the_partial_file(peer, connect, tmp_path):

@@ -72,18 +72,6 @@ def test_without_degrees_of_freedom_only_the_k_of_a_normal_distribution_is_calle
     assert texts(root, "//dcc:quantity[@id='result-fx']//si:expandedUnc/si:distribution") == [distribution]
 
 
-def test_the_joint_list_has_all_digits_and_the_whole_covariance():
-    certificate = certificate_sample.full_certificate()
-    root = dcc_of(certificate)
-    (values,) = texts(root, "//si:realListXMLList/si:valueXMLList")
-    assert [float(one) for one in values.split()] == [one.value for one in certificate.results]
-    stated = [
-        [float(value) for value in texts(column, "si:covariance/si:value")]
-        for column in root.xpath("//si:column", namespaces=NAMESPACES)
-    ]
-    assert stated == [list(column) for column in zip(*certificate.covariance.matrix, strict=True)]
-
-
 def test_every_number_of_the_certificate_is_in_the_dcc():
     certificate = certificate_sample.full_certificate()
     data = render_dcc(certificate).decode()

@@ -1,6 +1,5 @@
 """The summary of a batch: trends that are there are found, those that are not are not, and the page shows and escapes."""
 
-import math
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -37,17 +36,6 @@ def test_a_drift_is_seen_where_there_is_one(drift_px_h):
     assert k1.agreed.birge == 0
     assert fx.per_c is None  # one temperature all night
     assert not k1.per_hour.significant
-
-
-def test_slopes_of_noise_scatter_as_their_uncertainties_say():
-    drawn = np.random.default_rng(2)
-    x, sigma = np.linspace(0, 10, 25), 0.7
-    slopes = [
-        fit_slope(x.tolist(), (sigma * drawn.normal(size=25)).tolist(), [sigma] * 25) for _ in range(400)
-    ]
-    z = [slope.value / slope.sigma for slope in slopes]
-    assert 0.85 < math.sqrt(np.mean(np.square(z))) < 1.1
-    assert sum(abs(v) > 3.5 for v in z) <= 2
 
 
 def test_points_that_scatter_more_than_they_say_widen_the_slope():

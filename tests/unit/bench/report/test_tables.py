@@ -56,16 +56,6 @@ def test_the_sums_are_those_of_the_contributions_and_what_is_not_included_keeps_
     assert not_included({"not_included": ["mounting of the lens"]}) == [("mounting of the lens", "")]
 
 
-def test_results_without_rows_print_no_table():
-    assert (budget_rows({}), combined({}), not_included({})) == ([], None, [])
-    data = sample(size=SMALL)
-    for key in ("budget_rows", "not_included"):
-        del data.results["calibration"][key]
-    page = render_report(data, draw=False)
-    assert "Not known, not included" not in page
-    assert "<h3>Uncertainty budget</h3>" in page
-
-
 def test_the_page_has_the_table_and_escapes_what_a_station_says(html):
     table = html[html.index('id="budget"') : html.index("Not known, not included")]
     assert "maker&#39;s drawing &lt;4711&gt;" in table
