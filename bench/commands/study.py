@@ -233,7 +233,7 @@ def study(
             "z_rms": studied.z_rms,
             "coverage": studied.coverage,
         },
-        _lines(studied, held=held),
+        _lines(studied, options["model"], held=held),
     )
     return 0
 
@@ -260,12 +260,13 @@ def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path 
             line.clear()
 
 
-def _lines(study: MonteCarloStudy, *, held: bool) -> Iterator[str]:
+def _lines(study: MonteCarloStudy, model: str, *, held: bool) -> Iterator[str]:
     low, high = study.coverage_band
-    yield f"{len(study.values)} calibrations, {len(study.failed)} failed."
-    for at, name in enumerate(study.names):
+    yield f"{len(study.values)} calibrations, model {model}, {len(study.failed)} failed."
+    width = max(map(len, study.names))
+    for name, stated in zip(study.names, study.sigmas.mean(axis=0).tolist(), strict=True):
         yield (
-            f"  {name:<3} error {study.scatter[name]:>9.4g} rms, stated {float(study.sigmas[:, at].mean()):>9.4g},"
+            f"  {name:<{width}} error {study.scatter[name]:>9.4g} rms, stated {stated:>9.4g},"
             f" ratio {study.z_rms[name]:.2f}; within U {study.coverage[name]:.1%}"
         )
     verdict = (

@@ -205,6 +205,13 @@ def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
     assert nine.forecast.projection_map.worst_px < told["expected"]["worst_px"]
 
 
+def test_a_study_names_the_model_that_it_judges(capsys):
+    assert "model spherical, 0 failed" in out_of(capsys, "study", "--runs", 2)
+    joint = out_of(capsys, "study", "--runs", 2, "--model", "joint")
+    assert "model joint, 0 failed" in joint
+    assert len({line.index("error") for line in joint.splitlines() if " rms, stated " in line}) == 1
+
+
 def test_a_study_finds_that_the_sigmas_hold_and_plots_them(capsys, tmp_path):
     plot = tmp_path / "z.svg"
     told = json.loads(out_of(capsys, "study", "--runs", 20, "--plot", plot, "--json"))
