@@ -181,10 +181,13 @@ class RunIndex:
             with closing(self._connected()) as index, index:
                 yield index
         except sqlite3.Error as error:
+            remedy = "Change mode or owner of its folder, so that it can be made."
+            if self.path.exists():
+                remedy = "Delete it. Starbench makes it again from the journals."
             raise StorageError(
                 f"The index of runs cannot be used: {error}.",
                 where=str(self.path),
-                remedy="Delete it. Starbench makes it again from the journals.",
+                remedy=remedy,
             ) from error
 
     def _connected(self) -> sqlite3.Connection:

@@ -142,6 +142,13 @@ def test_an_index_that_cannot_be_written_says_so(index, tmp_path, three, monkeyp
         RunIndex(tmp_path / "other").runs(three)
 
 
+def test_an_index_that_cannot_be_made_is_not_to_be_deleted(index):
+    index.path.parent.mkdir(exist_ok=True)
+    index.path.symlink_to(index.path.parent / "nowhere" / "index")
+    with pytest.raises(StorageError, match=r"cannot be used.*Change mode or owner of its folder"):
+        index.runs([])
+
+
 # ---------------------------------------------------------------- comparing
 
 
