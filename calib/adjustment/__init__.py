@@ -6,6 +6,8 @@ References
   55, 42.
 - arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
 - Brown (1976), The bundle adjustment - progress and prospects, International Archives of Photogrammetry 21.
+- Collins and Bartoli (2014), Infinitesimal plane-based pose estimation, International Journal of Computer Vision 109,
+  252.
 - Diebel (2006), Representing attitude: Euler angles, unit quaternions, and rotation vectors, Stanford University.
 - Holland and Welsch (1977), Robust regression using iteratively reweighted least-squares, Communications in Statistics
   A6, 813.

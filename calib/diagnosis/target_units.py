@@ -21,8 +21,7 @@ _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 
 PLAUSIBLE_PITCH_MM = (0.05, 500.0)
 PLAUSIBLE_R_MM = (5.0, 50_000.0)
 #: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
-_TOLERANCE_ADJUSTED = 1.1
-_TOLERANCE_CLOSED_FORM = 1.5
+_TOLERANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -40,19 +39,15 @@ class TargetUnits:
         return f"{self.why} The target positions look like {self.unit}; give them in mm."
 
 
-def check_target_units(
-    views: Sequence[View], *, r_mm: float | None = None, known_r_mm: float | None = None
-) -> TargetUnits | None:
+def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> TargetUnits | None:
     """Look for a wrong unit of the target positions; None if nothing is implausible, which is no proof of the unit.
 
-    ``r_mm`` is the radius from an adjustment in which it was free; without it, a closed form is compared.
-    ``known_r_mm`` is from a passport, a certificate or a data sheet; without it, only implausible numbers count.
+    ``known_r_mm`` is from a passport, a certificate or a data sheet, and is compared with a closed form; without it,
+    only implausible numbers count.
     """
-    tolerance = _TOLERANCE_ADJUSTED
-    if r_mm is None and known_r_mm is not None:
-        r_mm, tolerance = closed_form_radius(views), _TOLERANCE_CLOSED_FORM
+    r_mm = None if known_r_mm is None else closed_form_radius(views)
     if r_mm is not None and known_r_mm is not None:
-        unit = _unit(known_r_mm / r_mm, tolerance)
+        unit = _unit(known_r_mm / r_mm)
         if unit:
             why = f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known."
             return TargetUnits(unit, why)
@@ -76,8 +71,8 @@ def closed_form_radius(views: Sequence[View]) -> float | None:
     return None
 
 
-def _unit(ratio: float, tolerance: float) -> str:
+def _unit(ratio: float) -> str:
     """Return the unit whose length in mm is within a factor of a ratio; empty if none is."""
     near = {name: abs(np.log(ratio / length)) for name, length in _UNITS.items()}
     name = min(near, key=lambda unit: near[unit])
-    return name if near[name] < np.log(tolerance) else ""
+    return name if near[name] < np.log(_TOLERANCE) else ""

@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from calib.model.homography import apply_homography
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap
-from calib.stars.likelihood import edge_widths_px as widths_by_likelihood
-from calib.stars.likelihood import typical_pitch_px
+from calib.stars.likelihood import edge_width_px, typical_pitch_px
 from calib.target import StarTarget
 
 Array = NDArray[np.float64]
@@ -70,18 +69,17 @@ def edge_widths_px(
 
     None for fewer than `MIN_STARS_FOR_WIDTH` stars. The image is not smoothed; centres are right to about 0.1 px.
     """
-    enough = [number for number, group in enumerate(groups) if len(group) >= MIN_STARS_FOR_WIDTH]
-    found: list[float | None] = [None] * len(groups)
-    if enough:
-        some = [groups[number] for number in enough]
-        # A pitch of three digits: the printed star, whose edges are radii, is then drawn once for many pictures.
-        pitch = float(f"{typical_pitch_px(local_map):.3g}")
-        widths = widths_by_likelihood(
-            quantise(image), centres, local_map, target, some, pitch_px=pitch, start_px=start_px
+    levels = quantise(image)
+    # A pitch of three digits: the printed star, whose edges are radii, is then drawn once for many pictures.
+    pitch = float(f"{typical_pitch_px(local_map):.3g}") if len(centres) else None
+    return [
+        edge_width_px(
+            levels, centres[group], local_map.select(group), target, pitch_px=pitch, start_px=start_px
         )
-        for number, width in zip(enough, widths, strict=True):
-            found[number] = width
-    return found
+        if len(group) >= MIN_STARS_FOR_WIDTH
+        else None
+        for group in groups
+    ]
 
 
 def blur_circle(

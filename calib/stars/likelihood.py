@@ -28,7 +28,6 @@ ratio (its overdispersion).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -106,8 +105,8 @@ def refine_by_likelihood(
     `calib.stars.printed_star`; None if all stars lie between stars.
     """
     pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
-    information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
-    edge_map = information.edge_map(_best_blur(information))
+    information = _InformationByBlur(levels, centres, local_map, target, pitch)
+    edge_map = _edge_map(target, pitch, max(BLURS_PX, key=information.at))
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
     overdispersion = np.ones(target.segments)
@@ -129,42 +128,24 @@ def refine_by_likelihood(
 
 
 def edge_width_px(
-    levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, target: StarTarget
+    levels: NDArray[np.uint8],
+    centres: NDArray[np.float64],
+    local_map: LocalMap,
+    target: StarTarget,
+    *,
+    pitch_px: float | None = None,
+    start_px: float | None = None,
 ) -> float:
     """Measure the standard deviation, px, of the stars' blur by lens and pixel together, between `EDGE_WIDTHS_PX`.
 
     The printed star is blurred by Gaussians of several widths. The width is that with which the pixels near the edges
     give most information about the centres (own criterion). On simulated recordings, it is 0.8 to 1.0 of the blur by
     lens and pixel up to 2 px, under a square and under a sine flicker; it does not grow beyond that. Levels and centres
-    are those of `refine_by_likelihood`.
-    """
-    every = np.arange(len(centres))
-    return edge_widths_px(levels, centres, local_map, target, [every])[0]
-
-
-def edge_widths_px(
-    levels: NDArray[np.uint8],
-    centres: NDArray[np.float64],
-    local_map: LocalMap,
-    target: StarTarget,
-    groups: Sequence[NDArray[np.int64]],
-    *,
-    pitch_px: float | None = None,
-    start_px: float | None = None,
-) -> list[float]:
-    """Measure the standard deviation of the blur, px, of several groups of stars, each as `edge_width_px` does.
-
-    The blurred printed stars are shared by all groups, and kept for the next call with the same pitch. Each group has a
-    star at least; None for the pitch takes it from ``local_map``, None for the start is the middle of `EDGE_WIDTHS_PX`.
+    are those of `refine_by_likelihood`. The blurred printed stars are kept for the next call with the same pitch; None
+    takes it from ``local_map``. None for the start is the middle of `EDGE_WIDTHS_PX`.
     """
     pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
-    maps = _kept_edge_maps(target, pitch)
-    return [
-        _most_informative_blur(
-            _InformationByBlur(levels, centres[group], local_map.select(group), maps), start_px
-        )
-        for group in groups
-    ]
+    return _most_informative_blur(_InformationByBlur(levels, centres, local_map, target, pitch), start_px)
 
 
 def typical_pitch_px(local_map: LocalMap) -> float:
@@ -186,26 +167,16 @@ def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     return prior
 
 
-class _EdgeMaps:
-    """The printed star with several blurs, each made once."""
-
-    def __init__(self, target: StarTarget, pitch: float) -> None:
-        self.segments = target.segments
-        # Stars drawn at nearly the same pitch do not do: one part in a hundred moves centres by some thousandths of a
-        # pixel.
-        self._sharp, self._pitch = render_star(target, pitch), pitch
-        self._made: dict[float, EdgeMap] = {}
-
-    def at(self, blur_px: float) -> EdgeMap:
-        """Return the printed star with a blur."""
-        if blur_px not in self._made:
-            self._made[blur_px] = blurred_edge_map(self._sharp, self.segments, self._pitch, blur_px)
-        return self._made[blur_px]
-
-
 @lru_cache(maxsize=2)
-def _kept_edge_maps(target: StarTarget, pitch: float) -> _EdgeMaps:
-    return _EdgeMaps(target, pitch)
+def _sharp_star(target: StarTarget, pitch: float) -> NDArray[np.float32]:
+    # Stars drawn at nearly the same pitch do not do: one part in a hundred moves centres by some thousandths of a px.
+    return render_star(target, pitch)
+
+
+@lru_cache(maxsize=16)
+def _edge_map(target: StarTarget, pitch: float, blur_px: float) -> EdgeMap:
+    """Return the printed star with a blur."""
+    return blurred_edge_map(_sharp_star(target, pitch), target.segments, pitch, blur_px)
 
 
 class _InformationByBlur:
@@ -216,41 +187,25 @@ class _InformationByBlur:
         levels: NDArray[np.uint8],
         centres: NDArray[np.float64],
         local_map: LocalMap,
-        edge_maps: _EdgeMaps,
+        target: StarTarget,
+        pitch: float,
     ) -> None:
         some = slice(None, None, max(1, len(centres) // BLUR_STARS))
         self._levels, self._centres, self._local_map = levels, centres[some], local_map.select(some)
-        self._edge_maps = edge_maps
+        self._target, self._pitch = target, pitch
         self._known: dict[float, float] = {}
-
-    def edge_map(self, blur_px: float) -> EdgeMap:
-        """Return the printed star with a blur."""
-        return self._edge_maps.at(blur_px)
 
     def at(self, blur_px: float) -> float:
         """Return the trace of the Fisher information of the centres, 1/px^2."""
         if blur_px not in self._known:
-            edge_map = self.edge_map(blur_px)
+            edge_map = _edge_map(self._target, self._pitch, blur_px)
             unknowns = np.zeros((len(self._centres), EDGE_UNKNOWNS))
             pixels = gather_edge_pixels(self._levels, self._centres, self._local_map, edge_map)
             counts = count_levels(pixels, unknowns, edge_map.limit_px)
             tables = _score_tables(counts, BANDWIDTHS_PX[0] / TAU_BIN_PX)
-            _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, self._edge_maps.segments)
+            _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, self._target.segments)
             self._known[blur_px] = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
         return self._known[blur_px]
-
-
-def _best_blur(information: _InformationByBlur) -> float:
-    """Return the blur of `BLURS_PX` with the largest trace of some centres' Fisher information (own criterion).
-
-    The information grows with the blur up to the best one and falls beyond it, so the search ends at the first fall.
-    """
-    best = BLURS_PX[0]
-    for blur in BLURS_PX[1:]:
-        if information.at(blur) < information.at(best):
-            break
-        best = blur
-    return best
 
 
 def _most_informative_blur(information: _InformationByBlur, start_px: float | None = None) -> float:

@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import DegenerateViews
+from calib.model.closed_forms import poses_from_homographies
 from calib.model.homography import apply_homography
-from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation
+from calib.model.rotation import euler_zxy, exp_map, log_map
 from calib.stars.labelling import grid_homography
 
 Array = NDArray[np.float64]
@@ -155,12 +156,10 @@ def _first_values(first: LabelledView, observed: _Observations, focal_px: float)
     Zhang (2000), section 3.1, with the centre c of arXiv:2512.16092, eq. 3: K^-1 H is proportional to [r1 r2 -R c].
     """
     per_mm = np.diag([1.0 / observed.pitch_mm, 1.0 / observed.pitch_mm, 1.0])
-    scaled = np.linalg.inv(_matrix(focal_px, observed.image_size)) @ first.grid @ per_mm
-    middle_mm = observed.nodes[0][len(observed.points) // 2] * observed.pitch_mm
-    in_front = np.sign(scaled[2] @ np.append(middle_mm, 1.0))
-    scaled *= in_front / np.linalg.norm(scaled[:, :2], axis=0).mean()
-    rotation = nearest_rotation(np.column_stack([scaled[:, :2], np.cross(scaled[:, 0], scaled[:, 1])]))
-    centre = -rotation.T @ scaled[:, 2]
+    grid, middle_mm = first.grid @ per_mm, observed.nodes[0][len(observed.points) // 2] * observed.pitch_mm
+    in_front = np.sign(grid[2] @ np.append(middle_mm, 1.0))
+    poses = poses_from_homographies(in_front * grid[None], _matrix(focal_px, observed.image_size))
+    rotation, centre = poses[0][0], poses[1][0]
     values = np.zeros(_UNKNOWNS)
     values[_LOG_F] = np.log(focal_px)
     values[_CENTRE] = centre[:2]

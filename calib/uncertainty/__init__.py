@@ -13,7 +13,6 @@ References
 - Kogan, mrcal: the documentation's pages on projection uncertainty and on differences between calibrations.
 - Liang and Zeger (1986), Longitudinal data analysis using generalized linear models, Biometrika 73, 13.
 - Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58, 545.
-- Pregibon (1981), Logistic regression diagnostics, Annals of Statistics 9, 705.
 - Rao (1945), Information and the accuracy attainable in the estimation of statistical parameters, Bulletin of the
   Calcutta Mathematical Society 37, 81.
 - Rao (1973), Linear Statistical Inference and Its Applications, second edition, Wiley.
