@@ -133,27 +133,21 @@ def normal_equations(
     space: (2, M) float32, space for the samples that are used and lie in the image.
     normal, right, mean_square: (N, 6, 6), (N, 6), (N,) float64, filled in; nan if too few samples lie in the image.
     """
-    height, count, reach = pixels.size // width, samples.shape[1], 0.0
-    for i in range(count):
+    height, reach = pixels.size // width, 0.0
+    for i in range(samples.shape[1]):
         reach = max(reach, abs(samples[0, i]), abs(samples[1, i]))
     for star in range(len(centres)):
-        x, y, a, b = centres[star, 0], centres[star, 1], linear[star], quadratic[star]
-        far_x = (abs(a[0, 0]) + abs(a[0, 1])) * reach + 1e-6
+        a, b = linear[star], quadratic[star]
+        far_x = (abs(a[0, 0]) + abs(a[0, 1])) * reach
         far_x += (abs(b[0, 0]) + abs(b[0, 1]) + abs(b[0, 2])) * reach * reach
-        far_y = (abs(a[1, 0]) + abs(a[1, 1])) * reach + 1e-6
+        far_y = (abs(a[1, 0]) + abs(a[1, 1])) * reach
         far_y += (abs(b[1, 0]) + abs(b[1, 1]) + abs(b[1, 2])) * reach * reach
-        inside = x - far_x >= 1.0 and x + far_x < width - 2 and y - far_y >= 1.0 and y + far_y < height - 2
-        if inside and min(used_to[star, 0], used_to[star, 1]) >= reach:
-            n = used = count
-            places = samples
-        else:
-            n, used = _copy_inside(width, height, centres[star], a, b, samples, used_to[star], space)
-            places = space
+        n, used = _copy_inside(width, height, centres[star], a, b, samples, used_to[star], space)
         mean_square[star] = np.nan
         if n > 0 and n >= MIN_COVERED * used:
             far = int(max(far_x, far_y)) + 2
             squares = _sums_inside(
-                pixels, width, centres[star], far, a, b, places, n, slopes[star], normal[star], right[star]
+                pixels, width, centres[star], far, a, b, space, n, slopes[star], normal[star], right[star]
             )
             mean_square[star] = squares / n
 

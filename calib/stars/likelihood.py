@@ -173,7 +173,7 @@ def _sharp_star(target: StarTarget, pitch: float) -> NDArray[np.float32]:
     return render_star(target, pitch)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _edge_map(target: StarTarget, pitch: float, blur_px: float) -> EdgeMap:
     """Return the printed star with a blur."""
     return blurred_edge_map(_sharp_star(target, pitch), target.segments, pitch, blur_px)
