@@ -27,7 +27,6 @@ from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.model.rim_fit import Disc
 from calib.view import View
 
-ROUNDS = 40
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
 
@@ -141,7 +140,7 @@ def _searched(
     views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], start: AdjustmentParameters
 ) -> Optimum:
     problem, state = posed(views, options, start, lens)
-    rounds = min(ROUNDS, options.max_iterations)
+    rounds = options.max_iterations
     near = approached(problem, state, rounds)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera = problem.bench.camera(near.shared)

@@ -31,7 +31,7 @@ _CENTRE_ROUNDS = 12
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
-#: Nor are amplitudes sought elsewhere: two ends, each better by the equations of the other, would take turns for ever.
+#: The amplitudes stay as they are: two ends, each better by the equations of the other, would take turns for ever.
 _LATE, _LATE_SHARE = 20, 0.25
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
@@ -40,6 +40,8 @@ _DAMPED = 12
 _HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966).
 _LEAST_GAIN = 0.1
+#: A step that does not is damped, each time so many times more (Levenberg, 1944).
+_DAMPING = 4.0
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
@@ -79,18 +81,15 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     eta, state = problem.hyper.mean, start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
-    found, kept = None, None
+    kept = None
     for k in range(rounds):
         equations = bench.linearised(state, limit, kept)
         marginal = Marginal(problem, equations, state)
-        before = eta
-        eta, found = trusted_amplitudes(marginal, eta) if k >= _FIRST_ROUNDS else (eta, solved(marginal, eta))
-        if k >= _DAMPED:
-            eta = 0.5 * (eta + before)
-            found = solved(marginal, eta)
+        eta, found = _in_round(k, marginal, eta)
         centre, share = k < _CENTRE_ROUNDS, _SMALL_SHARE if k < _LATE else _LATE_SHARE
         if k > _FIRST_ROUNDS and small(marginal, found, share, centre=centre):
-            eta, found = better_amplitudes(marginal, eta, elsewhere=k < _LATE)
+            if k < _LATE:
+                eta, found = better_amplitudes(marginal, eta)
             if small(marginal, found, share, centre=centre):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
@@ -99,8 +98,18 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
             limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
-    assert found is not None
     return Optimum(marginal, eta, marginal.solve(eta), rounds, converged=False)
+
+
+def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
+    """Return the amplitudes of a round, and their solution."""
+    if not _FIRST_ROUNDS <= k < _LATE:
+        return eta, solved(marginal, eta)
+    better, found = trusted_amplitudes(marginal, eta)
+    if k < _DAMPED:
+        return better, found
+    half = 0.5 * (eta + better)
+    return half, solved(marginal, half)
 
 
 def approached(problem: Problem, start: State, rounds: int) -> State:
@@ -116,10 +125,10 @@ def approached(problem: Problem, start: State, rounds: int) -> State:
     return state
 
 
-def solved(marginal: Marginal, eta: Array) -> Solution:
+def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
     """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, slope=False)
+        return marginal.solve(eta, slope=False, damped=damped)
     except np.linalg.LinAlgError as error:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
@@ -164,16 +173,15 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def better_amplitudes(marginal: Marginal, eta: Array, *, elsewhere: bool) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start, or, ``elsewhere``, from the expected ones if these end clearly better.
+def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
+    """Return the best amplitudes from a start, or from the expected ones if these end clearly better.
 
     Where the equations do not hold at their end, the start is returned.
     """
     at, found = searched(marginal, eta, _LONG, enough=FINE)
-    if elsewhere:
-        other, behind = searched(marginal, marginal.problem.hyper.mean, _LONG)
-        if behind.value < found.value - _CLEARLY:
-            at, found = searched(marginal, other, _LONG, enough=FINE)
+    other, behind = searched(marginal, marginal.problem.hyper.mean, _LONG)
+    if behind.value < found.value - _CLEARLY:
+        at, found = searched(marginal, other, _LONG, enough=FINE)
     if relative_step(marginal, found.step) < _TRUSTED:
         return at, found
     return eta, marginal.solve(eta)
@@ -198,7 +206,10 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, l
             corrected, lengths = _corrected(marginal, eta, state)
             if cost(marginal, eta, corrected, lengths) <= enough:
                 return corrected, lengths
-        size *= 0.5
+        if share < _CORRECTED:
+            found = solved(marginal, eta, damped=_DAMPING**k)
+        else:
+            size *= 0.5
     return state, lengths
 
 

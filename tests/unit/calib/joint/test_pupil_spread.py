@@ -59,6 +59,14 @@ def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covarianc
     assert np.linalg.eigvalsh(found.correlation).min() > 0.0
 
 
+def test_a_search_with_a_rim_about_middles_that_are_hardly_shown_ends():
+    """Rim and middle multiply each other: steps that do not bend with them take ever smaller shares."""
+    bench = WORLDS["S2"](14, 9, 1, 0)
+    found = calibrate(views_of(bench), CalibrationOptions())
+    assert found.iterations < 40
+    assert found.camera.fx == pytest.approx(bench.camera.values["fx"], rel=0.02)
+
+
 def test_pupils_that_are_known_exactly_add_nothing(optimum):
     marginal, solution = optimum.marginal, optimum.solution
     known = replace(marginal.problem.pupils, information=1e12 * marginal.problem.pupils.information)
