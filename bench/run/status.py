@@ -346,7 +346,8 @@ def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> s
     if running and not sealed:
         return _advice_while_running(folder, history)
     if sealed:
-        return f"Finished and sealed. To check the seal: starbench verify {folder}"
+        found = "Finished and sealed." if history.ended else "The journal was changed after the seal."
+        return f"{found} To check the seal: starbench verify {folder}"
     if history.ended == "finished":
         return f"The run has finished, but it is not sealed. To seal it: starbench resume {folder}"
     return "No process works on this run. {} {}".format(*way_on(history, folder))
@@ -417,6 +418,8 @@ def _state(status: Status, poses: str) -> str:
         return f"running: {status.state}{at}{held}{left}"
     if status.ended:
         return f"{status.ended}{': ' if status.why else ''}{status.why}"
+    if status.sealed:
+        return "sealed, but the journal does not say how the run ended"
     return f"interrupted (killed or power lost): {status.state}{at}"
 
 
@@ -433,7 +436,7 @@ def _busy(status: Status) -> dict[str, str]:
 
 def _unasked(status: Status) -> list[str]:
     """Return what may be the case after a run whose process was killed. Other ends state it in their last line."""
-    ends = [] if status.ended else [DeviceEnd.from_dict(one) for one in status.devices]
+    ends = [] if status.ended or status.sealed else [DeviceEnd.from_dict(one) for one in status.devices]
     advice = [end.advice for end in ends if end.state == "not confirmed" and end.advice]
     if not advice:
         return []

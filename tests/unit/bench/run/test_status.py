@@ -102,6 +102,16 @@ def test_a_result_is_shown_with_the_factor_of_its_uncertainty(run):
     assert run.status().result == ""
 
 
+def test_a_sealed_run_whose_journal_was_emptied_is_not_called_interrupted_or_finished(run):
+    run.die()
+    run.folder.journal_path.write_bytes(b"")
+    (run.path / "SHA256SUMS.sig").write_text("a seal")
+    text = status_text(run.status())
+    assert "sealed, but the journal does not say how the run ended" in text
+    assert "The journal was changed after the seal. To check the seal: starbench verify" in text
+    assert not any(word in text for word in ("interrupted", "Finished", "CHECK THE BENCH"))
+
+
 def test_a_killed_run_is_not_running_and_not_held(run):
     run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
     run.tell(Event.ENTERING, state="slewing", pose=1)
