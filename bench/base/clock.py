@@ -221,7 +221,8 @@ def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
         if received >= _SIGNALS_TO_END_AT_ONCE and number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             raise KeyboardInterrupt
-        request_stop(f"{signal.Signals(number).name} received")
+        name = signal.Signals(number).name
+        request_stop("stopped by Ctrl-C" if number == signal.SIGINT else f"{name} received")
 
     numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
     before = {number: signal.signal(number, ask) for number in numbers}

@@ -274,9 +274,11 @@ class BatchStatus:
     folder: str
     queue: str
     zone: tzinfo | None
-    # running, rehearsal: Whether a process works on it; whether it is a rehearsal.
+    # running, rehearsal, simulated: Whether a process works on it; whether it is a rehearsal; whether any
+    # device of a run is simulated.
     running: bool
     rehearsal: bool
+    simulated: bool
     # ended, why: How it ended, and why; empty if it has not ended.
     ended: str
     why: str
@@ -300,6 +302,7 @@ class BatchStatus:
             "queue": self.queue,
             "running": self.running,
             "rehearsal": self.rehearsal,
+            "simulated": self.simulated,
             "ended": self.ended,
             "why": self.why,
             "done": [{"item": item, "how": how, "why": why} for item, how, why in self.done],
@@ -330,6 +333,7 @@ def read_batch_status(
         zone=record.queue.tzinfo,
         running=running,
         rehearsal=record.rehearsal,
+        simulated=any(read_plan(folder / RUNS / key).simulated for key in record.attempts),
         ended="" if running else record.ended,
         why="" if running else record.why,
         done=done,
@@ -402,7 +406,8 @@ def batch_status_text(status: BatchStatus) -> str:
     """Describe the status of a batch for the operator."""
     state = "running" if status.running else status.ended or "interrupted (killed or power lost)"
     state += f": {status.why}" if status.why else ""
-    lines = [f"Batch {status.queue}{'  REHEARSAL' if status.rehearsal else ''}: {state}"]
+    mark = "  REHEARSAL" if status.rehearsal else "  SIMULATED" if status.simulated else ""
+    lines = [f"Batch {status.queue}{mark}: {state}"]
     failed = [one for one in status.done if one[1] != "finished"]
     lines.append(f"{len(status.done) - len(failed)} runs with a result, {len(failed)} runs without")
     lines += [f"  {item}: {how}{': ' if why else ''}{why}" for item, how, why in failed]

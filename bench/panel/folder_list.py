@@ -161,6 +161,7 @@ class FolderList:
             "queue": status.queue,
             "running": running,
             "rehearsal": status.rehearsal,
+            "simulated": status.simulated,
             "verdict": "running" if running else ended,
             "tone": "busy" if running else bad,
             "why": status.why,

@@ -47,7 +47,7 @@ function runRow(run) {
 
 function batchRow(batch) {
   return el("tr", {},
-    el("td", { class: "name" }, el("a", { href: address("batch", batch.key) }, batch.queue), el("div", { class: "note" }, `batch ${batch.key}`), batch.rehearsal ? el("span", { class: "simulated" }, "REHEARSAL") : null),
+    el("td", { class: "name" }, el("a", { href: address("batch", batch.key) }, batch.queue), el("div", { class: "note" }, `batch ${batch.key}`), batch.rehearsal || batch.simulated ? el("span", { class: "simulated" }, batch.rehearsal ? "REHEARSAL" : "SIMULATED") : null),
     el("td", { "data-label": "State" }, verdictPill(batch.verdict, batch.tone)),
     el("td", { "data-label": "Runs", class: "n" }, `${batch.done} / ${batch.done + batch.coming}`),
     el("td", { "data-label": "Began", class: "nowrap" }, batch.started_utc ? clockText(batch.started_utc) : "–"),

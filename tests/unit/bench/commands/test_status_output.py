@@ -199,8 +199,8 @@ def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, 
     (tmp_path / "queue.yaml").write_text("")
     (tmp_path / "journal.jsonl").write_text("")
     first = BatchStatus(
-        folder=str(tmp_path), queue="night", zone=None, running=True, rehearsal=False, ended="", why="", done=(),
-        current_run="a-001: slewing", upcoming=(), withdrawn=(),
+        folder=str(tmp_path), queue="night", zone=None, running=True, rehearsal=False, simulated=False,
+        ended="", why="", done=(), current_run="a-001: slewing", upcoming=(), withdrawn=(),
     )  # fmt: skip
     statuses = [
         first,

@@ -9,7 +9,7 @@ import pytest
 from journals import MadeRun
 
 from bench.base.errors import RunFolderError
-from bench.batch.batch_summary import read_batch_status
+from bench.batch.batch_summary import batch_status_text, read_batch_status
 from bench.panel.folder_list import FolderList
 from bench.records.storage import lock_folder
 
@@ -100,6 +100,19 @@ def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path):
     last = read_batch_status(batch.folder).last_end
     batch.write("batch_ended", how="finished", why="")
     assert _look(tmp_path)["batches"][0]["ended_utc"] == last.isoformat()
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_batch_with_a_simulated_run_is_marked(tmp_path, simulated):
+    batch = MadeRun(tmp_path / "night")
+    (batch.folder / "queue.yaml").write_text(QUEUE)
+    batch.write("batch_begun", queue="Night", files={})
+    (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
+    batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
+    plan = MadeRun(batch.folder / "runs" / name).folder / "plan.json"
+    plan.write_text(json.dumps({**json.loads(plan.read_text()), "simulated": simulated}))
+    assert _look(tmp_path)["batches"][0]["simulated"] is simulated
+    assert ("SIMULATED" in batch_status_text(read_batch_status(batch.folder))) is simulated
 
 
 def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):

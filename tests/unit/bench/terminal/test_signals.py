@@ -59,7 +59,7 @@ def test_the_third_ctrl_c_ends_the_process_at_once():
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-    assert reasons == ["SIGINT received", "SIGTERM received"]
+    assert reasons == ["stopped by Ctrl-C", "SIGTERM received"]
 
 
 def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
