@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Self, TypedDict
 
-from bench.base.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError, UsageError
 from bench.records.journal import CAPTURES, Capture, Journal, capture_name, stored_captures
 from bench.records.storage import (
     is_temporary,
@@ -225,7 +225,7 @@ def _refuse_occupied(path: Path) -> None:
     found = next(files, None)
     if found is not None:
         begun = (path / JOURNAL).exists()
-        raise RunFolderError(
+        raise UsageError(
             f"The folder is not empty: it contains {found.relative_to(path)}.",
             where=str(path),
             remedy="Choose another --output"

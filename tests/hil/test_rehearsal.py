@@ -7,7 +7,7 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.base.errors import RunFolderError
+from bench.base.errors import RunFolderError, UsageError
 from bench.batch.batch import Batch
 from bench.batch.batch_plan import plan_batch, read_queue
 from bench.batch.rehearsed_night import rehearse_batch
@@ -123,7 +123,7 @@ def test_a_rehearsal_leaves_nothing_that_passes_for_evidence(queue, tmp_path, mo
         resume_run(run, Launch(BenchClock()))
     with pytest.raises(RunFolderError, match="rehearsal"):
         read_intentions(run)
-    with pytest.raises(RunFolderError, match="not empty"):
+    with pytest.raises(UsageError, match="not empty"):
         rehearsed(queue, tmp_path / "night")
     real = Batch(
         tmp_path / "night", queue, VirtualClock(EVENING), print, lambda *_: WorkerEnd("finished", "")

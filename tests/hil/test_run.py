@@ -98,7 +98,7 @@ def test_the_seal_holds_for_us_and_for_the_programs_everyone_has(finished, home)
 def test_a_second_run_into_the_same_folder_and_a_resume_of_a_sealed_one_are_refused(finished, home):
     _, _, folder = finished
     second = called("run", "three_pose", "-s", "simulated", "-o", folder, home=home)
-    assert second.returncode == 1
+    assert second.returncode == 2
     assert "not empty" in second.stderr
     resumed = called("resume", folder, home=home)
     assert resumed.returncode == 1

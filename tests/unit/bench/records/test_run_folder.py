@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.base.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError, UsageError
 from bench.records import run_folder as run_folder_module
 from bench.records.journal import CAPTURE_STORED, Journal, capture_name, stored_captures
 from bench.records.run_folder import RunFolder, recover
@@ -55,7 +55,7 @@ def visible(path):
 
 def test_a_folder_that_holds_something_is_refused_left_alone_and_not_left_locked(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(RunFolderError, match=r"not empty: it contains notes.txt.*another --output"):
+    with pytest.raises(UsageError, match=r"not empty: it contains notes.txt.*another --output"):
         RunFolder.create(tmp_path)
     assert visible(tmp_path) == ["notes.txt"]
     assert not (tmp_path / "captures").exists()
