@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
+from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Any, Literal
 
 from bench.base.errors import EvidenceError
@@ -17,31 +17,9 @@ from bench.certificate.certificate_data import Budget, BudgetRow
 from bench.records.results import BudgetRowData, CalibrationData
 from bench.report.calibration_tables import overlap
 from bench.report.text import STARS as STAR_WORDS
-from bench.report.text import TargetWords
+from bench.report.text import TargetWords, round_expanded
 from calib.model.result_parts import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
 from calib.uncertainty.covariance import coverage_factor
-
-DIGITS = 2
-_NEGLIGIBLE = Decimal("0.01")
-"""Largest share of U by which rounding down is allowed."""
-
-
-def round_expanded(expanded: float) -> Decimal:
-    """Round an expanded uncertainty above zero to two significant digits, up unless the difference is negligible.
-
-    Its exponent is that of its last digit.
-
-    >>> [str(round_expanded(one)) for one in (2.4106, 2.451, 0.0164, 9.99, 105.0, 0.000123)]
-    ['2.4', '2.5', '0.017', '10', '1.1E+2', '0.00013']
-    """
-    exact = Decimal(repr(float(expanded)))
-    if not exact.is_finite() or exact <= 0:
-        raise ValueError(expanded)
-    last = Decimal(1).scaleb(exact.adjusted() - DIGITS + 1)
-    down = exact.quantize(last, ROUND_HALF_EVEN)
-    rounded = down if down >= exact * (1 - _NEGLIGIBLE) else exact.quantize(last, ROUND_CEILING)
-    # 9.99 becomes 10.0, which has three digits
-    return rounded if rounded.adjusted() == exact.adjusted() else rounded.quantize(last.scaleb(1))
 
 
 def printed(number: Decimal) -> str:

@@ -33,6 +33,7 @@ _ENDINGS = frozenset({".py", ".typ", ".j2"})
 _ALSO = (
     "bench/report/calibration_tables.py",
     "bench/report/pose_plot.py",
+    "bench/report/text.py",
     "calib/model/camera.py",
     "calib/model/lens.py",
     "calib/uncertainty/covariance.py",

@@ -1,6 +1,7 @@
 """Printed form of numbers, times and other values: rounded according to their uncertainty.
 
-U has two significant digits, and its value ends at the same digit (JCGM 100, 7.2.6; ILAC-P14). No markup.
+U has two significant digits and is rounded up, unless rounding down takes 1 % or less; its value ends at the same
+digit (JCGM 100, 7.2.6; ILAC-P14; EA-4/02). No markup.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from datetime import datetime
-from decimal import ROUND_HALF_EVEN, Decimal
+from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -175,25 +176,46 @@ def meaning_of(parameter: str) -> str:
     return _MEANINGS.get(parameter, "")
 
 
-def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
-    """Print a value and its expanded uncertainty: U to two significant digits, the value to the same digit.
+_DIGITS = 2
+_NEGLIGIBLE = Decimal("0.01")
+"""Largest share of U by which rounding down is allowed."""
 
-    JCGM 100, 7.2.6. U is rounded half to even, not up. If U is not a positive finite number, the value has six
-    significant digits and U is a dash.
+
+def round_expanded(expanded: float) -> Decimal:
+    """Round an expanded uncertainty above zero to two significant digits, up unless the difference is negligible.
+
+    Its exponent is that of its last digit.
+
+    >>> [str(round_expanded(one)) for one in (2.4106, 2.451, 0.0164, 9.99, 105.0, 0.000123)]
+    ['2.4', '2.5', '0.017', '10', '1.1E+2', '0.00013']
+    """
+    exact = Decimal(repr(float(expanded)))
+    if not exact.is_finite() or exact <= 0:
+        raise ValueError(expanded)
+    last = Decimal(1).scaleb(exact.adjusted() - _DIGITS + 1)
+    down = exact.quantize(last, ROUND_HALF_EVEN)
+    rounded = down if down >= exact * (1 - _NEGLIGIBLE) else exact.quantize(last, ROUND_CEILING)
+    # 9.99 becomes 10.0, which has three digits
+    return rounded if rounded.adjusted() == exact.adjusted() else rounded.quantize(last.scaleb(1))
+
+
+def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
+    """Print a value and its expanded uncertainty, U by `round_expanded`, the value to the same digit.
+
+    If U is not a positive finite number, the value has six significant digits and U is a dash.
 
     >>> with_uncertainty(3345.0637, 1.2345)
-    ('3345.1', '1.2')
+    ('3345.1', '1.3')
     >>> with_uncertainty(-0.89731, 0.0996)
     ('−0.90', '0.10')
     >>> with_uncertainty(3345.06, 123.4)
-    ('3350', '120')
+    ('3350', '130')
     """
     if not (math.isfinite(value) and math.isfinite(expanded) and expanded > 0):
         return number(value, 6), NOTHING
-    exact = Decimal(repr(float(expanded)))
-    rounded = _to_digit(exact, exact.adjusted() - 1)
-    digit = rounded.adjusted() - 1  # 0.0996 becomes 0.10: one digit coarser
-    return _plain(_to_digit(Decimal(repr(float(value))), digit)), _plain(_to_digit(rounded, digit))
+    rounded = round_expanded(expanded)
+    digit = int(rounded.as_tuple().exponent)
+    return _plain(_to_digit(Decimal(repr(float(value))), digit)), _plain(rounded)
 
 
 def number(value: Any, digits: int = 4) -> str:

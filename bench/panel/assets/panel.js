@@ -67,12 +67,14 @@ export function number(value, digits = 3) {
   return String(Number(value.toPrecision(digits)));
 }
 
-/** Value and expanded uncertainty with the same decimals. */
+/** Value and expanded uncertainty with the same decimals, U rounded as `round_expanded` of the report does. */
 export function withUncertainty(value, sigma, k = 2) {
   const expanded = k * sigma;
   if (!(expanded > 0)) return number(value, 6);
-  const decimals = Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(expanded))));
-  return `${value.toFixed(decimals)} ± ${expanded.toFixed(decimals)}`;
+  const step = 10 ** (Math.floor(Math.log10(expanded)) - 1), near = Math.round(expanded / step);
+  const rounded = step * (near * step < 0.99 * expanded ? near + 1 : near);
+  const decimals = Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(rounded))));
+  return `${value.toFixed(decimals)} ± ${rounded.toFixed(decimals)}`;
 }
 
 export function plural(count, noun) {

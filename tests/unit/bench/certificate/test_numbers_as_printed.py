@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bench.base.errors import EvidenceError
-from bench.certificate.budget_rows import budget_of, expanded, print_result, round_expanded
+from bench.certificate.budget_rows import budget_of, expanded, print_result
 from bench.certificate.certificate_data import Certificate
 from bench.certificate.compose import compose
 from bench.certificate.dcc import render_dcc
 from bench.certificate.pdf import draw_plots, pictures
 from bench.records.run_facts import conformity, verdict_of
-from bench.report.text import BOARD, STARS
+from bench.report.text import BOARD, STARS, round_expanded, with_uncertainty
 from sequences.schema import ResultLimitConfig
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
@@ -43,6 +43,13 @@ def test_a_value_ends_at_the_digit_of_its_uncertainty(value, expanded_value):
     assert len(shown.partition(".")[2]) == len(uncertainty.partition(".")[2])
     step = Decimal(1).scaleb(int(round_expanded(expanded_value).as_tuple().exponent))
     assert abs(Decimal(shown) - Decimal(repr(value))) <= step / 2
+
+
+@given(st.floats(min_value=-1e9, max_value=1e9), EXPANDED)
+@example(640.02, 2.24)
+def test_report_and_certificate_print_the_same_numbers(value, expanded_value):
+    texts = tuple(text.replace("\N{MINUS SIGN}", "-") for text in with_uncertainty(value, expanded_value))
+    assert texts == print_result(value, expanded_value)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])

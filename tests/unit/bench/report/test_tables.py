@@ -132,8 +132,8 @@ def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
         {"name": "front", "normal_in_camera": [0, 0, 1], "angle_deg": 1.28, "expanded_deg": 0.023}
     ]
     turned, looks, face = (text for _, text in boresight_rows(results))
-    assert turned == "x 0.500° ± 0.011°, y \N{MINUS SIGN}1.250° ± 0.046°, z 3.00° ± 0.10°"
-    assert looks == "right 1.146° ± 0.011°, down \N{MINUS SIGN}0.573° ± 0.023° of the flange's axis"
+    assert turned == "x 0.500° ± 0.012°, y \N{MINUS SIGN}1.250° ± 0.046°, z 3.00° ± 0.11°"
+    assert looks == "right 1.146° ± 0.012°, down \N{MINUS SIGN}0.573° ± 0.023° of the flange's axis"
     assert face == "angle 1.280° ± 0.023°"
 
 
