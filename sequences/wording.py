@@ -43,6 +43,7 @@ MESSAGES = {
     "less_than_equal": "must be {le:g} or less",
     "outside": "must be from {lowest} to {highest}{unit}{sign}",
     "plain_number": "{what}",
+    "none_or_values": "must be 'none' or a mapping (key: value)",
     "string_too_short": "must not be empty",
     "string_too_long": "must have {max_length} or fewer characters",
     "too_short": "must have {min_length} or more entries",

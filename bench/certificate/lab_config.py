@@ -21,6 +21,7 @@ from bench.stations.station_fields import Serial
 from sequences.reader import Located, check_document, read_document
 from sequences.schema import RuleConfig
 from sequences.strict_model import StrictModel
+from sequences.wording import MESSAGES
 
 EXAMPLE = Path(__file__).with_name("example_lab.yaml")
 NONE = "none"
@@ -57,8 +58,17 @@ NotNegative = Annotated[float, Field(ge=0, le=1e12)]
 Factor = Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")]
 
 
-def _none_or_values(value: Any) -> str:
-    return "values" if isinstance(value, Mapping | StrictModel) else NONE
+def _none_or_values(value: Any) -> str | None:
+    if isinstance(value, Mapping | StrictModel):
+        return "values"
+    return NONE if value == NONE else None
+
+
+_NONE_OR_VALUES = Discriminator(
+    _none_or_values,
+    custom_error_type="none_or_values",
+    custom_error_message=MESSAGES["none_or_values"],
+)
 
 
 def _nothing(value: Any) -> Any:
@@ -111,7 +121,7 @@ class LaboratoryConfig(StrictModel):
     accreditation: (
         Annotated[
             Annotated[Literal["none"], Tag(NONE)] | Annotated[AccreditationConfig, Tag("values")],
-            Discriminator(_none_or_values),
+            _NONE_OR_VALUES,
         ]
         | None
     ) = None
@@ -292,7 +302,7 @@ class LabConfig(StrictModel):
     previous_certificate: (
         Annotated[
             Annotated[Literal["none"], Tag(NONE)] | Annotated[PreviousConfig, Tag("values")],
-            Discriminator(_none_or_values),
+            _NONE_OR_VALUES,
         ]
         | None
     ) = None

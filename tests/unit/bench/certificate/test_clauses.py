@@ -93,6 +93,11 @@ def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
             "accreditation: {bodi",
             "laboratory.accreditation.bodi: unknown key. Did you mean 'body'?",
         ),
+        (
+            "accreditation: {body: DAkkS, number: D-K-00000-01-00, scope: Geometric calibration of cameras}",
+            "accreditation: DAkkS",
+            "laboratory.accreditation: must be 'none' or a mapping (key: value) (got 'DAkkS').",
+        ),
         ("lower: 3340, upper: 3350", "lower: 3350, upper: 3340", "lower must be less than upper"),
         ("lower: 3340, upper: 3350", "", "needs lower, upper or both"),
         ("received: 2026-11-18", "received: 18.11.2026", "must be a date, year-month-day"),
