@@ -47,7 +47,7 @@ def library(name: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise UsageError(
-            f"{name.partition('.')[0]} is not installed. Digital calibration certificates need it.",
+            f"{name.partition('.')[0]} is not installed. Certificates need it.",
             remedy="Install it: pip install 'starbench[certificate]'.",
         ) from error
 

@@ -20,6 +20,7 @@ from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate,
 from bench.certificate.clauses import faults_of_lab
 from bench.certificate.compose import Identity, compose
 from bench.certificate.dcc import render_dcc
+from bench.certificate.dcc_xml import library
 from bench.certificate.lab_config import LabConfig, read_lab
 from bench.certificate.sealed_run import Source, Verify, read_sealed_run, written_with
 from bench.certificate.series import (
@@ -65,16 +66,8 @@ _UNFINISHED = ".tmp"
 
 def require_libraries() -> None:
     """Refuse to begin without the libraries of PDF and DCC."""
-    try:
-        import lxml.etree
-        import matplotlib as mpl
-        import typst
-    except ImportError as error:
-        raise UsageError(
-            f"The package {error.name} is missing; PDF and DCC need it.",
-            remedy="Install it: pip install 'starbench[certificate]'",
-        ) from error
-    del lxml, mpl, typst
+    for name in ("lxml.etree", "matplotlib", "typst"):
+        library(name)
 
 
 def certificate_files(

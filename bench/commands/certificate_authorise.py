@@ -15,7 +15,7 @@ import click
 from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
 from bench.commands.options import ExistingFile, ExistingFolder, NewFile, epilog, status_text
-from bench.commands.output import JSON, STOPPED, ask_passphrase, show, wants_json
+from bench.commands.output import JSON, STOPPED, ask_passphrase, confirm, show, wants_json
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.timestamp import LABORATORY_TSA_FILE, STAMPED, TSA_FILE
 from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
@@ -249,7 +249,7 @@ def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: 
     facts = facts_of(folder)
     if not wants_json():
         _echo_facts([*facts.items(), ("You are", f"{person} ({fingerprint(own.public_key)})")])
-    if not yes and not click.confirm("Do you authorise this?", err=True):
+    if not yes and not confirm("Do you authorise this?"):
         click.echo("Not authorised.", err=True)
         return STOPPED
     sign(folder, own, trust, now, seal)

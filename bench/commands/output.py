@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from bench.base.errors import FORESEEN, EvidenceError, Failure, ScriptError, StorageError
+from bench.base.errors import FORESEEN, EvidenceError, Failure, ScriptError, StorageError, UsageError
 from bench.base.home import home_folder
 from bench.terminal.encoding import printable
 from sequences.errors import DocumentFaults
@@ -82,6 +82,16 @@ def ask_passphrase(key: Path) -> bytes:
         )
     answer: str = click.prompt(f"Passphrase of {key}", hide_input=True, err=True)
     return answer.encode()
+
+
+def confirm(question: str) -> bool:
+    """Ask a question at the terminal, or read its answer from a pipe. Raises UsageError if there is neither."""
+    try:
+        return click.confirm(question, err=True)
+    except click.Abort:
+        if sys.stdin.isatty():
+            raise
+        raise UsageError("There is no terminal to ask for confirmation.", remedy="Add --yes.") from None
 
 
 def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> int:

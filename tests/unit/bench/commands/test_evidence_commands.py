@@ -71,6 +71,7 @@ def test_a_person_authorises_what_is_shown(run, home, tmp_path):
         assert not (run / "SHA256SUMS.authorised.sig").exists()
         for shown in ("Run", "00050423", "SIMULATED", "SHA-256 of SHA256SUMS: ", "ada@lab.example (SHA256:"):
             assert shown in done.output
+        call(*authorise, fails="There is no terminal to ask for confirmation. Add --yes.")
         assert "AUTHORISED by ada@lab.example" in call(*authorise, answer="y\n")
         call(*authorise, "--yes", fails="authorised already")
     assert "  AUTHORISED" in call("runs", run.parent)
