@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 GUM = "JCGM 100:2008"
 NO_NUMBER = "not stated"
 _K_DIGITS = 4
+_POSTERIOR = "posterior of the adjustment"
 _NORMAL_WITHIN = 5e-4  # of the probability: k by 0.005
 _RANGE = re.compile(r"(-?\d+(?:\.\d+)?) to (-?\d+(?:\.\d+)?) (\S+)")
 _RELEASE = re.compile(r"\d{1,3}(?:\.\d{1,3}){0,3}(?![0-9A-Za-z])")
@@ -206,11 +207,13 @@ def _as_printed(result: Result) -> dict[str, str]:
     """Return the expanded uncertainty of a result as printed; k of a posterior need not be that of a normal one."""
     if result.nu_eff is not None:
         distribution = "Student's t with the effective degrees of freedom"
-    elif abs(2.0 * float(ndtr(result.k)) - 1.0 - result.p) < _NORMAL_WITHIN:
-        distribution = "normal"
     else:
-        distribution = "posterior of the adjustment"
+        distribution = "normal" if _is_normal(result) else _POSTERIOR
     return _uncertainty(result.printed_uncertainty, result.k, result.p, distribution)
+
+
+def _is_normal(result: Result) -> bool:
+    return abs(2.0 * float(ndtr(result.k)) - 1.0 - result.p) < _NORMAL_WITHIN
 
 
 def _uncertainty(uncertainty: str, k: float, p: float, distribution: str) -> dict[str, str]:
@@ -223,18 +226,29 @@ def _uncertainty(uncertainty: str, k: float, p: float, distribution: str) -> dic
 
 
 def _joint(certificate: Certificate) -> Mapping[str, Any]:
-    """Return what the list of all results states of them together."""
+    """Return what the list of all results states of them together.
+
+    Where a result's k is larger than that of a normal distribution, the ellipsoid's is larger by the same factor.
+    """
     covariance = certificate.covariance
     by_symbol = {one.symbol: one for one in certificate.results}
     members = [by_symbol[name] for name in covariance.names]
     p = min(one.p for one in members)
     nu = min((one.nu_eff for one in members if one.nu_eff is not None), default=None)
+    factor = ellipsoid_factor(len(covariance.units), p, nu)
+    if nu is not None:
+        distribution = f"multivariate t, {nu:.4g} degrees of freedom"
+    elif all(map(_is_normal, members)):
+        distribution = "normal"
+    else:
+        distribution = _POSTERIOR
+        factor *= max(1.0, *(one.k / ellipsoid_factor(1, one.p, None) for one in members))
     return {
         "numbers": " ".join(number_text(one.value) for one in members),
         "units": [unit_of(unit) for unit in covariance.units],
-        "k": plain_number(ellipsoid_factor(len(covariance.units), p, nu), _K_DIGITS),
+        "k": plain_number(factor, _K_DIGITS),
         "p": plain_number(p, _K_DIGITS),
-        "distribution": "normal" if nu is None else f"multivariate t, {nu:.4g} degrees of freedom",
+        "distribution": distribution,
     }
 
 

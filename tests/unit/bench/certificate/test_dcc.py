@@ -28,6 +28,7 @@ from bench.certificate.dcc_xml import (
     short,
     to_bytes,
 )
+from bench.certificate.issue import require_libraries
 
 
 def dcc_of(certificate):
@@ -152,6 +153,19 @@ def test_units_that_d_si_lacks_are_stated_in_words():
     data = render_dcc(dataclasses.replace(full, conditions=(odd,)))
     assert b"3.5 furlong, U = 0.5" in data
     assert check_dcc(data) == []
+
+
+@pytest.mark.parametrize(("k", "distribution"), [(2.0, "normal"), (2.4, "posterior of the adjustment")])
+def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_widest_result(
+    k, distribution
+):
+    full = certificate_sample.full_certificate()
+    first, *others = (dataclasses.replace(one, nu_eff=None, k=2.0) for one in full.results)
+    root = dcc_of(dataclasses.replace(full, results=(dataclasses.replace(first, k=k), *others)))
+    region = "//si:ellipsoidalRegionXMLList/si:"
+    assert texts(root, f"{region}distribution") == [distribution]
+    normal = ellipsoid_factor(len(full.covariance.names), first.p, None)
+    assert float(texts(root, f"{region}coverageFactor")[0]) == pytest.approx(normal * k / 2, rel=1e-4)
 
 
 def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
@@ -354,3 +368,5 @@ def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setattr(dcc_xml, "import_module", refuse)
     with pytest.raises(UsageError, match=r"lxml is not installed.*starbench\[certificate\]"):
         read_dcc(b"<a/>", "x")
+    with pytest.raises(UsageError, match=r"lxml is not installed.*starbench\[certificate\]"):
+        require_libraries()
