@@ -424,7 +424,7 @@ def calibrate_block(planned: PlannedStudy, runs: range, program: str) -> list[Re
 
 
 def _repetition(row: dict) -> Repetition:  # type: ignore[type-arg]
-    sequences = {name: tuple(row[name]) for name in ("names", "values", "sigmas")}
+    sequences = {name: tuple(row[name]) for name in ("names", "values", "sigmas", "factors")}
     return Repetition(**{**row, **sequences})
 
 

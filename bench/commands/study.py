@@ -162,7 +162,7 @@ def _show_progress(done: int, total: int, left_s: float | None) -> None:
     metavar="N",
     default=200,
     show_default=True,
-    help="Number of calibrations.",
+    help="Number of calibrations. Each takes 1 to 2 s of a processor, with --model spherical 0.1 s.",
 )
 @click.option(
     "--seed", type=SEED, metavar="N", default=1, show_default=True, help="Random seed of the noise."
@@ -189,7 +189,7 @@ def _show_progress(done: int, total: int, left_s: float | None) -> None:
     show_default=True,
     help="Share of stars with gross errors, 0 to 1.",
 )
-@click.option("--model", type=click.Choice(MODELS), default="spherical", show_default=True, help=MODEL_HELP)
+@click.option("--model", type=click.Choice(MODELS), default="joint", show_default=True, help=MODEL_HELP)
 @click.option("--loss", type=click.Choice(LOSSES), default="huber", show_default=True, help=LOSS_HELP)
 @click.option("--plot", type=NewFile(), help="Plot the errors, in units of their sigma, to an SVG file.")
 @WORKERS
@@ -212,6 +212,8 @@ def study(
 ) -> int:
     """Calibrate a simulated camera many times, and check whether the stated uncertainties hold.
 
+    Noise, drift and outliers are drawn. U of the joint adjustment also covers faults of the bench, which are not drawn;
+    U of the spherical model covers noise alone.
     The work is done on all processors of this computer or on the workers of a Dask scheduler, with the same result.
     """
     from bench.cluster.recalculation import BLOCK, plan_study, write_study_plot
@@ -222,7 +224,7 @@ def study(
     if plot is not None:
         write_study_plot(studied, plot)
     low, high = studied.coverage_band
-    held = all(low <= share <= high for share in studied.coverage.values())
+    held = all(low <= share for share in studied.coverage.values())
     show(
         lambda: {
             "runs": len(studied.values),
@@ -269,9 +271,9 @@ def _lines(study: MonteCarloStudy, model: str, *, held: bool) -> Iterator[str]:
             f"  {name:<{width}} error {study.scatter[name]:>9.4g} rms, stated {stated:>9.4g},"
             f" ratio {study.z_rms[name]:.2f}; within U {study.coverage[name]:.1%}"
         )
-    verdict = (
-        "no contradiction to the stated uncertainties found"
-        if held
-        else "THE STATED UNCERTAINTIES DO NOT HOLD"
-    )
+    verdict = "no contradiction to the stated uncertainties found"
+    if not held:
+        verdict = "THE STATED UNCERTAINTIES DO NOT HOLD"
+    elif max(study.coverage.values()) > high:
+        verdict = "the stated uncertainties hold; some are larger than what was drawn explains"
     yield f"A correct U (k = 2, or more) covers the error in {low:.1%} to {high:.1%} of calibrations: {verdict}."

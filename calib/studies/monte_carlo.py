@@ -36,7 +36,7 @@ class MonteCarloStudy:
     # values, sigmas: (runs, G) float64 estimates and their stated standard uncertainties.
     values: Array
     sigmas: Array
-    factors: Array  # (runs,) float64 stated coverage factors k: 2, or more if the views are inconsistent
+    factors: Array  # (runs, G) float64 stated coverage factors k
     # (runs,) float64 squared error, weighted by the stated covariance; its mean is G if the covariance is
     # right.
     chi_squares: Array
@@ -57,7 +57,7 @@ class MonteCarloStudy:
     @property
     def coverage(self) -> Mapping[str, float]:
         """Share of runs in which value +- k sigma covers the truth."""
-        covered = np.abs(self.values - self.truth) <= self.factors[:, None] * self.sigmas
+        covered = np.abs(self.values - self.truth) <= self.factors * self.sigmas
         return dict(zip(self.names, covered.mean(axis=0).tolist(), strict=True))
 
     @property
@@ -76,7 +76,7 @@ class Repetition:
     names: tuple[str, ...] = ()
     values: tuple[float, ...] = ()
     sigmas: tuple[float, ...] = ()
-    factor: float = 0.0
+    factors: tuple[float, ...] = ()
     chi_square: float = 0.0
     failed: str = ""  # Why there is no calibration; empty if there is one
 
@@ -105,9 +105,8 @@ def calibrate_once(
     names, sigmas = result.parameter_names, list(result.sigma.values())
     off = (result.values - [truth.get(name, 0.0) for name in names]) / sigmas
     chi_square = float(off @ np.linalg.solve(result.correlation, off))
-    return Repetition(
-        tuple(names), tuple(result.values.tolist()), tuple(sigmas), result.coverage_factor, chi_square
-    )
+    factors = tuple(result.coverage_factors.get(name, result.coverage_factor) for name in names)
+    return Repetition(tuple(names), tuple(result.values.tolist()), tuple(sigmas), factors, chi_square)
 
 
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
@@ -125,7 +124,7 @@ def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarlo
     numbers = (
         np.array([one.values for one in good]),
         np.array([one.sigmas for one in good]),
-        np.array([one.factor for one in good]),
+        np.array([one.factors for one in good]),
         np.array([one.chi_square for one in good]),
     )
     return MonteCarloStudy(names, true, *numbers, failed)

@@ -91,7 +91,7 @@ def test_an_interrupted_study_goes_on_and_ends_as_one_without_workers(planned, t
 
 @pytest.mark.slow
 def test_the_command_of_a_study_gives_the_same_by_processes(planned):
-    words = ["study", "three_pose", "--station", "simulated_ideal", "--runs", 18, "--seed", 3, "--json"]
+    words = ["study", "three_pose", "--model", "spherical", "--runs", 18, "--seed", 3, "--json"]
     serial, by_two = run(*words, "--workers", 1), run(*words, "--workers", 2)
     assert serial.stdout == by_two.stdout
     assert '"runs": 18' in serial.stdout
