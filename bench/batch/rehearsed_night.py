@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.clock import VirtualClock
-from bench.base.errors import BenchError, RunFolderError
+from bench.base.errors import BenchError, UsageError
 from bench.batch.batch import Batch
 from bench.batch.batch_plan import WORKER_S
 from bench.batch.batch_record import Item
@@ -38,7 +38,7 @@ def rehearse_batch(
     make_folder(folder)
     with storage_errors(folder):
         if any(folder.iterdir()):
-            raise RunFolderError(
+            raise UsageError(
                 "The folder is not empty, and a rehearsal cannot be continued.",
                 where=str(folder),
                 remedy="Choose another --output.",
