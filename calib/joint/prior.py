@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
 
 from calib.joint.knowledge import Statement
 from calib.joint.layout import RandomBlock
@@ -20,15 +19,27 @@ Places = NDArray[np.int64]
 Faults = tuple[tuple[str, str], ...]
 NO_FAULT: Faults = ()
 
+#: Halves of triangles that are smaller than this are not halved again.
+_SMALLEST = 12
+
 
 def inverse_root(matrices: Array) -> tuple[Array, float]:
     """Return R with R^T R the inverses of (..., K, K) positive definite matrices, and the sum of log det of these."""
     lower = np.asarray(np.linalg.cholesky(matrices), np.float64)
     logarithm = 2.0 * float(np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum())
-    found = np.empty_like(lower)
-    for at in np.ndindex(lower.shape[:-2]):
-        found[at] = dtrtri(lower[at].T)[0].T
-    return found, logarithm
+    return _inverse_of_triangle(lower), logarithm
+
+
+def _inverse_of_triangle(lower: Array) -> Array:
+    """Return the inverses of (..., K, K) lower triangles, by halves (Golub and Van Loan, 2013)."""
+    half = lower.shape[-1] // 2
+    if half < _SMALLEST:
+        return np.asarray(np.linalg.inv(lower))
+    found = np.zeros_like(lower)
+    first = found[..., :half, :half] = _inverse_of_triangle(lower[..., :half, :half])
+    last = found[..., half:, half:] = _inverse_of_triangle(lower[..., half:, half:])
+    found[..., half:, :half] = -last @ (lower[..., half:, :half] @ first)
+    return found
 
 
 @dataclass(frozen=True)

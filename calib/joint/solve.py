@@ -40,7 +40,7 @@ _DAMPED = 12
 _HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966).
 _LEAST_GAIN = 0.1
-#: A step that does not is damped, each time so many times more (Levenberg, 1944).
+#: A step that does not is halved and damped, each time so many times more (Levenberg, 1944).
 _DAMPING = 4.0
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
@@ -188,7 +188,7 @@ def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
 
 
 def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, list[Array]]:
-    """Return the state after a step, which is halved while the cost rises, and the lengths of its residuals.
+    """Return the state after a step, shorter and shorter while the cost rises, and the lengths of its residuals.
 
     The centre and the rotations move along a curve, so a whole step is tried with others behind it first.
     """
@@ -206,10 +206,9 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, l
             corrected, lengths = _corrected(marginal, eta, state)
             if cost(marginal, eta, corrected, lengths) <= enough:
                 return corrected, lengths
+        size *= 0.5
         if share < _CORRECTED:
             found = solved(marginal, eta, damped=_DAMPING**k)
-        else:
-            size *= 0.5
     return state, lengths
 
 
