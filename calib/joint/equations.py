@@ -26,8 +26,8 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: Stars outside of the visible disc are displaced as those at so many of its radii.
-_BEYOND = 1.05
+#: Stars outside of the visible disc are displaced as those at so many of its radii; the change is so wide.
+_BEYOND, _BEND = 1.05, 0.02
 #: Near the rim the noise of the stars is sqrt(1 + (c rho^12)^2) times larger, rho in radii of the disc. In the
 #: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
 _RIM_NOISE_POWER = 12
@@ -65,8 +65,7 @@ class ViewStars:
     points_px: Array  # (N, 2)
     whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
     polynomials: Array  # (N, K)
-    rim: Array  # (N, 2, R) displacements about the visible disc, in units of r
-    middle: Array  # (N, 2, R, 2) their derivatives by the middle of the disc, in sigmas of that
+    disc: Disc | None  # Where the layout has displacements about it
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
     rim_noise: Array  # (N,) what 1 px of noise at the rim adds, over the stated noise; 0 without a disc
 
@@ -76,23 +75,33 @@ class ViewStars:
 
     @classmethod
     def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
-        """Return the fixed part of a view. disc: Where the layout has displacements about it."""
+        """Return the fixed part of a view."""
         whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2))
         sigma_px = np.linalg.det(whitening) ** -0.5
-        rim, rim_noise = np.zeros((len(view), 2, len(layout.rim))), np.zeros(len(view))
-        middle = np.zeros((*rim.shape, 2))
+        rim_noise = np.zeros(len(view))
         if disc is not None:
-            away = view.target_mm - disc.centre_mm
-            rho = np.minimum(np.hypot(*away.T) / disc.radius_mm, _BEYOND)
-            powers = rho[:, None] ** RIM_POWERS / layout.basis.reference[2]
-            rim = away[:, :, None] * powers[:, None]
-            along = away / np.maximum(np.hypot(*away.T), _NOTHING)[:, None]
-            outwards = (along[:, :, None] * along[:, None])[:, :, None]
-            slopes = np.eye(2)[:, None] + RIM_POWERS[:, None] * outwards
-            middle = -powers[:, None, :, None] * slopes @ np.linalg.cholesky(disc.covariance_mm2)
-            rim_noise = rho**_RIM_NOISE_POWER / sigma_px
+            rho = np.hypot(*(view.target_mm - disc.centre_mm).T) / disc.radius_mm
+            rim_noise = np.minimum(rho, _BEYOND) ** _RIM_NOISE_POWER / sigma_px
         polynomials = layout.basis.polynomials(view.target_mm)
-        return cls(view.target_mm, view.points_px, whitening, polynomials, rim, middle, sigma_px, rim_noise)
+        return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, rim_noise)
+
+    def about_disc(self, middle: Array) -> tuple[Array, Array]:
+        """Return (N, 2, R) displacements about the disc, mm, and (N, 2, R, 2) their derivatives by its middle.
+
+        middle: (2,) of the disc from where it was found, in sigmas.
+        """
+        assert self.disc is not None
+        root = np.linalg.cholesky(self.disc.covariance_mm2)
+        away = self.target_mm - self.disc.centre_mm - root @ middle
+        length = np.maximum(np.hypot(*away.T), _NOTHING)
+        rho, along = (length / self.disc.radius_mm)[:, None], away / length[:, None]
+        beyond = np.logaddexp(0.0, (rho - _BEYOND) / _BEND)
+        inside = rho - _BEND * beyond
+        sizes = inside**RIM_POWERS
+        steep = RIM_POWERS * inside ** (RIM_POWERS - 1) * np.exp(-beyond)
+        outwards = np.einsum("na,nb,nr->narb", along, along, rho * steep)
+        slopes = outwards + np.eye(2)[:, None] * sizes[:, None, :, None]
+        return away[:, :, None] * sizes[:, None], -slopes @ root
 
     def precision(self, rim_px: float) -> Array:
         """Return (N,) how precise stars are, 1 in the disc's middle; ``rim_px`` is the noise that its rim adds."""
@@ -188,19 +197,14 @@ class Bench:
     def _points(self, v: int, state: State, fields: Array) -> Array:
         """Return (N, 3) the displaced stars of a view, as `points`."""
         one, depth = self.stars[v], state.shared[self.layout.index["r"]]
-        moved = one.polynomials @ fields[self.poses[v]].T
+        moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
         if self.layout.rim:
-            moved = moved + self._rim(v, state) @ self._rims(v, state)
-        moved *= self.layout.basis.reference[2]
+            moved += one.about_disc(state.fields[self.poses[v], -2:])[0] @ self._rims(v, state)
         return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
 
     def _rims(self, v: int, state: State) -> Array:
         """Return (R,) the sizes of the displacements about the middle of a view's disc."""
         return state.shared[self.layout.places(self.layout.rim)] + state.fields[self.poses[v], -4:-2]
-
-    def _rim(self, v: int, state: State) -> Array:
-        """Return (N, 2, R) the displacements about the middle of a view's disc."""
-        return self.stars[v].rim + self.stars[v].middle @ state.fields[self.poses[v], -2:]
 
     def view_residuals(self, state: State, v: int) -> Array:
         """Return (N, 2) the residuals of one view, as `residuals`."""
@@ -348,10 +352,10 @@ class Bench:
         columns[:, :, :k] = root[:, :, None] * one.whitened(by_camera)
         columns[:, :, k] = by_star[:, :, 2]
         if self.layout.rim:
-            rims = self._rims(v, state)
-            columns[:, :, k + 1 : self.layout.field] = r_mm * by_star[:, :, :2] @ self._rim(v, state)
-            by_middle = np.einsum("ncrd,r->ncd", one.middle, rims)
-            columns[:, :, self.layout.middle : size] = r_mm * by_star[:, :, :2] @ by_middle
+            moved, slopes = one.about_disc(state.fields[self.poses[v], -2:])
+            columns[:, :, k + 1 : self.layout.field] = by_star[:, :, :2] @ moved
+            by_middle = np.einsum("ncrd,r->ncd", slopes, self._rims(v, state))
+            columns[:, :, self.layout.middle : size] = by_star[:, :, :2] @ by_middle
         fields = columns[:, :, self.layout.field : self.layout.middle].reshape(len(points), 2, 2, -1)
         np.multiply((r_mm * by_star[:, :, :2])[..., None], one.polynomials[:, None, None], out=fields)
         columns[:, :, size] = root * residual
