@@ -1,24 +1,22 @@
 """The helper of the panel: makes pictures, coverage and forecasts from a run's files, at the lowest priority.
 
-A process of its own, so that neither page nor run waits: a request is a line of JSON on standard input, the answer a
-line on standard output, which ``bytes`` raw bytes follow. It ends with its input, writes no file and uses no device.
+A process of its own, so that neither page nor run waits. It ends with its input, writes no file and uses no device.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import struct
-import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.worker_process import answer_questions
 from bench.run.heartbeat import LastView
 
 if TYPE_CHECKING:
@@ -217,36 +215,26 @@ OPERATIONS: Mapping[str, Callable[[Mapping[str, Any]], Answer]] = {
 }
 
 
-def answer_requests(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests, lines of JSON with ``operation`` and its arguments, until there are no more."""
+def answer_request(request: tuple[str, Mapping[str, Any]]) -> Answer:
+    """Do an operation with its arguments; one picture that fails must not end the others."""
     from bench.base.errors import Failure
 
-    for line in requests:
-        request = json.loads(line)
-        try:
-            answer, data = OPERATIONS[request["operation"]](request)
-        except Exception as error:  # noqa: BLE001 - one picture that fails must not end the others
-            answer, data = {"fault": Failure.of(error).message}, b""
-        answers.write(json.dumps({**answer, "bytes": len(data)}).encode() + b"\n" + data)
-        answers.flush()
+    operation, arguments = request
+    try:
+        return OPERATIONS[operation](arguments)
+    except Exception as error:  # noqa: BLE001 - the answer says it
+        return {"fault": Failure.of(error).message}, b""
 
 
 def main() -> None:
     """Answer the panel until its end."""
-    import signal
-
     from bench.base.home import set_kernel_cache
 
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C in the terminal ends the panel, and the panel ends this
     with suppress(AttributeError, OSError):
         os.nice(19)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     set_kernel_cache(os.environ)
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # nothing that prints can disturb the answers
-    answer_requests(sys.stdin.buffer, answers)
+    answer_questions(answer_request)
 
 
 if __name__ == "__main__":

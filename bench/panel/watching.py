@@ -7,9 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections import OrderedDict
@@ -20,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import Failure
+from bench.base.worker_process import WorkerProcess
 from bench.panel.run_head import ProcessState, head_of, look_at_process
 from bench.panel.run_model import RunModel, read_final
 from bench.run.heartbeat import LastView, read_last_view
@@ -227,32 +225,24 @@ class Watcher:
 Json = dict[str, Any]
 Answer = tuple[Json, bytes]
 
-_MODULE = "bench.panel.helper_process"
 _MOST_PICTURES = 60
-_END_S = 2.0
 
 
 class Helper:
     """The helper process, for all pages together. For any thread; one request at a time."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._worker = WorkerProcess("bench.panel.helper_process")
         self._kept: OrderedDict[tuple[Any, ...], Answer] = OrderedDict()
-        self._closed = False
 
     def ask(self, operation: str, **arguments: Any) -> Answer:
         """Do an operation of `helper_process.OPERATIONS`; the answer has a ``fault`` if it failed."""
-        with self._lock:
-            if self._closed:
-                return {"fault": "The panel is ending."}, b""
-            try:
-                return self._exchange({"operation": operation, **arguments})
-            except (OSError, ValueError):
-                self._end()
-                return {
-                    "fault": "The helper process of the panel has ended; it is started again with the next request."
-                }, b""
+        try:
+            answer: Answer = self._worker.ask((operation, arguments))
+        except EOFError:
+            ended = "The helper process of the panel has ended; it is started again with the next request."
+            return {"fault": "The panel is ending." if self._worker.closed else ended}, b""
+        return answer
 
     def picture(self, key: tuple[Any, ...], ask: Callable[[], Json]) -> Answer:
         """Return a picture; one that was made before is not made again. ``ask`` returns its arguments."""
@@ -268,50 +258,7 @@ class Helper:
 
     def close(self) -> None:
         """End the process."""
-        self._closed = True
-        process = self._process
-        if process is not None:
-            process.kill()
-        with self._lock:
-            self._end()
-
-    def _exchange(self, request: Json) -> Answer:
-        process = self._process
-        if process is None or process.poll() is not None:
-            self._end()
-            process = self._process = _start()
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write(json.dumps(request).encode() + b"\n")
-        process.stdin.flush()
-        line = process.stdout.readline()
-        if not line:
-            raise OSError("no answer")
-        answer = json.loads(line)
-        data = process.stdout.read(answer.pop("bytes"))
-        return answer, data
-
-    def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is None:
-            return
-        process.kill()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_END_S)
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
-
-
-def _start() -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-m", _MODULE],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=dict(os.environ),
-    )
+        self._worker.close()
 
 
 CELLS = (32, 18)

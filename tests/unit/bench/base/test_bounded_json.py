@@ -21,8 +21,6 @@ OWN_DATA = {
     "commands/status.py",  # channel of a message, from our own outbox
     "messaging/messages.py",
     "compare/methods.py",  # pydantic bounds the depth
-    "panel/watching.py",  # a process of our own
-    "panel/helper_process.py",
     "records/inbox.py",  # bounded size; pydantic bounds the depth
     "records/run_index.py",  # text that the index wrote
     "results/compare_numbers.py",
