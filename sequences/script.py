@@ -88,53 +88,42 @@ class Until:
     starts: int  # How many of the poses are those of its ``start``
 
 
-# Every step has the same first three fields:
-#   number  from 1 over the run
-#   where   ``file:line:column`` of the step in the sequence
-#   path    the same place, as keys and indices of the document
+@dataclass(frozen=True)
+class _NumberedStep:
+    number: int  # From 1 over the run
+    where: str  # ``file:line:column`` of the step in the sequence
+    path: DocumentPath  # The same place, as keys and indices of the document
 
 
 @dataclass(frozen=True)
-class LightStep:
+class LightStep(_NumberedStep):
     """Switch the light to a flicker, or off (``flicker`` is None)."""
 
-    number: int
-    where: str
-    path: DocumentPath
     flicker: Flicker | None
 
 
 @dataclass(frozen=True)
-class MoveStep:
+class MoveStep(_NumberedStep):
     """Turn the camera to a pose."""
 
-    number: int
-    where: str
-    path: DocumentPath
     pose: Pose
 
 
 @dataclass(frozen=True)
-class SettleStep:
+class SettleStep(_NumberedStep):
     """Keep the stage still for ``duration_s`` before a recording."""
 
-    number: int
-    where: str
-    path: DocumentPath
     duration_s: float
 
 
 @dataclass(frozen=True)
-class RecordStep:
+class RecordStep(_NumberedStep):
     """Record at a pose until a recording passes the gates or no attempt is left.
 
     ``backoff_s`` is the pause before the second attempt; it doubles before each further attempt. ``hold_s`` limits how
     long ``on_failure: hold`` waits for an answer.
     """
 
-    number: int
-    where: str
-    path: DocumentPath
     pose: Pose
     window_ms: float
     image: ImageKind
@@ -146,25 +135,19 @@ class RecordStep:
 
 
 @dataclass(frozen=True)
-class WaitStep:
+class WaitStep(_NumberedStep):
     """Let time pass."""
 
-    number: int
-    where: str
-    path: DocumentPath
     duration_s: float
 
 
 @dataclass(frozen=True)
-class PromptStep:
+class PromptStep(_NumberedStep):
     """Ask the operator; after ``timeout_s`` the default answer counts.
 
     ``placement`` is the number of the placement of a board for which it asks, from 1; 0 for another question.
     """
 
-    number: int
-    where: str
-    path: DocumentPath
     text: str
     default: Answer
     timeout_s: float
@@ -172,7 +155,7 @@ class PromptStep:
 
 
 @dataclass(frozen=True)
-class SolveStep:
+class SolveStep(_NumberedStep):
     """Calibrate from the poses recorded so far.
 
     With ``model`` None the bench chooses: ``auto`` with a passport or the gimbal's readings, else ``spherical``.
@@ -182,9 +165,6 @@ class SolveStep:
     ``check`` compares with the result.
     """
 
-    number: int
-    where: str
-    path: DocumentPath
     model: CalibrationModel | None
     distortion: tuple[DistortionTerm, ...] | Literal["auto"]
     loss: Loss
@@ -199,28 +179,21 @@ class SolveStep:
 
 
 @dataclass(frozen=True)
-class ChooseStep:
+class ChooseStep(_NumberedStep):
     """Calibrate from the poses so far, and choose the next pose of an ``until``, or end it.
 
     ``pose`` is the pose to choose, with its number and name, but without angles; None after the last one, when the
     step can only end the ``until``. ``solve`` holds the options of the calibration.
     """
 
-    number: int
-    where: str
-    path: DocumentPath
     until: Until
     pose: Pose | None
     solve: SolveStep
 
 
 @dataclass(frozen=True)
-class ReportStep:
+class ReportStep(_NumberedStep):
     """Write the report and seal the run."""
-
-    number: int
-    where: str
-    path: DocumentPath
 
 
 Step = (
