@@ -19,15 +19,14 @@ from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.lights.siglent import SiglentGenerator
 from simulators.ports.serial_device import Dialect
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.dynamixel import DynamixelBus, ServoModel
-from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.flir_ptu import PtuAxisModel, PtuController
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.esp301 import EspController
+from simulators.stages.flir_ptu import PtuController
 from simulators.stages.grbl import GrblAxis, GrblController
-from simulators.stages.grbl_planner import GrblAxisModel
-from simulators.stages.thorlabs_apt import AptController, AptModel
-from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.thorlabs_apt import AptController
+from simulators.stages.ximc import XimcController
+from simulators.stages.zaber import ZaberChain, ZaberController
 from simulators.world.trajectory import LoadTrajectory
 from simulators.world.world import AxisName, LightState
 
@@ -59,8 +58,8 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
     return _MAKERS[kind](axes, clock, publish)
 
 
-def _mechanics(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool = True) -> Mechanics:
-    return Mechanics(
+def _model(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool = True) -> AxisModel:
+    mechanics = Mechanics(
         counts_per_deg=_EXACT_SCALES.get(axis.microsteps_per_deg, float(axis.microsteps_per_deg)),
         lowest_deg=-axis.limit_deg - _STOP_MARGIN_DEG,
         highest_deg=axis.limit_deg + _STOP_MARGIN_DEG,
@@ -70,53 +69,37 @@ def _mechanics(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool 
         backlash_deg=axis.backlash_deg,
         stall_detection=notices_stalls,
     )
+    return AxisModel(
+        mechanics, axis.serial, axis.limit_deg, axis.speed_deg_s, axis.acceleration_deg_s2, axis.encoder
+    )
+
+
+def _on_one_port(dialect: Dialect, controllers: Mapping[AxisName, AxisController]) -> Stage:
+    named = {str(name): one for name, one in controllers.items()}
+    return Stage({"gimbal": dialect}, named, dict.fromkeys(named, "gimbal"))
+
+
+def _on_own_ports(controllers: Mapping[AxisName, XimcController] | Mapping[AxisName, AptController]) -> Stage:
+    named = {str(name): one for name, one in controllers.items()}
+    return Stage(
+        {f"gimbal-{name}": one for name, one in named.items()},
+        named,
+        {name: f"gimbal-{name}" for name in named},
+    )
 
 
 def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build X-RST controllers chained on one line."""
     controllers = {
-        str(name): ZaberController(
-            ZaberModel(
-                _mechanics(axis),
-                axis.serial,
-                lowest=-round(axis.limit_deg * axis.microsteps_per_deg),
-                highest=round(axis.limit_deg * axis.microsteps_per_deg),
-                speed_deg_s=axis.speed_deg_s,
-                acceleration_deg_s2=axis.acceleration_deg_s2,
-                encoder=axis.encoder,
-            ),
-            clock(),
-            partial(publish, name),
-        )
-        for name, axis in axes.items()
+        name: ZaberController(_model(axis), clock(), partial(publish, name)) for name, axis in axes.items()
     }
-    return Stage(
-        {"gimbal": ZaberChain([*controllers.values()], clock)}, controllers, dict.fromkeys(axes, "gimbal")
-    )
+    return _on_one_port(ZaberChain([*controllers.values()], clock), controllers)
 
 
 def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one controller with its own port for each axis."""
-    controllers = {
-        str(name): XimcController(
-            XimcModel(
-                _mechanics(axis),
-                int(axis.serial),
-                -axis.limit_deg,
-                axis.limit_deg,
-                speed_deg_s=axis.speed_deg_s,
-                acceleration_deg_s2=axis.acceleration_deg_s2,
-                encoder_counts_per_step=20 if axis.encoder else 0,
-            ),
-            clock,
-            partial(publish, name),
-        )
-        for name, axis in axes.items()
-    }
-    return Stage(
-        {f"gimbal-{name}": one for name, one in controllers.items()},
-        controllers,
-        {name: f"gimbal-{name}" for name in axes},
+    return _on_own_ports(
+        {name: XimcController(_model(axis), clock, partial(publish, name)) for name, axis in axes.items()}
     )
 
 
@@ -124,87 +107,48 @@ def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one board for all axes, lettered X, Y and Z in their order."""
     names = dict(zip("XYZ", axes, strict=False))
     models = {
-        letter: GrblAxisModel(
-            _mechanics(axes[name], home_deg=axes[name].limit_deg, notices_stalls=False),
-            travel_deg=2.0 * axes[name].limit_deg + _PULL_OFF_DEG,
-            max_rate_deg_s=axes[name].speed_deg_s,
-            acceleration_deg_s2=axes[name].acceleration_deg_s2,
-        )
+        letter: _model(axes[name], home_deg=axes[name].limit_deg, notices_stalls=False)
         for letter, name in names.items()
     }
     board = GrblController(
         models, clock, lambda letter, pointing: publish(names[letter], pointing), _PULL_OFF_DEG
     )
-    controllers = {str(name): GrblAxis(board, board.axes[letter]) for letter, name in names.items()}
-    return Stage({"gimbal": board}, controllers, dict.fromkeys(axes, "gimbal"))
+    return _on_one_port(board, {name: GrblAxis(board, board.axes[letter]) for letter, name in names.items()})
 
 
 def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one controller for all axes, numbered in their order."""
     names = dict(enumerate(axes, start=1))
-    models = [
-        EspAxisModel(
-            _mechanics(axis),
-            axis.serial,
-            -axis.limit_deg,
-            axis.limit_deg,
-            speed_deg_s=axis.speed_deg_s,
-            acceleration_deg_s2=axis.acceleration_deg_s2,
-        )
-        for axis in axes.values()
-    ]
+    models = [_model(axis) for axis in axes.values()]
     controller = EspController(models, clock, lambda number, pointing: publish(names[number], pointing))
-    controllers = {str(name): controller.axes[number] for number, name in names.items()}
-    return Stage({"gimbal": controller}, controllers, dict.fromkeys(axes, "gimbal"))
+    return _on_one_port(controller, {name: controller.axes[number] for number, name in names.items()})
 
 
 def _flir_ptu(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one unit for the first two axes, lettered P and T in their order."""
     names = dict(zip("PT", axes, strict=False))
-    models = {
-        letter: PtuAxisModel(
-            _mechanics(axes[name], notices_stalls=False),
-            axes[name].limit_deg,
-            speed_deg_s=axes[name].speed_deg_s,
-            acceleration_deg_s2=axes[name].acceleration_deg_s2,
-        )
-        for letter, name in names.items()
-    }
+    models = {letter: _model(axes[name], notices_stalls=False) for letter, name in names.items()}
     serial = next(iter(axes.values())).serial
     unit = PtuController(models, serial, clock, lambda letter, pointing: publish(names[letter], pointing))
-    controllers = {str(name): unit.axes[letter] for letter, name in names.items()}
-    return Stage({"gimbal": unit}, controllers, dict.fromkeys(controllers, "gimbal"))
+    return _on_one_port(unit, {name: unit.axes[letter] for letter, name in names.items()})
 
 
 def _thorlabs_apt(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one K10CR1 with its own port for each axis."""
-    controllers = {
-        str(name): AptController(
-            AptModel(
-                _mechanics(axis, notices_stalls=False),
-                int(axis.serial),
-                speed_deg_s=axis.speed_deg_s,
-                acceleration_deg_s2=axis.acceleration_deg_s2,
-            ),
-            clock,
-            partial(publish, name),
-        )
-        for name, axis in axes.items()
-    }
-    return Stage(
-        {f"gimbal-{name}": one for name, one in controllers.items()},
-        controllers,
-        {name: f"gimbal-{name}" for name in axes},
+    return _on_own_ports(
+        {
+            name: AptController(_model(axis, notices_stalls=False), clock, partial(publish, name))
+            for name, axis in axes.items()
+        }
     )
 
 
 def _dynamixel(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one XL430-W250 for each axis on one bus, with the ids 1, 2, 3 in their order."""
     names = dict(enumerate(axes, start=1))
-    models = {number: ServoModel(_mechanics(axes[name])) for number, name in names.items()}
+    models = {number: _model(axes[name]) for number, name in names.items()}
     bus = DynamixelBus(models, clock, lambda number, pointing: publish(names[number], pointing))
-    controllers = {str(name): bus.servos[number] for number, name in names.items()}
-    return Stage({"gimbal": bus}, controllers, dict.fromkeys(controllers, "gimbal"))
+    return _on_one_port(bus, {name: bus.servos[number] for number, name in names.items()})
 
 
 _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {

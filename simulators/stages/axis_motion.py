@@ -57,6 +57,20 @@ class Mechanics:
 
 
 @dataclass(frozen=True)
+class AxisModel:
+    """An axis as its controller is delivered; a controller takes what its kind has."""
+
+    mechanics: Mechanics
+    serial: str = ""  # Serial number of the controller or of the stage
+    limit_deg: float = 15.0  # Soft limit in both directions, degrees
+    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
+    speed_deg_s: float = 40.0
+    acceleration_deg_s2: float = 200.0
+    encoder: bool = True  # Whether the shaft has an encoder
+    name: str = ""  # Model, as the controller states it; empty for the usual one
+
+
+@dataclass(frozen=True)
 class MotionFault:
     """A fault of a motion to come."""
 

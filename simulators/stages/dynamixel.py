@@ -16,11 +16,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Final, NamedTuple
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, Unit
+from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, Unit
 from simulators.world.trajectory import LoadTrajectory
 
 _START: Final = b"\xff\xff\xfd\x00"
@@ -132,25 +131,21 @@ _FIELDS: Final = {
 """Fields by address. Other bytes of the table are read-only."""
 
 
-@dataclass(frozen=True)
-class ServoModel:
-    """A servo and the axis behind it."""
-
-    mechanics: Mechanics  # Mechanical properties; a count is a position of the servo
-    number: int = 1060
-    boot_s: float = 0.4  # Time without answers after a restart, s
+_MODEL_NUMBER: Final = 1060
+"""An XL430-W250."""
+_BOOT_S: Final = 0.4
 
 
 class DynamixelServo(Unit):
-    """A servo."""
+    """A servo; a count of its axis is a position of the servo."""
 
     def __init__(
-        self, number: int, model: ServoModel, now_s: float, publish: Callable[[LoadTrajectory], None]
+        self, number: int, model: AxisModel, now_s: float, publish: Callable[[LoadTrajectory], None]
     ) -> None:
         self.number = number
         self.axis = Axis(model.mechanics, now_s, publish)
-        super().__init__([self.axis], now_s, model.boot_s)
-        self._model_number = model.number
+        super().__init__([self.axis], now_s, _BOOT_S)
+        self._model_number = _MODEL_NUMBER
         self._values = {address: field.usual for address, field in _FIELDS.items()}
         self._values[7] = number
         self._power_up(now_s)
@@ -281,7 +276,7 @@ class DynamixelBus:
 
     def __init__(
         self,
-        models: Mapping[int, ServoModel],
+        models: Mapping[int, AxisModel],
         clock: Callable[[], float],
         publish: Callable[[int, LoadTrajectory], None] = lambda _id, _pointing: None,
         baud: int = 57_600,

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, AxisOfController, Controller, Mechanics, MotionEvent
+from simulators.stages.axis_motion import Axis, AxisModel, AxisOfController, Controller, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
@@ -28,6 +28,8 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10
 _MAX_LINE: Final = 256
 _BOOT_S: Final = 1.0
+_HOME_SPEED_DEG_S: Final = 20.0
+_MOST_SPEED_DEG_S, _MOST_ACCELERATION_DEG_S2 = 80.0, 320.0
 
 _ERROR_TEXTS: Final = {
     0: "NO ERROR DETECTED",
@@ -66,30 +68,12 @@ def error_text(number: int) -> str:
     return _AXIS_ERROR_TEXTS[number % 100] if number >= 100 else _ERROR_TEXTS[number]
 
 
-@dataclass(frozen=True)
-class EspAxisModel:
-    """One axis: the stage and its settings at power-up."""
-
-    mechanics: Mechanics
-    serial: str
-    # lowest_deg, highest_deg: Software limits, degrees.
-    lowest_deg: float
-    highest_deg: float
-    name: str = "URS75BCC"  # Model of the stage, as ``ID?`` reports it
-    # speed_deg_s, acceleration_deg_s2: Ramp settings, degrees/s and degrees/s^2.
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-    home_speed_deg_s: float = 20.0  # Speed of homing, degrees/s
-    most_speed_deg_s: float = 80.0
-    most_acceleration_deg_s2: float = 320.0
-
-
 @dataclass
 class EspAxis(AxisOfController):
     """State of one axis: its mechanics and its settings in the controller."""
 
     number: int  # Number of the axis, from 1
-    model: EspAxisModel
+    model: AxisModel
     motor_on: bool = False
     homing: bool = False
     settings: dict[str, float] = field(default_factory=dict)
@@ -110,7 +94,7 @@ class EspController(Controller):
 
     def __init__(
         self,
-        models: list[EspAxisModel],
+        models: list[AxisModel],
         clock: Callable[[], float],
         publish: Callable[[int, LoadTrajectory], None] = lambda _number, _pointing: None,
         baud: int = 19_200,
@@ -139,11 +123,11 @@ class EspController(Controller):
                 "VA": one.model.speed_deg_s,
                 "AC": one.model.acceleration_deg_s2,
                 "AG": one.model.acceleration_deg_s2,
-                "OH": one.model.home_speed_deg_s,
-                "SL": one.model.lowest_deg,
-                "SR": one.model.highest_deg,
-                "VU": one.model.most_speed_deg_s,
-                "AU": one.model.most_acceleration_deg_s2,
+                "OH": _HOME_SPEED_DEG_S,
+                "SL": -one.model.limit_deg,
+                "SR": one.model.limit_deg,
+                "VU": _MOST_SPEED_DEG_S,
+                "AU": _MOST_ACCELERATION_DEG_S2,
                 "SN": 7.0,
             }
 
@@ -228,7 +212,7 @@ class EspController(Controller):
 
     def _known_axis_commands(self) -> Mapping[str, Callable[[EspAxis, str, float], str | None]]:
         return {
-            "ID": lambda one, _rest, _now: f"{one.model.name}, SN{one.model.serial}",
+            "ID": lambda one, _rest, _now: f"{one.model.name or 'URS75BCC'}, SN{one.model.serial}",
             "TP": lambda one, _rest, now: f"{one.axis.encoder(now) / one.scale:.5f}",
             "DP": lambda one, _rest, now: f"{one.axis.rest_counter(now) / one.scale:.5f}",
             "TV": lambda one, _rest, now: f"{one.axis.velocity(now) / one.scale:.5f}",

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, AxisOfController, Controller, Mechanics, MotionEvent
+from simulators.stages.axis_motion import Axis, AxisModel, AxisOfController, Controller, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
@@ -29,6 +29,7 @@ _MAX_LINE: Final = 64
 _BOOT_S: Final = 2.0
 _NAMES: Final = {"P": "Pan", "T": "Tilt"}
 _BASE_SPEED: Final = 57
+_MOST_SPEED_DEG_S: Final = 100.0
 _LARGEST: Final = 10**9
 
 
@@ -36,24 +37,12 @@ class _PtuError(Exception):
     """A refused command, with the text after the exclamation mark."""
 
 
-@dataclass(frozen=True)
-class PtuAxisModel:
-    """One axis: its mechanics, and its settings at power-up."""
-
-    mechanics: Mechanics  # Mechanical properties; a count is a position of the unit
-    limit_deg: float  # Limit in both directions that a reset finds, degrees
-    # speed_deg_s, acceleration_deg_s2: Ramp settings, degrees/s and degrees/s^2.
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-    most_speed_deg_s: float = 100.0  # Largest speed, degrees/s
-
-
 @dataclass
 class PtuAxis(AxisOfController):
     """State of one axis."""
 
     letter: str
-    model: PtuAxisModel
+    model: AxisModel  # A count is a position of the unit; a reset finds the limits
     settings: dict[str, int] = field(default_factory=dict)  # Values by the letters after the axis's letter
 
     def power_up(self) -> None:
@@ -64,7 +53,7 @@ class PtuAxis(AxisOfController):
             "S": round(self.model.speed_deg_s * scale),
             "A": round(self.model.acceleration_deg_s2 * scale),
             "B": _BASE_SPEED,
-            "U": round(self.model.most_speed_deg_s * scale),
+            "U": round(_MOST_SPEED_DEG_S * scale),
             "L": 0,
             "N": -end,
             "X": end,
@@ -84,7 +73,7 @@ class PtuController(Controller):
 
     def __init__(
         self,
-        models: dict[str, PtuAxisModel],
+        models: dict[str, AxisModel],
         serial: str,
         clock: Callable[[], float],
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,

@@ -15,11 +15,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from simulators.stages.axis_motion import Axis, AxisOfController, MotionEvent, Unit
+from simulators.stages.axis_motion import Axis, AxisModel, AxisOfController, MotionEvent, Unit
 from simulators.stages.grbl_planner import (
     Block,
     GcodeError,
-    GrblAxisModel,
     Motion,
     Planner,
     factory_settings,
@@ -183,7 +182,7 @@ class GrblController(SystemCommands, Unit):
 
     def __init__(
         self,
-        models: Mapping[str, GrblAxisModel],
+        models: Mapping[str, AxisModel],
         clock: Callable[[], float],
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
         pull_off_deg: float = 1.0,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple
 
-from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.stages.axis_motion import Axis, AxisModel
 from simulators.world.trajectory import LoadTrajectory
 
 # Parser of one G-code block, in the subset that a GRBL controller of a rotary stage needs.
@@ -140,20 +140,11 @@ def must_be_positive(number: int) -> bool:
     return STEPS <= number < MAX_TRAVEL or number in {HOMING_FEED, HOMING_SEEK}
 
 
-@dataclass(frozen=True)
-class GrblAxisModel:
-    """One axis."""
+def factory_settings(models: Mapping[str, AxisModel], pull_off_deg: float) -> dict[int, float]:
+    """Return factory settings by number, rising, for X, Y and Z.
 
-    # Mechanical properties; ``home_deg`` is where homing ends, the pull-off below the switch.
-    mechanics: Mechanics
-    travel_deg: float  # Distance from the switch to the other end, degrees
-    # max_rate_deg_s, acceleration_deg_s2: Ramp settings at the factory, degrees/s and degrees/s^2.
-    max_rate_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-
-
-def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
-    """Return factory settings by number, rising, for X, Y and Z; homing ends ``pull_off_deg`` from the switch."""
+    Homing ends at the upper limit, ``pull_off_deg`` from the switch; the travel is from there to the lower limit.
+    """
     settings = {
         0: 10.0,
         1: 255.0,
@@ -172,9 +163,9 @@ def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -
     for number, model in enumerate(models.values()):
         settings |= {
             STEPS + number: model.mechanics.counts_per_deg,
-            MAX_RATE + number: model.max_rate_deg_s * 60.0,
+            MAX_RATE + number: model.speed_deg_s * 60.0,
             ACCELERATION + number: model.acceleration_deg_s2,
-            MAX_TRAVEL + number: model.travel_deg,
+            MAX_TRAVEL + number: 2.0 * model.limit_deg + pull_off_deg,
         }
     return dict(sorted(settings.items()))
 
@@ -215,7 +206,7 @@ class Planner:
 
     def __init__(
         self,
-        models: Mapping[str, GrblAxisModel],
+        models: Mapping[str, AxisModel],
         settings: Mapping[int, float],
         now_s: float,
         publish: Callable[[str, LoadTrajectory], None],

@@ -16,16 +16,19 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Controller, Mechanics, MotionEvent
+from simulators.stages.axis_motion import Axis, AxisModel, Controller, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 _COMPUTER: Final = 0x01
 _UNIT: Final = 0x50
 _BYTE_TIMEOUT_S: Final = 0.5
+_BOOT_S: Final = 1.0
 _UPDATE_S: Final = 0.1
+_HOME_SPEED_DEG_S: Final = 10.0
+"""Speed of homing; the last part is ten times slower."""
 _PATIENCE: Final = 50
 _SERVO_PERIOD_S: Final = 2048.0 / 6.0e6
 _LONGEST: Final = 255
@@ -40,50 +43,40 @@ _TRACKING, _SETTLED, _DOES_NOT_FOLLOW = 0x1000, 0x2000, 0x4000
 _POWER_OK, _ENABLED = 0x1000_0000, 0x8000_0000
 
 
-@dataclass(frozen=True)
-class AptModel:
-    """Identity of a controller, and the axis behind it."""
-
-    mechanics: Mechanics
-    serial: int
-    name: str = "K10CR1"  # Name of the model: "K10CR1" or "KDC101"
-    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
-    speed_deg_s: float = 10.0
-    acceleration_deg_s2: float = 10.0
-    home_speed_deg_s: float = 10.0  # Speed of homing, degrees/s; the last part is ten times slower
-    boot_s: float = 1.0  # Time without answers after a restart, s
-
-    @property
-    def servo(self) -> bool:
-        """Whether the motor has an encoder."""
-        return not self.name.startswith("K10CR")
-
-    def speed_units(self) -> tuple[float, float]:
-        """Return the scales of the ramp settings: units for one count/s, and for one count/s^2."""
-        if self.servo:
-            return _SERVO_PERIOD_S * 65_536.0, _SERVO_PERIOD_S**2 * 65_536.0
-        return 53.68, 1.0 / 90.9
-
-
 class AptController(Controller):
-    """The controller."""
+    """The controller; its model's name is "K10CR1", the usual one, or "KDC101"."""
 
     def __init__(
         self,
-        model: AptModel,
+        model: AxisModel,
         clock: Callable[[], float],
         publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, clock(), publish)
-        super().__init__([self.axis], clock, boot_s=model.boot_s, byte_timeout_s=_BYTE_TIMEOUT_S)
+        super().__init__([self.axis], clock, boot_s=_BOOT_S, byte_timeout_s=_BYTE_TIMEOUT_S)
         self._power_up(clock())
+
+    @property
+    def _name(self) -> str:
+        return self.model.name or "K10CR1"
+
+    @property
+    def _servo(self) -> bool:
+        """Whether the motor has an encoder."""
+        return not self._name.startswith("K10CR")
+
+    def _speed_units(self) -> tuple[float, float]:
+        """Return the scales of the ramp settings: units for one count/s, and for one count/s^2."""
+        if self._servo:
+            return _SERVO_PERIOD_S * 65_536.0, _SERVO_PERIOD_S**2 * 65_536.0
+        return 53.68, 1.0 / 90.9
 
     def _power_up(self, t_s: float) -> None:
         del t_s  # updates count from the moment at which the restart is noticed
         self._buffer = b""
         self._kept = {number: bytes(length) for number, length in _KEPT.items()}
-        speed, acceleration = self.model.speed_units()
+        speed, acceleration = self._speed_units()
         scale = self.model.mechanics.counts_per_deg
         ramp = round(self.model.acceleration_deg_s2 * scale * acceleration)
         self._kept[0x0413] = struct.pack("<Hiii", 1, 0, ramp, round(self.model.speed_deg_s * scale * speed))
@@ -121,7 +114,7 @@ class AptController(Controller):
             said, self._motion = self._end_of_motion(now), ""
         if self._updates and now - self._updated_at_s >= _UPDATE_S and self._still_there():
             self._updated_at_s = now
-            said += self._long(0x0491 if self.model.servo else 0x0481, self._update(now))
+            said += self._long(0x0491 if self._servo else 0x0481, self._update(now))
         return said
 
     def _end_of_motion(self, now: float) -> bytes:
@@ -160,7 +153,7 @@ class AptController(Controller):
         if number == 0x0443 and first == 1:
             self._switches, self._motion = 0, "home"
             _, acceleration = self._ramp()
-            speed = self.model.home_speed_deg_s * self.model.mechanics.counts_per_deg
+            speed = _HOME_SPEED_DEG_S * self.model.mechanics.counts_per_deg
             self.axis.home(now, speed, speed / 10.0, acceleration)
         elif number == 0x0465 and first == 1:
             if self.axis.busy(now):
@@ -179,7 +172,7 @@ class AptController(Controller):
     def _ramp(self) -> tuple[float, float]:
         """Return speed and acceleration in counts/s and counts/s^2."""
         _, _, acceleration, speed = struct.unpack("<Hiii", self._kept[0x0413])
-        speed_unit, acceleration_unit = self.model.speed_units()
+        speed_unit, acceleration_unit = self._speed_units()
         return max(speed / speed_unit, 1.0), max(acceleration / acceleration_unit, 1.0)
 
     def _enable(self, enabled: bool, now: float) -> None:
@@ -206,31 +199,33 @@ class AptController(Controller):
         return self._long(number + 1, self._update(now, servo=number == 0x0490)) if update else b""
 
     def _information(self) -> bytes:
-        name = self.model.name.encode("ascii", "replace")[:8]
-        kind = 44 if self.model.servo else 16
+        name = self._name.encode("ascii", "replace")[:8]
+        kind = 44 if self._servo else 16
         return self._long(
             0x0006,
-            struct.pack("<I8sHBBBB60sHHH", self.model.serial, name, kind, 3, 0, 2, 0, b"simulated", 1, 3, 1),
+            struct.pack(
+                "<I8sHBBBB60sHHH", int(self.model.serial), name, kind, 3, 0, 2, 0, b"simulated", 1, 3, 1
+            ),
         )
 
     def _still_there(self) -> bool:
         """Count an update that is due; return whether the computer has given a sign of life lately."""
         self._unanswered += 1
-        return not self.model.servo or self._unanswered <= _PATIENCE
+        return not self._servo or self._unanswered <= _PATIENCE
 
     def _update(self, now: float, *, servo: bool | None = None) -> bytes:
-        if self.model.servo if servo is None else servo:
-            speed = round(self.axis.velocity(now) * self.model.speed_units()[0] / 65_536.0)
+        if self._servo if servo is None else servo:
+            speed = round(self.axis.velocity(now) * self._speed_units()[0] / 65_536.0)
             low = max(-32_768, min(32_767, speed))
             return struct.pack("<HihhI", 1, self._position(now), low, 12, self._bits(now))
         return struct.pack("<HiiI", 1, self._position(now), self._encoder(now), self._bits(now))
 
     def _position(self, now: float) -> int:
-        counted = self.axis.encoder(now) if self.model.servo else self.axis.counter(now)
+        counted = self.axis.encoder(now) if self._servo else self.axis.counter(now)
         return max(-(2**31), min(2**31 - 1, round(counted)))
 
     def _encoder(self, now: float) -> int:
-        return self._position(now) if self.model.servo else 0
+        return self._position(now) if self._servo else 0
 
     def _bits(self, now: float) -> int:
         busy = self.axis.reports_busy(now)
@@ -241,14 +236,14 @@ class AptController(Controller):
         if busy:
             bits |= _TURNS_FORWARD if self.axis.velocity(now) >= 0.0 else _TURNS_BACK
         else:
-            bits |= self._switches | (_SETTLED if self.model.servo else 0)
-        bits |= _TRACKING if self.model.servo else 0
+            bits |= self._switches | (_SETTLED if self._servo else 0)
+        bits |= _TRACKING if self._servo else 0
         return bits | (_DOES_NOT_FOLLOW if self._does_not_follow else 0)
 
     # ------------------------------------------------------------------ events outside the protocol
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the controller by another one of this model; serial number 0 if the given one is not a number."""
-        self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
+        self.model = replace(self.model, serial=serial if serial.isdigit() else "0")
         self.restart(t_s)
 
     def switch_off_channel(self, t_s: float) -> None:

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Controller, Mechanics, MotionEvent
+from simulators.stages.axis_motion import Axis, AxisModel, Controller, MotionEvent
 from simulators.world.trajectory import LoadTrajectory
 
 #: Microsteps per step; positions use them in each mode of the motor.
@@ -47,6 +47,11 @@ LAYOUTS: Final = {
 }
 
 _BYTE_TIMEOUT_S: Final = 0.4
+_BOOT_S: Final = 0.5
+_HOME_SPEED_DEG_S: Final = 20.0
+"""Speed of homing; the last part is ten times slower."""
+_COUNTS_PER_STEP: Final = 20
+"""Resolution of the encoder on the shaft."""
 
 _MOVING, _AT_SPEED = 0x01, 0x02
 _RUNNING, _FAILED = 0x80, 0x40
@@ -107,35 +112,19 @@ def to_steps(counts: int) -> tuple[int, int]:
     return sign * whole, sign * fraction
 
 
-@dataclass(frozen=True)
-class XimcModel:
-    """Identity of a controller, and the axis behind it."""
-
-    mechanics: Mechanics
-    serial: int
-    # lowest_deg, highest_deg: Borders at power-up, degrees; the controller stops there.
-    lowest_deg: float
-    highest_deg: float
-    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-    home_speed_deg_s: float = 20.0  # Speed of homing, degrees/s; the last part is ten times slower
-    encoder_counts_per_step: int = 20  # Resolution of the encoder on the shaft; 0 for none
-    boot_s: float = 0.5  # Time without answers after a restart, s
-
-
 class XimcController(Controller):
-    """The controller."""
+    """The controller; the limits of its axis are its borders at power-up, at which it stops."""
 
     def __init__(
         self,
-        model: XimcModel,
+        model: AxisModel,
         clock: Callable[[], float],
         publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, clock(), publish)
-        super().__init__([self.axis], clock, boot_s=model.boot_s, byte_timeout_s=_BYTE_TIMEOUT_S)
+        super().__init__([self.axis], clock, boot_s=_BOOT_S, byte_timeout_s=_BYTE_TIMEOUT_S)
+        self._counts_per_step = _COUNTS_PER_STEP if model.encoder else 0
         self._settings = self._factory_settings()
         self._stop_pressed = False
         self._commands = self._known_commands()
@@ -192,7 +181,7 @@ class XimcController(Controller):
     def _known_commands(self) -> dict[str, Callable[[bytes, float], bytes]]:
         return {
             "geti": lambda _data, _now: struct.pack("<4s2s8sBBH12x", b"XIMC", b"SM", b"8SMC5\0\0\0", 4, 5, 8),
-            "gser": lambda _data, _now: struct.pack("<I", self.model.serial),
+            "gser": lambda _data, _now: struct.pack("<I", int(self.model.serial)),
             "gfwv": lambda _data, _now: struct.pack("<BBH", 4, 6, 12),
             "gets": lambda _data, now: self._status(now),
             "gpos": lambda _data, now: struct.pack("<ihq6x", *self._position(now), self._encoder(now)),
@@ -264,8 +253,8 @@ class XimcController(Controller):
         position, fraction, encoder, ignore = struct.unpack("<ihqB5x", data)
         if not ignore & _IGNORE_POSITION:
             self.axis.set_counter(to_counts(position, fraction), now)
-        if not ignore & _IGNORE_ENCODER and self.model.encoder_counts_per_step:
-            self.axis.set_encoder(encoder * MICROSTEPS / self.model.encoder_counts_per_step, now)
+        if not ignore & _IGNORE_ENCODER and self._counts_per_step:
+            self.axis.set_encoder(encoder * MICROSTEPS / self._counts_per_step, now)
         return b""
 
     def _set(self, name: str, content: bytes) -> bytes:
@@ -286,7 +275,7 @@ class XimcController(Controller):
         command = self._command | (_RUNNING if busy else 0) | (_FAILED if self._failed and not busy else 0)
         flags = self._flags | (_IS_HOMED if self.axis.referenced(now) else 0)
         self._flags &= ~0x07
-        encoder = 0x04 if self.model.encoder_counts_per_step else 0x00
+        encoder = 0x04 if self._counts_per_step else 0x00
         edges = self._edges if not busy else 0
         return struct.pack(
             "<BBBBBihqihhhhhhIIB4x",
@@ -302,7 +291,7 @@ class XimcController(Controller):
         return to_steps(round(self.axis.counter(now)))
 
     def _encoder(self, now: float) -> int:
-        return round(self.axis.encoder(now) * self.model.encoder_counts_per_step / MICROSTEPS)
+        return round(self.axis.encoder(now) * self._counts_per_step / MICROSTEPS)
 
     def _border(self, side: int) -> int:
         return to_counts(*self._settings["eds"][2 + 2 * side : 4 + 2 * side])
@@ -318,7 +307,7 @@ class XimcController(Controller):
 
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the controller by another one of this model; serial number 0 if the given one is not a number."""
-        self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
+        self.model = replace(self.model, serial=serial if serial.isdigit() else "0")
         self._settings = self._factory_settings()
         self.restart(t_s)
 
@@ -334,13 +323,13 @@ class XimcController(Controller):
         model, scale = self.model, self.model.mechanics.counts_per_deg
         speed = to_steps(round(model.speed_deg_s * scale))
         acceleration = round(model.acceleration_deg_s2 * scale / MICROSTEPS)
-        fast, slow = (to_steps(round(model.home_speed_deg_s * scale / part)) for part in (1, 10))
-        left, right = (to_steps(round(border * scale)) for border in (model.lowest_deg, model.highest_deg))
+        fast, slow = (to_steps(round(_HOME_SPEED_DEG_S * scale / part)) for part in (1, 10))
+        left, right = (to_steps(round(border * scale)) for border in (-model.limit_deg, model.limit_deg))
         return {
             "mov": (*speed, acceleration, acceleration, *speed, 0),
             "eng": (3600, 670, *speed, 0, 0, 0x09, 200),
             "ent": (0x03, 0x02),
             "eds": (_STOP_LEFT | _STOP_RIGHT, 0, *left, *right),
             "hom": (*fast, *slow, 0, 0, 0x0130),
-            "fbs": (4000, 0x05, 0, 200 * model.encoder_counts_per_step),
+            "fbs": (4000, 0x05, 0, 200 * self._counts_per_step),
         }

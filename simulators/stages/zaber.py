@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, Unit
+from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, Unit
 from simulators.world.trajectory import LoadTrajectory
 
 #: Longest request, bytes; longer ones are dropped.
@@ -40,38 +40,24 @@ _MAX_SPEED_SETTING = 16_777_216
 _MAX_ACCELERATION_SETTING = 32_767
 
 
-@dataclass(frozen=True)
-class ZaberModel:
-    """Identity of a controller, and the axis behind it."""
+#: Speed towards the reference sensor, degrees/s; the last part is ten times slower.
+_HOME_SPEED_DEG_S = 20.0
+_BOOT_S = 0.5
 
-    mechanics: Mechanics
-    serial: str
-    lowest: int
-    highest: int
-    # device_id, firmware, build: Answers to ``get deviceid``, ``get version`` and ``get version.build``.
-    device_id: int = 50958
-    firmware: str = "7.38"
-    build: str = "17403"
-    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-    # Speed towards the reference sensor, degrees/s; the last part is ten times slower.
-    home_speed_deg_s: float = 20.0
-    boot_s: float = 0.5  # Time without answers after a restart, s
-    encoder: bool = True  # Whether the shaft has an encoder
 
-    def factory_settings(self) -> dict[str, int]:
-        """Return the factory settings."""
-        scale = self.mechanics.counts_per_deg * SPEED_UNIT
-        return {
-            "comm.alert": 0,
-            "comm.checksum": 0,
-            "maxspeed": round(self.speed_deg_s * scale),
-            "limit.approach.maxspeed": round(self.home_speed_deg_s * scale),
-            "accel": round(self.acceleration_deg_s2 * scale / 10_000.0),
-            "limit.min": self.lowest,
-            "limit.max": self.highest,
-        }
+def factory_settings(model: AxisModel) -> dict[str, int]:
+    """Return the factory settings of a controller."""
+    counts_per_deg = model.mechanics.counts_per_deg
+    scale, limit = counts_per_deg * SPEED_UNIT, round(model.limit_deg * counts_per_deg)
+    return {
+        "comm.alert": 0,
+        "comm.checksum": 0,
+        "maxspeed": round(model.speed_deg_s * scale),
+        "limit.approach.maxspeed": round(_HOME_SPEED_DEG_S * scale),
+        "accel": round(model.acceleration_deg_s2 * scale / 10_000.0),
+        "limit.min": -limit,
+        "limit.max": limit,
+    }
 
 
 def setting_range(name: str, settings: Mapping[str, int]) -> tuple[int, int]:
@@ -110,13 +96,13 @@ class ZaberController(Unit):
 
     def __init__(
         self,
-        model: ZaberModel,
+        model: AxisModel,
         now_s: float = 0.0,
         publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)
-        super().__init__([self.axis], now_s, model.boot_s)
+        super().__init__([self.axis], now_s, _BOOT_S)
         self._state = self._as_delivered()
 
     # ------------------------------------------------------------------ fields of replies
@@ -175,10 +161,10 @@ class ZaberController(Unit):
             raise CommandRejected("BADCOMMAND")
         name = words[0]
         readings: dict[str, Callable[[], str]] = {
-            "deviceid": lambda: str(self.model.device_id),
+            "deviceid": lambda: "50958",
             "system.serial": lambda: self.model.serial,
-            "version": lambda: self.model.firmware,
-            "version.build": lambda: self.model.build,
+            "version": lambda: "7.38",
+            "version.build": lambda: "17403",
             "system.axiscount": lambda: "1",
             "system.voltage": lambda: "47.9",
             "system.temperature": lambda: "31.4",
@@ -299,7 +285,7 @@ class ZaberController(Unit):
         if words == ["reset"]:
             self.restart(t_s)
         elif words == ["restore"]:
-            self._state.settings = self.model.factory_settings()
+            self._state.settings = factory_settings(self.model)
         else:
             raise CommandRejected("BADCOMMAND")
         return "0"
@@ -337,7 +323,7 @@ class ZaberController(Unit):
     # ------------------------------------------------------------------ internals
     def _as_delivered(self) -> _State:
         # On a bench, checksums are switched on; factory settings leave them off.
-        return _State(self.model.factory_settings() | {"comm.checksum": 1})
+        return _State(factory_settings(self.model) | {"comm.checksum": 1})
 
     def _speed(self, setting: str) -> float:
         return self._state.settings[setting] / SPEED_UNIT

@@ -23,10 +23,10 @@ from simulators.faults.fault_injection import AxisController, BenchParts, fault_
 from simulators.faults.line_faults import FaultLine
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import Dialect, SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.esp301 import EspController
+from simulators.stages.ximc import XimcController
+from simulators.stages.zaber import ZaberChain, ZaberController
 from tests.hil.mutated import XIMC, ZABER, Change, Mutated
 
 PATIENCE_S = 15.0
@@ -106,21 +106,21 @@ def mechanics(counts_per_deg: float) -> Mechanics:
 
 def zaber() -> tuple[Dialect, AxisController]:
     """Make a chain of one."""
-    model = ZaberModel(mechanics(6400), "100101", -96000, 96000, speed_deg_s=20.0, acceleration_deg_s2=100.0)
+    model = AxisModel(mechanics(6400), "100101", speed_deg_s=20.0, acceleration_deg_s2=100.0)
     controller = ZaberController(model, time.monotonic())
     return ZaberChain([controller], time.monotonic), controller
 
 
 def ximc() -> tuple[Dialect, AxisController]:
     """Make one controller."""
-    model = XimcModel(mechanics(25600), 4242, -15.0, 15.0, speed_deg_s=20.0, acceleration_deg_s2=100.0)
+    model = AxisModel(mechanics(25600), "4242", speed_deg_s=20.0, acceleration_deg_s2=100.0)
     controller = XimcController(model, time.monotonic)
     return controller, controller
 
 
 def esp() -> tuple[Dialect, AxisController]:
     """Make a controller with one axis."""
-    controller = EspController([EspAxisModel(mechanics(10_000), "1263", -15.0, 15.0)], time.monotonic)
+    controller = EspController([AxisModel(mechanics(10_000), "1263")], time.monotonic)
     return controller, controller.axes[1]
 
 

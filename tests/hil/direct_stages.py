@@ -29,8 +29,8 @@ from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.ports.serial_device import Dialect
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.thorlabs_apt import AptController, AptModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.thorlabs_apt import AptController
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 
@@ -244,7 +244,7 @@ def named_board(clock: Callable[[], float]) -> tuple[Dialect, AxisController]:
 
 def kdc101(clock: Callable[[], float]) -> tuple[Dialect, AxisController]:
     mechanics = Mechanics(PRM1Z8_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4)
-    controller = AptController(AptModel(mechanics, 27000123, "KDC101"), clock)
+    controller = AptController(AxisModel(mechanics, "27000123", 15.0, 10.0, 10.0, name="KDC101"), clock)
     return controller, controller
 
 

@@ -18,9 +18,9 @@ from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.thorlabs_apt import AptController, AptModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.esp301 import EspController
+from simulators.stages.thorlabs_apt import AptController
 from simulators.world.world import World
 from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG
 
@@ -45,7 +45,7 @@ def value(told) -> float:
 
 
 def test_an_esp_stage_is_homed_moved_and_read(tmp_path):
-    models = [EspAxisModel(Mechanics(6400.0, -17.0, 17.0, start_deg=2.4), "1263", -15.0, 15.0)]
+    models = [AxisModel(Mechanics(6400.0, -17.0, 17.0, start_deg=2.4), "1263")]
     with plugged(tmp_path, EspController(models, time.monotonic)) as device:
         stage = newport.NewportESP301.open_serial(device.address, baud=19_200, timeout=3)
         axis = stage.axis[0]
@@ -84,7 +84,7 @@ def test_a_generator_is_set_and_read(tmp_path):
 
 def test_a_thorlabs_stage_is_homed_and_moved(tmp_path):
     mechanics = Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4, stall_detection=False)
-    controller = AptController(AptModel(mechanics, 55000123), time.monotonic)
+    controller = AptController(AxisModel(mechanics, "55000123", 15.0, 10.0, 10.0), time.monotonic)
     with plugged(tmp_path, controller) as device:
         unit = thorlabs.APTMotorController.open_serial(device.address, baud=115_200, timeout=20)
         assert unit.serial_number == (55000123).to_bytes(4, "little").hex()  # as this client shows it

@@ -12,8 +12,8 @@ import pytest
 from drivers.stage import dynamixel_bus as ours
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.dynamixel import DynamixelBus, ServoModel, crc_of, status_packet, unstuffed
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.dynamixel import DynamixelBus, crc_of, status_packet, unstuffed
 
 sdk = pytest.importorskip("dynamixel_sdk", reason="pip install dynamixel-sdk")
 SUCCESS = 0
@@ -21,7 +21,7 @@ SUCCESS = 0
 
 @pytest.fixture
 def bus() -> DynamixelBus:
-    model = ServoModel(Mechanics(4096 / 360, -170.0, 170.0, start_deg=10.0))
+    model = AxisModel(Mechanics(4096 / 360, -170.0, 170.0, start_deg=10.0))
     return DynamixelBus({1: model, 2: model}, time.monotonic)
 
 

@@ -13,13 +13,13 @@ import serial
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController
 
 
 @pytest.fixture
 def device(tmp_path):
-    controller = ZaberController(ZaberModel(Mechanics(6400.0, -20.0, 20.0), "100101", -96_000, 96_000))
+    controller = ZaberController(AxisModel(Mechanics(6400.0, -20.0, 20.0), "100101"))
     with SerialDevice(
         PseudoTerminal(tmp_path / "device"), ZaberChain([controller], time.monotonic)
     ) as device:

@@ -21,9 +21,8 @@ from drivers.clock import SystemClock
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
-from simulators.stages.axis_motion import Mechanics
+from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.grbl import GrblController
-from simulators.stages.grbl_planner import GrblAxisModel
 from tests.hil.grbl_firmware.board import FACTORY, SOURCE, STEPS_PER_DEG, NativeBoard, compile_board
 
 pytestmark = [
@@ -178,11 +177,11 @@ class SimulatedBoard:
         self.now_s = 0.0
         limits = {"X": (15.0, 2.4), "Y": (10.0, -1.7), "Z": (10.0, 0.0)}
         models = {
-            letter: GrblAxisModel(
+            letter: AxisModel(
                 Mechanics(
                     STEPS_PER_DEG, -high - 2, high + 2, home_deg=high, start_deg=start, stall_detection=False
                 ),
-                2 * high + 2,
+                limit_deg=high + 0.5,
             )
             for letter, (high, start) in limits.items()
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,9 +23,9 @@ from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.dynamixel_bus import READ, WRITE, packet
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.faults.line_faults import FaultLine
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.dynamixel import DynamixelBus, ServoModel
-from simulators.stages.thorlabs_apt import AptController, AptModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.thorlabs_apt import AptController
 from tests.hil.direct_stages import (
     FAMILIES,
     K10CR1_COUNTS_PER_DEG,
@@ -48,7 +49,7 @@ class Gimbal:
         self.clock = VirtualClock()
         self.more = {"counts_per_deg": scale, "limits": LIMITS, **more}
         mechanics = Mechanics(scale, -170.0, 170.0, start_deg=start_deg)
-        self.bus = DynamixelBus({1: ServoModel(mechanics), 2: ServoModel(mechanics)}, self.clock.monotonic)
+        self.bus = DynamixelBus({1: AxisModel(mechanics), 2: AxisModel(mechanics)}, self.clock.monotonic)
         self.line = direct_line(self.bus, self.clock)
         self.faults = self.line.device
 
@@ -131,7 +132,7 @@ def test_an_angle_across_the_end_of_the_servo_s_turn_is_one_angle() -> None:
     stage = gimbal.open(zero_count=0)
     assert stage.position_deg()["pan"] == pytest.approx(11.0, abs=0.1)
     mechanics = Mechanics(4096 / 360, -400.0, 400.0, start_deg=-191.0)
-    gimbal.bus = DynamixelBus({1: ServoModel(mechanics), 2: ServoModel(mechanics)}, gimbal.clock.monotonic)
+    gimbal.bus = DynamixelBus({1: AxisModel(mechanics), 2: AxisModel(mechanics)}, gimbal.clock.monotonic)
     gimbal.line.device = FaultLine(gimbal.bus, gimbal.clock.monotonic, np.random.default_rng(1))
     stage = gimbal.open(zero_count=0)
     assert stage.position_deg()["pan"] == pytest.approx(-11.0, abs=0.1)
@@ -283,8 +284,11 @@ def rig(request) -> DirectStage:
 
 def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None:
     clock = VirtualClock()
-    model = AptModel(
-        Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4), 55000123, acceleration_deg_s2=5.0
+    model = AxisModel(
+        Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4),
+        "55000123",
+        speed_deg_s=10.0,
+        acceleration_deg_s2=5.0,
     )
     controller = AptController(model, clock.monotonic)
     line = direct_line(controller, clock)
@@ -303,7 +307,7 @@ def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None
     ):
         with pytest.raises(error):
             ThorlabsStage([line], [ThorlabsAxis(**({**vars(axis), **changes}))], clock=clock)
-    controller.model = AptModel(model.mechanics, 55000123, "PPC001")
+    controller.model = replace(model, name="PPC001")
     with pytest.raises(DeviceRefused, match="PPC001"):
         ThorlabsStage([line], [axis], clock=clock)
 

@@ -20,8 +20,8 @@ from drivers.file_lock import FOLDER_VARIABLE, DeviceHold
 from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice, TcpPort
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController
 
 HOLD = """
 import sys
@@ -42,7 +42,7 @@ def ports(tmp_path: Path) -> Iterator[list[str]]:
     """The same controllers by two ports: a terminal, and the network."""
     now_s = time.monotonic()
     models = [
-        ZaberModel(Mechanics(6400, -end - 2.0, end + 2.0), serial, int(-end * 6400), int(end * 6400))
+        AxisModel(Mechanics(6400, -end - 2.0, end + 2.0), serial, end)
         for serial, end in (("100101", 15.0), ("100102", 10.0))
     ]
     chain = ZaberChain([ZaberController(model, now_s) for model in models], time.monotonic)

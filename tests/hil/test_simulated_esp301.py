@@ -9,16 +9,16 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics, MotionFault
-from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
+from simulators.stages.esp301 import EspController
 
 SCALE = 10_000.0
 
 
-def models() -> list[EspAxisModel]:
+def models() -> list[AxisModel]:
     return [
-        EspAxisModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), "1263", -15.0, 15.0),
-        EspAxisModel(Mechanics(SCALE, -12.0, 12.0, start_deg=-1.7), "1264", -10.0, 10.0),
+        AxisModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), "1263"),
+        AxisModel(Mechanics(SCALE, -12.0, 12.0, start_deg=-1.7), "1264", 10.0),
     ]
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.flir_ptu import PtuAxisModel, PtuController
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.flir_ptu import PtuController
 
 
 class Turned:
@@ -22,7 +22,7 @@ class Turned:
 
 
 def unit(clock) -> PtuController:
-    axis = PtuAxisModel(Mechanics(800.0, -17.0, 17.0, start_deg=2.4, stall_detection=False), 15.0)
+    axis = AxisModel(Mechanics(800.0, -17.0, 17.0, start_deg=2.4, stall_detection=False))
     return PtuController({"P": axis, "T": axis}, "E1042", clock)
 
 

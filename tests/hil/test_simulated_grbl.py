@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.stages.axis_motion import Mechanics
+from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.grbl import GrblController
-from simulators.stages.grbl_planner import GcodeError, GrblAxisModel, parse_block
+from simulators.stages.grbl_planner import GcodeError, parse_block
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -20,8 +20,8 @@ REPORT = re.compile(
 )
 
 
-def models() -> dict[str, GrblAxisModel]:
-    def one(limit_deg: float, start_deg: float) -> GrblAxisModel:
+def models() -> dict[str, AxisModel]:
+    def one(limit_deg: float, start_deg: float) -> AxisModel:
         mechanics = Mechanics(
             640.0,
             -limit_deg - 2,
@@ -30,7 +30,7 @@ def models() -> dict[str, GrblAxisModel]:
             start_deg=start_deg,
             stall_detection=False,
         )
-        return GrblAxisModel(mechanics, 2 * limit_deg + 2)
+        return AxisModel(mechanics, limit_deg=limit_deg + 0.5)
 
     return {"X": one(15.0, 2.4), "Y": one(10.0, -1.7)}
 

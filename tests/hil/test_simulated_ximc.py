@@ -9,14 +9,14 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics, MotionFault
-from simulators.stages.ximc import XimcController, XimcModel, crc16
+from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
+from simulators.stages.ximc import XimcController, crc16
 
 SCALE = 25_600
 
 
-def model(**changes) -> XimcModel:
-    return XimcModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), 4242, -15.0, 15.0, **changes)
+def model(**changes) -> AxisModel:
+    return AxisModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), "4242", **changes)
 
 
 class Status(tuple):

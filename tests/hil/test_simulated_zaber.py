@@ -11,8 +11,8 @@ import serial
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics, MotionFault
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel, checksum
+from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
+from simulators.stages.zaber import ZaberChain, ZaberController, checksum
 
 SCALE = 6400
 
@@ -21,9 +21,7 @@ def controller(
     serial_number: str, limit_deg: int, start_deg: float, now_s: float, **changes
 ) -> ZaberController:
     mechanics = Mechanics(SCALE, -limit_deg - 2.0, limit_deg + 2.0, start_deg=start_deg)
-    return ZaberController(
-        ZaberModel(mechanics, serial_number, -limit_deg * SCALE, limit_deg * SCALE, **changes), now_s
-    )
+    return ZaberController(AxisModel(mechanics, serial_number, limit_deg, **changes), now_s)
 
 
 class Gimbal:

@@ -17,8 +17,8 @@ from drivers.stage import AxisLimits
 from drivers.stage.thorlabs_controller import STOP, STOP_BY_RAMP, short
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.ports.serial_device import SerialDevice, TcpPort
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController
 from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock, stop_in_mid_move
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -148,7 +148,7 @@ def test_an_axis_found_moving_is_stopped_at_opening(rig) -> None:
 
 
 def test_a_stage_is_moved_over_the_network() -> None:
-    model = ZaberModel(Mechanics(6400, -17.0, 17.0), "100101", -96_000, 96_000)
+    model = AxisModel(Mechanics(6400, -17.0, 17.0), "100101")
     controller = ZaberController(model, time.monotonic())
     axis = ZaberAxis(
         name="pan",

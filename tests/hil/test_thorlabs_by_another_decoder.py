@@ -16,8 +16,8 @@ from drivers.stage import thorlabs_controller as ours
 from drivers.stage.thorlabs_controller import FAMILIES, Information, Status
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.thorlabs_apt import AptController, AptModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.thorlabs_apt import AptController
 from tests.hil.direct_stages import FAMILIES as RIGS
 from tests.hil.direct_stages import (
     K10CR1_COUNTS_PER_DEG,
@@ -64,7 +64,9 @@ def test_the_driver_s_messages_are_those_of_another_encoder(mine, theirs) -> Non
 def controller(name: str) -> tuple[AptController, VirtualClock]:
     clock = VirtualClock()
     scale = K10CR1_COUNTS_PER_DEG if name == "K10CR1" else PRM1Z8_COUNTS_PER_DEG
-    model = AptModel(Mechanics(scale, -170.0, 170.0, start_deg=20.0), 55_000_123, name)
+    model = AxisModel(
+        Mechanics(scale, -170.0, 170.0, start_deg=20.0), "55000123", 15.0, 10.0, 10.0, name=name
+    )
     return AptController(model, clock.monotonic), clock
 
 
@@ -210,7 +212,7 @@ def test_pylablib_homes_moves_and_stops_the_simulated_controller(name, tmp_path:
     kinesis = pytest.importorskip("pylablib.devices.Thorlabs.kinesis", reason="pylablib is not installed")
     monkeypatch.setattr(kinesis.BasicKinesisDevice, "_cycle_rts", lambda _self, _line: None)  # no RTS here
     scale = K10CR1_COUNTS_PER_DEG if name == "K10CR1" else PRM1Z8_COUNTS_PER_DEG
-    model = AptModel(Mechanics(scale, -170.0, 170.0, start_deg=5.0), 55_000_123, name)
+    model = AxisModel(Mechanics(scale, -170.0, 170.0, start_deg=5.0), "55000123", 15.0, 10.0, 10.0, name=name)
     device = AptController(model, time.monotonic)
     with SerialDevice(PseudoTerminal(tmp_path / "stage"), device) as port:
         known_as = "K10CR1" if name == "K10CR1" else "PRM1-Z8"

@@ -20,10 +20,10 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.esp301 import EspController
+from simulators.stages.ximc import XimcController
+from simulators.stages.zaber import ZaberChain, ZaberController
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 
@@ -88,7 +88,7 @@ def test_zaber_requests_are_those_of_zaber_motion(tmp_path) -> None:
     from zaber_motion import Library
 
     Library.enable_device_db_store(str(tmp_path))
-    controller = ZaberController(ZaberModel(mechanics(6400), "100101", -96000, 96000), time.monotonic())
+    controller = ZaberController(AxisModel(mechanics(6400), "100101"), time.monotonic())
     with line(ZaberChain([controller], time.monotonic), tmp_path) as (address, tap):
         axis = ZaberAxis(name="pan", device=1, serial="", microsteps_per_deg=6400, limits=LIMITS)
         told = ours(ZaberStage.open(address, [axis], clock=SystemClock()), tap, zaber_requests)
@@ -113,7 +113,7 @@ def ximc_requests(data: bytes) -> set[bytes]:
 
 def test_ximc_requests_are_those_of_libximc(tmp_path) -> None:
     ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
-    controller = XimcController(XimcModel(mechanics(25600), 4242, -15.0, 15.0), time.monotonic)
+    controller = XimcController(AxisModel(mechanics(25600), "4242"), time.monotonic)
     with line(controller, tmp_path) as (address, tap):
         axis = XimcAxis(name="pan", port=address, serial="", steps_per_deg=100.0, limits=LIMITS)
         told = ours(XimcStage.open([axis], clock=SystemClock()), tap, ximc_requests)
@@ -148,7 +148,7 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
     newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
     from pymeasure.adapters import SerialAdapter
 
-    controller = EspController([EspAxisModel(mechanics(10_000.0), "1263", -15.0, 15.0)], time.monotonic)
+    controller = EspController([AxisModel(mechanics(10_000.0), "1263")], time.monotonic)
     with line(controller, tmp_path) as (address, tap):
         axis = EspAxis(name="pan", number=1, serial="", limits=LIMITS)
         told = ours(EspStage.open(address, [axis], clock=SystemClock()), tap, esp_requests)

@@ -17,8 +17,8 @@ from drivers.errors import (
 )
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
-from simulators.stages.axis_motion import Mechanics, MotionFault
-from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
+from simulators.stages.esp301 import EspController
 from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -36,7 +36,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock = VirtualClock()
         mechanics = Mechanics(10_000.0, -22.0, 22.0, start_deg=3.0)
-        models = [EspAxisModel(mechanics, one, -20.0, 20.0, "URS75CC") for one in ("1263", "1264")]
+        models = [AxisModel(mechanics, one, 20.0, name="URS75CC") for one in ("1263", "1264")]
         self.controller = EspController(models, self.clock.monotonic)
         self.line = direct_line(self.controller, self.clock)
         self.pan, self.tilt = self.controller.axes[1], self.controller.axes[2]

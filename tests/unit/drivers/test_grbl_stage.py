@@ -24,9 +24,9 @@ from drivers.errors import (
 from drivers.stage import AxisLimits, grbl_controller
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.grbl_controller import parse_report
-from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
 from simulators.stages.grbl import GrblController
-from simulators.stages.grbl_planner import GrblAxisModel, Planner
+from simulators.stages.grbl_planner import Planner
 from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -49,7 +49,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock = VirtualClock()
         mechanics = Mechanics(100.0, -23.0, 19.0, home_deg=17.0, start_deg=10.0, stall_detection=False)
-        models = dict.fromkeys("XY", GrblAxisModel(mechanics, 40.0))
+        models = dict.fromkeys("XY", AxisModel(mechanics, limit_deg=19.5))
         self.board = GrblController(models, self.clock.monotonic)
         self.board.name = "gimbal-7"
         self.line = direct_line(self.board, self.clock)

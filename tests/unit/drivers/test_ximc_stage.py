@@ -22,8 +22,8 @@ from drivers.errors import (
 from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.ximc_protocol import check_data, move_data, request
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.ximc import XimcController
 from tests.hil import mutated
 from tests.hil.direct_stages import VirtualClock, direct_line
 
@@ -51,8 +51,8 @@ class Bench:
         self.clock = VirtualClock()
         mechanics = Mechanics(SCALE * MICROSTEPS, -17.0, 17.0, start_deg=2.4)
         self.pan, self.tilt = self.controllers = [
-            XimcController(XimcModel(mechanics, serial, -17.0, 17.0), self.clock.monotonic)
-            for serial in (12345, 12346)
+            XimcController(AxisModel(mechanics, serial, 17.0), self.clock.monotonic)
+            for serial in ("12345", "12346")
         ]
         self.lines = [direct_line(one, self.clock) for one in self.controllers]
 

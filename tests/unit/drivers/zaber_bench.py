@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from drivers.stage import AxisLimits
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.stages.axis_motion import Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController
 from tests.hil.direct_stages import VirtualClock, direct_line
 from tests.hil.mutated import put
 
@@ -31,7 +31,7 @@ class Bench:
         self.clock = VirtualClock()
         mechanics = Mechanics(SCALE, -17.0, 17.0, start_deg=2.4)
         self.pan, self.tilt = (
-            ZaberController(ZaberModel(mechanics, serial, -15_000, 15_000, encoder=False), self.clock.now_s)
+            ZaberController(AxisModel(mechanics, serial, 15_000 / SCALE, encoder=False), self.clock.now_s)
             for serial in ("100101", "100102")
         )
         chain = ZaberChain([self.pan, self.tilt], self.clock.monotonic)
