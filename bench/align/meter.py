@@ -6,7 +6,7 @@ The engine's compiled loops hold Python's global lock for tens of milliseconds. 
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -30,51 +30,35 @@ class Measured(NamedTuple):
     figures: LiveFigures
 
 
-class Meter(Protocol):
-    """Measures one slice after the other."""
-
-    def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
-        """Measure a slice. Raises BenchError if it could not be measured; the next one may be."""
-        ...
-
-    def forget(self) -> None:
-        """Forget the course of the focus."""
-        ...
-
-    def close(self) -> None:
-        """End the measuring."""
-        ...
-
-
 class MeterHere:
-    """Measures in this process, for tests and programs without a page. See `Meter`."""
+    """Measures one slice after the other in this process, for tests and programs without a page."""
 
     def __init__(self) -> None:
         self._meter = LiveMeter()
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
-        """See `Meter.measure`."""
+        """Measure a slice."""
         image, figures = self._meter.measure(part, setting)
         coded, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         return Measured(image, jpeg.tobytes() if coded else b"", figures)
 
     def forget(self) -> None:
-        """See `Meter.forget`."""
+        """Forget the course of the focus."""
         self._meter.forget()
 
     def close(self) -> None:
-        """See `Meter.close`."""
+        """Do nothing: there is no process to end."""
 
 
 class MeterProcess:
-    """Measures in a process of its own. See `Meter`."""
+    """Measures in a process of its own, which is started again when it has ended."""
 
     def __init__(self) -> None:
         self._worker = WorkerProcess("bench.align.meter", _ONE_THREAD)
         self._worker.start()
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
-        """See `Meter.measure`. A process that has ended is started again."""
+        """Measure a slice. Raises BenchError if it could not be measured; the next one may be."""
         answer = self._ask((part, setting))
         if isinstance(answer, str):
             raise BenchError(
@@ -84,12 +68,12 @@ class MeterProcess:
         return Measured(*answer)
 
     def forget(self) -> None:
-        """See `Meter.forget`. A process that has just ended has forgotten already."""
+        """Forget the course of the focus. A process that has just ended has forgotten already."""
         with suppress(BenchError):
             self._ask(_FORGET)
 
     def close(self) -> None:
-        """See `Meter.close`."""
+        """End the measuring."""
         self._worker.close()
 
     def _ask(self, question: Any) -> Any:
@@ -100,6 +84,9 @@ class MeterProcess:
                 "The process that measures has ended by itself.",
                 remedy="It is started again; wait some seconds.",
             ) from error
+
+
+Meter = MeterHere | MeterProcess
 
 
 def main() -> None:

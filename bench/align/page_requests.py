@@ -102,7 +102,7 @@ def _stage_actions(session: Session) -> dict[str, Action]:
         return goals
 
     def home(page: str, _body: Mapping[str, Any]) -> Any:
-        session.home(page)
+        session.bench.stage.home(page)
         _told(session, page, "started the homing of the stage")
 
     def reopen(page: str, _body: Mapping[str, Any]) -> Any:
@@ -145,7 +145,7 @@ def _camera_actions(session: Session) -> dict[str, Action]:
         if value != int(value):
             raise ControlRefused("A bias is a whole number. Nothing was sent.", remedy="Give a whole number.")
         name = str(body.get("name"))
-        found = dict(session.bias(name, int(value)))
+        found = dict(session.bench.camera.set_bias(name, int(value)))
         _told(session, page, f"set {name} to {found.get(name)}, as read back", name)
         return found
 

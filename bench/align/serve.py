@@ -230,13 +230,12 @@ def align_on_page(
         _print(
             f"Station: {session.station.value.name}. Ctrl-C stops the stage, switches the light off, and ends."
         )
-        _stop_at_signals(session)
         opening.start()
         if open_browser:
             server.open_browser()
 
     try:
-        server.serve(ready)
+        server.serve(ready, partial(_stop_soon, session))
     finally:
         if opening.ident is not None:
             opening.join()
@@ -293,26 +292,6 @@ def _stop_soon(session: Session) -> None:
             session.stop("because the program ends")
 
     threading.Thread(target=stop, name="align-signal-stop", daemon=True).start()
-
-
-def _stop_at_signals(session: Session) -> None:
-    """Stop the stage in the handlers of the signals that end the server, before these do their own work."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is None or threading.current_thread() is not threading.main_thread():
-            continue
-        before = signal.getsignal(number)
-
-        def handle(
-            received: int,
-            frame: FrameType | None,
-            before: Callable[[int, FrameType | None], object] = before,  # type: ignore[assignment]
-        ) -> None:
-            _stop_soon(session)
-            if callable(before):
-                before(received, frame)
-
-        signal.signal(number, handle)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
@@ -230,14 +230,6 @@ class Session:
 
     # ------------------------------------------------------------------ what a person asks for
 
-    def jog(self, axis: str, step_deg: float, by: str = "") -> dict[str, float]:
-        """Turn one axis by a small step, and return its goal, degrees. See `StageControl.move_by`."""
-        return self.bench.stage.move_by({axis: step_deg}, by)
-
-    def home(self, by: str = "") -> None:
-        """Search the references of the stage. See `StageControl.home`."""
-        self.bench.stage.home(by)
-
     def stop(self, why: str = "on request") -> None:
         """Stop the stage now, because of ``why``. For any thread, at any time."""
         bench = self._bench
@@ -262,10 +254,6 @@ class Session:
         control = self.bench.light
         control.set(**changes)
         return control.as_data()
-
-    def bias(self, name: str, value: int) -> Mapping[str, int]:
-        """Change one bias of the camera, in its own steps from the factory value. See `CameraControl.set_bias`."""
-        return self.bench.camera.set_bias(name, value)
 
     # ------------------------------------------------------------------ watching
 

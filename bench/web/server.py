@@ -102,9 +102,14 @@ class PageServer:
         """Whether a signal has ended the server."""
         return self._server.ended_by_signal
 
-    def serve(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Serve until a signal, or `stop` from another thread; ``ready`` is called when it accepts connections."""
-        self._server.ready = ready
+    def serve(
+        self, ready: Callable[[], None] = lambda: None, at_signal: Callable[[], None] = lambda: None
+    ) -> None:
+        """Serve until a signal, or `stop` from another thread; ``ready`` is called when it accepts connections.
+
+        ``at_signal`` is called in the handler of each signal, before anything else; it must not wait.
+        """
+        self._server.ready, self._server.at_signal = ready, at_signal
         try:
             self._server.run(sockets=[self._socket])
         finally:
@@ -161,6 +166,7 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
         self.ready: Callable[[], None] = lambda: None
+        self.at_signal: Callable[[], None] = lambda: None
         self.ended_by_signal = False
         self._closing: asyncio.Event | None = None
 
@@ -192,6 +198,7 @@ class _Server(uvicorn.Server):
             return
 
         def end(number: int, _frame: object) -> None:
+            self.at_signal()
             self.force_exit = self.should_exit and number == signal.SIGINT
             self.should_exit = self.ended_by_signal = True
 

@@ -70,13 +70,13 @@ def test_pictures_come_and_no_slice_is_left(opened):
 
 def test_a_jog_moves_one_axis_and_steps_add_up(opened):
     session, devices = opened
-    assert session.jog("pan", 0.5) == {"pan": 0.5}
-    assert session.jog("pan", 0.5) == {"pan": 1.0}
+    assert session.bench.stage.move_by({"pan": 0.5}) == {"pan": 0.5}
+    assert session.bench.stage.move_by({"pan": 0.5}) == {"pan": 1.0}
     _rest(session)
     assert devices.stage.at == {"pan": 1.0, "tilt": 0.0}
     devices.stage.at["pan"] = 0.9996  # the counter of a controller counts in steps
     session.bench.stage.look()
-    assert session.jog("pan", -0.1) == {"pan": 0.9}
+    assert session.bench.stage.move_by({"pan": -0.1}) == {"pan": 0.9}
 
 
 def test_the_limit_of_an_axis_is_not_passed(opened):
@@ -85,35 +85,35 @@ def test_the_limit_of_an_axis_is_not_passed(opened):
     with pytest.raises(
         ControlRefused, match=r"tilt is at 9.900 deg and its limit is 10 deg. Nothing was moved"
     ) as e:
-        session.jog("tilt", 0.5)
+        session.bench.stage.move_by({"tilt": 0.5})
     assert "at most 0.100 deg" in e.value.remedy
     assert devices.stage.calls == []
     for step in (0.0, 6.0, float("nan")):
         with pytest.raises(ControlRefused, match="not possible"):
-            session.jog("tilt", step)
+            session.bench.stage.move_by({"tilt": step})
     with pytest.raises(ControlRefused, match="no axis 'yaw'"):
-        session.jog("yaw", 1.0)
+        session.bench.stage.move_by({"yaw": 1.0})
 
 
 def test_a_stage_that_is_not_homed_is_not_moved(opened):
     session, devices = opened
     devices.stage.homed = False
     with pytest.raises(ControlRefused, match="not homed"):
-        session.jog("pan", 0.5)
-    session.home()
+        session.bench.stage.move_by({"pan": 0.5})
+    session.bench.stage.home()
     with pytest.raises(ControlRefused, match="Homing was not started"):
-        session.home()
+        session.bench.stage.home()
     _rest(session)
     assert devices.stage.calls == ["home"]
-    session.jog("pan", 0.5)
+    session.bench.stage.move_by({"pan": 0.5})
 
 
 def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
     session, devices = opened
     devices.stage.step_deg = 0.01
-    session.jog("pan", 5.0)
+    session.bench.stage.move_by({"pan": 5.0})
     wait_until(lambda: devices.stage.at["pan"] > 0.1)
-    session.jog("pan", 5.0)
+    session.bench.stage.move_by({"pan": 5.0})
     began_s = time.monotonic()
     session.stop()
     assert devices.stage.calls[-1] == "stop"
@@ -123,7 +123,7 @@ def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
     devices.stage.step_deg = 0.05
     assert not session.bench.stage.moving
     assert session.state()["stage"]["failure"] is None  # a stop that was asked for is no fault
-    session.jog("pan", 0.1)
+    session.bench.stage.move_by({"pan": 0.1})
     _rest(session)
     assert devices.stage.at["pan"] < 3
 
@@ -131,7 +131,7 @@ def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
 def test_a_stop_just_after_a_jog_leaves_nothing_moving(opened):
     session, devices = opened
     for _ in range(30):
-        session.jog("pan", 0.2 if devices.stage.at["pan"] < 5 else -5.0)
+        session.bench.stage.move_by({"pan": 0.2 if devices.stage.at["pan"] < 5 else -5.0})
         session.stop()
         assert not session.bench.stage.moving
         before = dict(devices.stage.at)
@@ -149,7 +149,7 @@ def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
         real(target_deg)  # the driver has seen no stop since it was called
 
     devices.stage.move_to = late
-    session.jog("pan", 5.0)
+    session.bench.stage.move_by({"pan": 5.0})
     assert entered.wait(2)
     session.stop()
     assert devices.stage.stops >= 2
@@ -160,13 +160,13 @@ def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
 def test_a_failed_move_is_shown_and_the_next_one_is_possible(opened):
     session, devices = opened
     devices.stage.fault = "pan: stalled"
-    session.jog("pan", 0.5)
+    session.bench.stage.move_by({"pan": 0.5})
     _rest(session)
     shown = session.state()["stage"]
     assert "stalled" in shown["failure"]["what"]
     assert shown["failure"]["remedy"] == "Free the axis."
     devices.stage.fault = ""
-    session.jog("pan", 0.5)
+    session.bench.stage.move_by({"pan": 0.5})
     assert session.state()["stage"]["failure"] is None
 
 
@@ -227,7 +227,7 @@ GONE = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
     ("device", "unplugged", "plugged", "used"),
     [
         ("light", {"lost": True}, {"lost": False}, lambda session: session.light(on=True)),
-        ("stage", {"lost": True}, {"lost": False}, lambda session: session.jog("pan", 0.5)),
+        ("stage", {"lost": True}, {"lost": False}, lambda session: session.bench.stage.move_by({"pan": 0.5})),
         ("camera", {"fault": GONE}, {"fault": None}, None),
     ],
 )
@@ -251,13 +251,13 @@ def test_an_unplugged_device_is_shown_and_comes_back(opened, device, unplugged, 
 def test_biases_change_between_two_slices_and_are_read_back(opened):
     session, devices = opened
     wait_until(lambda: session.picture().number >= 1)
-    assert session.bias("bias_diff_on", 20)["bias_diff_on"] == 20
-    assert session.bias("bias_fo", -5)["bias_diff_on"] == 20
+    assert session.bench.camera.set_bias("bias_diff_on", 20)["bias_diff_on"] == 20
+    assert session.bench.camera.set_bias("bias_fo", -5)["bias_diff_on"] == 20
     assert devices.camera.settings.biases["bias_fo"] == -5
     with pytest.raises(ControlRefused, match="bias_refr 300 is outside -50 to 255"):
-        session.bias("bias_refr", 300)
+        session.bench.camera.set_bias("bias_refr", 300)
     with pytest.raises(ControlRefused, match="no bias 'bias_x'"):
-        session.bias("bias_x", 0)
+        session.bench.camera.set_bias("bias_x", 0)
     seen = session.picture().number
     wait_until(lambda: session.picture().number > seen + 1)
 
@@ -265,7 +265,7 @@ def test_biases_change_between_two_slices_and_are_read_back(opened):
 def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opened):
     session, devices = opened
     session.light(on=True)
-    session.jog("pan", 5.0)
+    session.bench.stage.move_by({"pan": 5.0})
     confirmed = session.close()
     assert [(one.device, one.safe) for one in confirmed] == [
         ("stage", True),
@@ -277,7 +277,7 @@ def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opene
     assert devices.closed
     assert session.close() == []
     with pytest.raises(ControlRefused):
-        session.jog("pan", 0.1)
+        session.bench.stage.move_by({"pan": 0.1})
     assert session.open() is None  # a closed session stays closed
     assert not session.is_open
 
@@ -307,7 +307,7 @@ def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
     assert failure.remedy == "Close that program."
     assert session.state()["devices"]["state"] == "failed"
     with pytest.raises(ControlRefused, match="another program holds it"):
-        session.jog("pan", 0.1)
+        session.bench.stage.move_by({"pan": 0.1})
     assert session.reopen() is None
     session.close()
 
@@ -391,7 +391,7 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
         assert "The stage could not be opened. gimbal: no such port." in said(session)
         session.light(on=True)
         with pytest.raises(PortLost):
-            session.jog("pan", 0.5)
+            session.bench.stage.move_by({"pan": 0.5})
         before = session.picture().number
         assert session.reopen() is None
         assert late.state == "opening"
@@ -400,7 +400,7 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
         late.end()
         assert session.state()["stage"]["failure"] is None
         assert "All devices are open." in said(session)
-        session.jog("pan", 0.5)
+        session.bench.stage.move_by({"pan": 0.5})
     finally:
         session.close()
 
