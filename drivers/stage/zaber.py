@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -22,7 +21,7 @@ from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion, zaber_protocol
 from drivers.stage.motion import Axis
 from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable, reads_otherwise
-from drivers.stage.zaber_protocol import Reply, Unsolicited
+from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
 REPLY_S = 1.0
@@ -34,20 +33,18 @@ class ZaberChain(Link):
     """A chain of devices on one line. Opening sends nothing.
 
     ``devices`` are the addresses that this driver uses; others in the chain are stopped by ``stop_all`` only.
-    ``unsolicited`` holds the latest 100 alerts and information lines, oldest first.
     """
 
     def __init__(
         self, port: Port, devices: Collection[int], *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
-        self.unsolicited: deque[Unsolicited] = deque(maxlen=100)
         self._devices = sorted(set(devices))
         self._ids = itertools.cycle(range(100))
         super().__init__(
             port,
             clock=clock,
             resynchronise=self._resynchronise,
-            unsolicited=self._take_unsolicited,
+            unsolicited=lambda line: zaber_protocol.is_unsolicited(line, port.name),
             wire_log=wire_log,
         )
 
@@ -145,12 +142,6 @@ class ZaberChain(Link):
             lambda: self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True),
             silence_after=False,
         )
-
-    def _take_unsolicited(self, line: bytes) -> bool:
-        message = zaber_protocol.parse_unsolicited(line, self.name)
-        if message is not None:
-            self.unsolicited.append(message)
-        return message is not None
 
 
 SPEED_UNITS = 1.6384

@@ -82,9 +82,7 @@ _REPLY = re.compile(
     rb"@(?P<device>\d\d) (?P<axis>\d) (?P<id>\d\d) (?P<verdict>OK|RJ) (?P<state>BUSY|IDLE)"
     rb" (?P<flag>[A-Z][A-Z]|--) (?P<data>[ -9;-~]+):(?P<lrc>[0-9A-F]{2})\r\n"
 )
-_UNSOLICITED = re.compile(
-    rb"(?P<kind>[!#])(?P<device>\d\d) (?P<axis>\d) (?P<text>[ -9;-~]+):(?P<lrc>[0-9A-F]{2})\r\n"
-)
+_UNSOLICITED = re.compile(rb"[!#]\d\d \d [ -9;-~]+:(?P<lrc>[0-9A-F]{2})\r\n")
 
 
 @dataclass(frozen=True)
@@ -98,16 +96,6 @@ class Reply:
     busy: bool  # Whether the axis moves
     flag: str  # The most urgent warning flag, or "--"
     data: str  # The value asked for, or the reason of a refusal
-
-
-@dataclass(frozen=True)
-class Unsolicited:
-    """A line that answers no request."""
-
-    kind: str  # "!" for an alert, "#" for an information line
-    device: int
-    axis: int
-    text: str
 
 
 def checksum(body: bytes) -> int:
@@ -158,18 +146,12 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
     )
 
 
-def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
-    r"""Parse an alert or an information line; None for any other line."""
+def is_unsolicited(line: bytes, where: str = "") -> bool:
+    """Return whether a line is an alert or an information line, which answers no request and has a checksum too."""
     match = _UNSOLICITED.fullmatch(line)
-    if match is None:
-        return None
-    _check_sum(line, match, where)
-    return Unsolicited(
-        kind=match["kind"].decode("ascii"),
-        device=int(match["device"]),
-        axis=int(match["axis"]),
-        text=match["text"].decode("ascii"),
-    )
+    if match is not None:
+        _check_sum(line, match, where)
+    return match is not None
 
 
 def parse_flags(data: str, where: str = "") -> tuple[str, ...]:

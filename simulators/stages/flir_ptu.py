@@ -33,6 +33,24 @@ _MOST_SPEED_DEG_S: Final = 100.0
 _LARGEST: Final = 10**9
 
 
+_TOLD: Final = {
+    "P": "Current {} position is {}",
+    "O": "Target {} position is {}",
+    "D": "Current {} speed is {} positions/sec",
+    "S": "Target {} speed is {} positions/sec",
+    "A": "{} acceleration is {} positions/sec^2",
+    "B": "{} base speed is {} positions/sec",
+    "U": "Maximum {} speed is {} positions/sec",
+    "L": "Minimum {} speed is {} positions/sec",
+    "N": "Minimum {} position is {}",
+    "X": "Maximum {} position is {}",
+    "NU": "Minimum {} position is {}",
+    "XU": "Maximum {} position is {}",
+    "R": "{1} seconds arc per position",
+}
+"""Verbose answers, with the axis's name and the value, by the letters after the axis's letter."""
+
+
 class _PtuError(Exception):
     """A refused command, with the text after the exclamation mark."""
 
@@ -193,31 +211,18 @@ class PtuController(Controller):
         if value is not None:
             raise _PtuError("Illegal command argument")
         speed = one.axis.velocity(now)
-        told: dict[str, tuple[str, Callable[[], int | str], str]] = {
-            "P": ("Current {} position is", lambda: round(one.axis.counter(now)), ""),
-            "O": ("Target {} position is", lambda: round(one.axis.rest_counter(now)), ""),
-            "D": ("Current {} speed is", lambda: self._speed(one, speed, now), " positions/sec"),
-            "S": ("Target {} speed is", lambda: one.settings["S"], " positions/sec"),
-            "A": ("{} acceleration is", lambda: one.settings["A"], " positions/sec^2"),
-            "B": ("{} base speed is", lambda: one.settings["B"], " positions/sec"),
-            "U": ("Maximum {} speed is", lambda: one.settings["U"], " positions/sec"),
-            "L": ("Minimum {} speed is", lambda: one.settings["L"], " positions/sec"),
-            "N": ("Minimum {} position is", lambda: one.settings["N"], ""),
-            "X": ("Maximum {} position is", lambda: one.settings["X"], ""),
-            "NU": ("Minimum {} position is", lambda: one.settings["NU"], ""),
-            "XU": ("Maximum {} position is", lambda: one.settings["XU"], ""),
-            "R": (
-                "",
-                lambda: f"{3600.0 / one.model.mechanics.counts_per_deg:.6f}",
-                " seconds arc per position",
-            ),
+        read: dict[str, Callable[[], int | str]] = {
+            "P": lambda: round(one.axis.counter(now)),
+            "O": lambda: round(one.axis.rest_counter(now)),
+            "D": lambda: self._speed(one, speed, now),
+            "R": lambda: f"{3600.0 / one.model.mechanics.counts_per_deg:.6f}",
         }
-        if name not in told:
+        if name not in _TOLD:
             raise _PtuError("Illegal command entered")
-        words, read, unit = told[name]
+        value_now = read[name]() if name in read else one.settings[name]
         if not self._verbose:
-            return f"* {read()}"
-        return f"* {words.format(axis_name)} {read()}{unit}".replace("*  ", "* ")
+            return f"* {value_now}"
+        return f"* {_TOLD[name].format(axis_name, value_now)}"
 
     def _speed(self, one: PtuAxis, speed: float, now: float) -> int:
         """Return the present speed, which is 0 only at rest."""
