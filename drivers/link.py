@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import ClassVar, Final, NamedTuple, TypeVar
 
 from drivers.clock import Clock
@@ -209,11 +210,13 @@ class Link:
     """A line to one device or a chain of devices. Threads share it; one exchange is made at a time.
 
     ``resynchronise`` brings the line back into step (see ``prove_in_step``). It is called with the lock held, may call
-    ``drain`` and make urgent exchanges, and raises `ReplyError` when it fails. ``unsolicited`` returns True for a line
+    ``drain`` and exchange ``urgently``, and raises `ReplyError` when it fails. ``unsolicited`` returns True for a line
     that answers no request. ``wire_log`` records every byte. While a thread holds ``lock``, no other thread can send.
     """
 
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
+    reply_s: float = 1.0
+    """Longest time for a whole reply, unless an exchange has its own, in seconds; most of it is for a busy computer."""
     quiet_s: float = 0.05
     """After this time without a byte the line counts as silent, in seconds."""
     longest_drain_s: float = 1.0
@@ -238,6 +241,8 @@ class Link:
         self._wire_log = wire_log
         self._buffer = bytearray()
         self._in_step = True
+        self._urgent = False
+        self._urgent_reply_s: float | None = None
 
     @property
     def name(self) -> str:
@@ -259,18 +264,17 @@ class Link:
         request: bytes,
         read_reply: Callable[[ReplyReader], T],
         *,
-        deadline_s: float,
-        urgent: bool = False,
+        deadline_s: float | None = None,
     ) -> T:
         """Send a request and return what ``read_reply`` makes of its reply, alone on the line.
 
         ``read_reply`` raises `ReplyGarbled` when the bytes are no reply to this request; ``deadline_s`` is for the
-        whole reply. ``urgent`` sends at once, without resynchronising: for stops, whose reply cannot be mistaken for
-        another one. After an error the line is resynchronised before the next request.
+        whole reply; None stands for ``reply_s``. After an error the line is resynchronised before the next request.
         """
         with self.lock:
-            if not urgent:
-                self.bring_into_step()
+            self.bring_into_step()
+            if deadline_s is None:
+                deadline_s = self.reply_s if self._urgent_reply_s is None else self._urgent_reply_s
             in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
@@ -279,6 +283,20 @@ class Link:
             self._in_step = in_step_before
             return reply
 
+    @contextmanager
+    def urgently(self, reply_s: float | None = None) -> Iterator[None]:
+        """Send this thread's requests in the block at once, without resynchronising.
+
+        It is for stops, whose reply cannot be mistaken for another one. ``reply_s`` takes the place of the line's own.
+        """
+        with self.lock:
+            before = self._urgent, self._urgent_reply_s
+            self._urgent, self._urgent_reply_s = True, reply_s
+            try:
+                yield
+            finally:
+                self._urgent, self._urgent_reply_s = before
+
     def write(self, data: bytes) -> None:
         """Send bytes that have no reply."""
         with self.lock:
@@ -286,8 +304,10 @@ class Link:
             self._port.write(data)
 
     def bring_into_step(self) -> None:
-        """Resynchronise when an old reply is unread, or may still come."""
+        """Resynchronise when an old reply is unread, or may still come, except `urgently`."""
         with self.lock:
+            if self._urgent:
+                return
             self._take_strays()
             if not self._in_step:
                 self._resynchronise()
@@ -325,6 +345,7 @@ class Link:
         self,
         exchange_marker: Callable[[], object],
         *,
+        marker_s: float | None = None,
         failed: str = "more bytes come than were asked for.",
         remedy: str = "Check the port and the cable.",
         clear_device: Callable[[], object] = do_nothing,
@@ -339,16 +360,18 @@ class Link:
         else ``failed`` and ``remedy`` are told. There are two attempts.
 
         ``exchange_marker`` returns False when its answer is not the expected one, and raises `ReplyError` for no valid
-        answer. ``clear_device`` makes the device forget the beginning of a command; it is called after the line was
-        silent. ``inspect_old`` gets the old bytes before they are lost, for unsolicited messages in them.
-        ``once_if_silent`` ends the attempts at a marker without an answer, unless the computer is too busy: for a
-        caller that repeats the request, and with it this, by itself, so that a device without power is told sooner.
+        answer within ``marker_s`` (None: ``reply_s``). ``clear_device`` makes the device forget the beginning of a
+        command; it is called after the line was silent. ``inspect_old`` gets the old bytes before they are lost, for
+        unsolicited messages in them. ``once_if_silent`` ends the attempts at a marker without an answer, unless the
+        computer is too busy: for a caller that repeats the request, and with it this, by itself, so that a device
+        without power is told sooner.
         """
         for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
             inspect_old(self.drain())
             clear_device()
             try:
-                expected = exchange_marker() is not False
+                with self.urgently(marker_s):
+                    expected = exchange_marker() is not False
             except ReplyError as error:
                 silent = isinstance(error, ReplyTimeout) and not error.late_s
                 if not tries_left or (silent and once_if_silent):

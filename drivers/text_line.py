@@ -83,7 +83,7 @@ class TextLine(Link):
         self._identity_form = identity_form
         self._request_end = request_end
         self._reply_end = reply_end
-        self._reply_s = reply_s
+        self.reply_s = reply_s
         super().__init__(
             port,
             clock=clock,
@@ -120,7 +120,6 @@ class TextLine(Link):
         PortLost
             The port is gone.
         """
-        deadline_s = deadline_s or self._reply_s
         return repeat(lambda: self._query_once(query, deadline_s), tries=tries)
 
     def query_number(self, query: str) -> float:
@@ -222,18 +221,19 @@ class TextLine(Link):
         PortLost
             The port is gone.
         """
-        self.exchange(self._encode(command), _read_nothing, deadline_s=0.0, urgent=True)
+        with self.urgently():
+            self.send(command)
 
     # ------------------------------------------------------------ inside
 
     def _encode(self, text: str) -> bytes:
         return text.encode("ascii") + self._request_end
 
-    def _query_once(self, query: str, deadline_s: float, *, urgent: bool = False) -> str:
+    def _query_once(self, query: str, deadline_s: float | None = None) -> str:
         def read_reply(reader: ReplyReader) -> str:
             return self._parse_reply(reader.read_line())
 
-        return self.exchange(self._encode(query), read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(self._encode(query), read_reply, deadline_s=deadline_s)
 
     def _parse_reply(self, line: bytes) -> str:
         """Return the text of a reply: printable ASCII, not empty. A CR before its end may be missing."""
@@ -259,7 +259,7 @@ class TextLine(Link):
             return  # _identify asks for it at this moment, and drains the line itself
 
         def is_known() -> bool:
-            return self._query_once(self._identity_query, PROMPT_S, urgent=True) == self.identity_text
+            return self._query_once(self._identity_query, PROMPT_S) == self.identity_text
 
         self.prove_in_step(
             is_known,

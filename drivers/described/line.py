@@ -31,7 +31,7 @@ class DescribedLine(Link):
         self, port: Port, description: LineDescription, *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
         self._description = description
-        self.quiet_s = description.quiet_s
+        self.quiet_s, self.reply_s = description.quiet_s, description.reply_s
         self._notices: list[Notice] = []
         self._known = ""
         super().__init__(
@@ -57,7 +57,8 @@ class DescribedLine(Link):
 
         Whatever it raises, the request is out.
         """
-        self._exchange(exchange, {}, urgent=True)
+        with self.urgently():
+            self._exchange(exchange, {})
 
     def switch(self, switch: Switch, values: Mapping[str, Value] | None = None) -> tuple[bool, str]:
         """Ask for a state: return whether the answer is one of the switch's words, and the answer."""
@@ -111,11 +112,8 @@ class DescribedLine(Link):
 
     # ------------------------------------------------------------ inside
 
-    def _exchange(
-        self, exchange: Exchange, values: Mapping[str, Value], *, urgent: bool = False
-    ) -> dict[str, Value]:
+    def _exchange(self, exchange: Exchange, values: Mapping[str, Value]) -> dict[str, Value]:
         request = exchange.send.render(values)
-        deadline_s = self._description.reply_s
 
         def read_reply(reader: ReplyReader) -> str:
             text = ""
@@ -124,7 +122,7 @@ class DescribedLine(Link):
             return text
 
         with self.lock:
-            text = self.exchange(self._encode(request), read_reply, deadline_s=deadline_s, urgent=urgent)
+            text = self.exchange(self._encode(request), read_reply)
             return self._match(exchange, request, text, values) if exchange.reply is not None else {}
 
     def _match(
@@ -197,7 +195,8 @@ class DescribedLine(Link):
         return repeat(self._identify, before_next=self._clear_device)
 
     def _identify(self) -> dict[str, Value]:
-        found = self._exchange(self._description.identity, {}, urgent=True)
+        with self.urgently():
+            found = self._exchange(self._description.identity, {})
         self._known = repr(sorted(found.items()))
         return found
 
@@ -206,7 +205,7 @@ class DescribedLine(Link):
             return  # _identify asks for it at this moment
 
         def is_known() -> bool:
-            found = self._exchange(self._description.identity, {}, urgent=True)
+            found = self._exchange(self._description.identity, {})
             return repr(sorted(found.items())) == self._known
 
         self.prove_in_step(

@@ -68,7 +68,8 @@ class RtLine(TextLine):
 
     def command_urgent(self, command: str) -> None:
         """Send a command, without its end, at once, without resynchronising, and wait for its prompt."""
-        self._query_once(command, PROMPT_S, urgent=True)
+        with self.urgently():
+            self._query_once(command)
 
     def query_fields(self, query: str) -> dict[str, str]:
         """Ask for settings."""

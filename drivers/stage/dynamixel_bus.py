@@ -236,7 +236,6 @@ def garbled(what: str, where: str) -> ReplyGarbled:
     )
 
 
-_REPLY_S: Final = 0.5
 _MARKER_S: Final = 0.3
 _FIRST_STOP_S: Final = 0.2
 _BOOT_POLL_S: Final = 0.1
@@ -262,6 +261,7 @@ class DynamixelBus(Link):
     """The servos on one line. Opening sends nothing."""
 
     quiet_s = 0.03
+    reply_s = 0.5
 
     def __init__(
         self, port: Port, servos: Sequence[int], *, clock: Clock, wire_log: WireLog | None = None
@@ -329,17 +329,8 @@ class DynamixelBus(Link):
         is repeated in step.
         """
         with self.lock:
-            for servo in () if self.in_step else self._servos:
-                with suppress(ReplyError, DeviceRefused):
-                    self._stop(servo, deadline_s=_FIRST_STOP_S, urgent=True)
-            left = []
-            for servo in self._servos:
-                try:
-                    self._stop(servo, deadline_s=_FIRST_STOP_S)
-                except ReplyError:
-                    left.append(servo)
             failed: ReplyError | None = None
-            for servo in left:
+            for servo in self._stop_quickly():
                 try:
                     repeat(lambda servo=servo: self._stop(servo))  # type: ignore[misc]
                 except ReplyError as error:
@@ -349,16 +340,33 @@ class DynamixelBus(Link):
 
     # ------------------------------------------------------------ inside
 
-    def _stop(self, servo: int, deadline_s: float = _REPLY_S, *, urgent: bool = False) -> None:
-        state = self._read_state(servo, deadline_s, urgent=urgent)
+    def _stop_quickly(self) -> list[int]:
+        """Stop every servo that answers soon; return the others."""
+        left = []
+        usual_s, self.reply_s = self.reply_s, _FIRST_STOP_S
+        try:
+            for servo in () if self.in_step else self._servos:
+                with suppress(ReplyError, DeviceRefused), self.urgently():
+                    self._stop(servo, confirmed=False)
+            for servo in self._servos:
+                try:
+                    self._stop(servo)
+                except ReplyError:
+                    left.append(servo)
+        finally:
+            self.reply_s = usual_s
+        return left
+
+    def _stop(self, servo: int, *, confirmed: bool = True) -> None:
+        state = self._read_state(servo)
         if not state.torque:
             return
         goal = _resting_goal(state)
         if goal != state.goal:
-            self._write(servo, GOAL, struct.pack("<i", goal), deadline_s, urgent=urgent)
-            if urgent:
+            self.move(servo, goal)
+            if not confirmed:
                 return
-            state = self._read_state(servo, deadline_s)
+            state = self._read_state(servo)
         if state.torque and state.goal != goal:
             raise ReplyGarbled(
                 f"servo {servo} did not take the goal of a stop.",
@@ -366,13 +374,12 @@ class DynamixelBus(Link):
                 remedy="Cut the servo's power.",
             )
 
-    def _read_state(self, servo: int, deadline_s: float = _REPLY_S, *, urgent: bool = False) -> State:
+    def _read_state(self, servo: int) -> State:
         with self.lock:
             self._asked = servo
-            if not urgent:
-                self.bring_into_step()
+            self.bring_into_step()
             sent_s = self._clock.monotonic()
-            state = State.unpack(self._read(servo, STATE_FIRST, STATE_SIZE, deadline_s, urgent=urgent))
+            state = State.unpack(self._read(servo, STATE_FIRST, STATE_SIZE))
             self._check_age(servo, state, sent_s, self._clock.monotonic())
             return state
 
@@ -388,27 +395,14 @@ class DynamixelBus(Link):
                 raise garbled(f"servo {servo} sent a state of another moment, or has restarted.", self.name)
         self._ages[servo] = _Age(state.tick_ms, sent_s, received_s)
 
-    def _read(
-        self, servo: int, first: int, count: int, deadline_s: float = _REPLY_S, *, urgent: bool = False
-    ) -> bytes:
-        request = struct.pack("<HH", first, count)
-        return self._exchange(servo, READ, request, count, deadline_s=deadline_s, urgent=urgent)
+    def _read(self, servo: int, first: int, count: int) -> bytes:
+        return self._exchange(servo, READ, struct.pack("<HH", first, count), count)
 
-    def _write(
-        self, servo: int, address: int, data: bytes, deadline_s: float = _REPLY_S, *, urgent: bool = False
-    ) -> None:
-        request = struct.pack("<H", address) + data
-        self._exchange(servo, WRITE, request, 0, deadline_s=deadline_s, urgent=urgent)
+    def _write(self, servo: int, address: int, data: bytes) -> None:
+        self._exchange(servo, WRITE, struct.pack("<H", address) + data, 0)
 
     def _exchange(
-        self,
-        servo: int,
-        instruction: int,
-        parameters: bytes,
-        count: int,
-        *,
-        deadline_s: float = _REPLY_S,
-        urgent: bool = False,
+        self, servo: int, instruction: int, parameters: bytes, count: int, *, deadline_s: float | None = None
     ) -> bytes:
         """Send an instruction, and return the parameters of its status packet."""
 
@@ -423,12 +417,8 @@ class DynamixelBus(Link):
 
         with self.lock:
             self._asked = servo
-            answer = self.exchange(
-                packet(servo, instruction, parameters),
-                read_reply,
-                deadline_s=deadline_s,
-                urgent=urgent,
-            )
+            request = packet(servo, instruction, parameters)
+            answer = self.exchange(request, read_reply, deadline_s=deadline_s)
         if isinstance(answer, DeviceRefused):
             raise answer
         return answer
@@ -443,7 +433,8 @@ class DynamixelBus(Link):
     def _resynchronise(self) -> None:
         """Wait for silence; then get the answer to a ping, which no other instruction has, alone on the line."""
         self.prove_in_step(
-            lambda: self._exchange(self._asked, PING, b"", 3, deadline_s=_MARKER_S, urgent=True),
+            lambda: self._exchange(self._asked, PING, b"", 3),
+            marker_s=_MARKER_S,
             remedy="Check the cable, and that no two servos have the same id.",
             once_if_silent=True,
         )

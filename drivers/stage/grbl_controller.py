@@ -168,7 +168,6 @@ def machine_positions(report: StatusReport, places: Sequence[int], where: str) -
     return tuple(report.machine_position[place] for place in places)
 
 
-_REPLY_S = 1.0
 _MARKER_S = 0.5
 _BOOT_TRIES = 6
 """A board that restarts because its port was opened sends nothing for a second or two."""
@@ -218,9 +217,7 @@ class GrblController(Link):
 
     def command(self, line: str) -> list[bytes]:
         """Send a line (without its end), once; return the lines of the reply before its ``ok``."""
-        return self._exchange(
-            f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader), deadline_s=_REPLY_S
-        )
+        return self._exchange(f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader))
 
     def require_awake(self) -> None:
         """Refuse an exchange (`MoveFailed`) with a board that has stopped at a limit: homing resets it."""
@@ -310,7 +307,7 @@ class GrblController(Link):
 
     # ------------------------------------------------------------ inside
 
-    def _query_status_once(self, *, deadline_s: float = _REPLY_S, urgent: bool = False) -> StatusReport:
+    def _query_status_once(self) -> StatusReport:
         def read_reply(reader: ReplyReader) -> StatusReport:
             line = reader.read_line()
             report = parse_report(line, self.name)
@@ -322,10 +319,10 @@ class GrblController(Link):
                 )
             return report
 
-        return self._exchange(STATUS, read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self._exchange(STATUS, read_reply)
 
     def _exchange(
-        self, request: bytes, read: Callable[[ReplyReader], T], *, deadline_s: float, urgent: bool = False
+        self, request: bytes, read: Callable[[ReplyReader], T], *, deadline_s: float | None = None
     ) -> T:
         """Make an exchange; raise MoveFailed as soon as it is known that the board waits for a reset."""
         self.require_awake()
@@ -338,7 +335,7 @@ class GrblController(Link):
                 self.require_awake()
                 raise
 
-        return self.exchange(request, read_awake, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(request, read_awake, deadline_s=deadline_s)
 
     def _read_reply(self, sent: str, reader: ReplyReader) -> list[bytes]:
         lines = []
@@ -393,12 +390,13 @@ class GrblController(Link):
         """Spoil the beginning of a line that the board may hold; then get one ``ok`` to an empty line, alone."""
 
         def exchange_marker() -> None:
-            self._exchange(_INVALID_LINE, self._read_to_error, deadline_s=_REPLY_S, urgent=True)
-            self._query_status_once(deadline_s=_MARKER_S, urgent=True)
-            self._exchange(b"\n", self._read_single_ok, deadline_s=_MARKER_S, urgent=True)
+            self._exchange(_INVALID_LINE, self._read_to_error, deadline_s=self.reply_s)
+            self._query_status_once()
+            self._exchange(b"\n", self._read_single_ok)
 
         self.prove_in_step(
             exchange_marker,
+            marker_s=_MARKER_S,
             failed="the board sends more than it was asked for.",
             remedy="Check the port.",
             inspect_old=self._take_push_messages,

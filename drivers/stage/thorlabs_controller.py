@@ -234,7 +234,6 @@ def _garbled(what: str, where: str) -> ReplyGarbled:
     )
 
 
-_REPLY_S: Final = 0.5
 _MARKER_S: Final = 0.45
 _STOP_POLL_S: Final = 0.02
 _POLLS_A_STOP: Final = 5
@@ -249,6 +248,8 @@ class ThorlabsController(Link):
     The protocol needs 115200 baud. ``homings`` is how many ends of a homing it has reported. An unknown model is
     refused.
     """
+
+    reply_s = 0.5
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self._sign_of_life = b""
@@ -320,7 +321,8 @@ class ThorlabsController(Link):
             def read_reply(reader: ReplyReader) -> int:
                 return parameter_of(reader.read_line(), REQUEST_ENABLED, self.name)
 
-            return repeat(lambda: self._exchange(short(REQUEST_ENABLED, CHANNEL), read_reply))
+            request = self._sign_of_life + short(REQUEST_ENABLED, CHANNEL)
+            return repeat(lambda: self.exchange(request, read_reply))
 
         return self._read_twice(ask, "the state of the channel") == ON
 
@@ -381,24 +383,12 @@ class ThorlabsController(Link):
         """Send a query, repeat it when no valid reply comes, and return the data of the reply."""
         return repeat(lambda: self._query_once(message, layout))
 
-    def _query_once(
-        self, message: int, layout: struct.Struct, *, deadline_s: float = _REPLY_S, urgent: bool = False
-    ) -> bytes:
+    def _query_once(self, message: int, layout: struct.Struct) -> bytes:
         def read_reply(reader: ReplyReader) -> bytes:
             return data_of(reader.read_line(), message, layout, self.name)
 
         channel = 0 if message == REQUEST_INFORMATION else CHANNEL
-        return self._exchange(short(message, channel), read_reply, deadline_s=deadline_s, urgent=urgent)
-
-    def _exchange(
-        self,
-        request: bytes,
-        read_reply: Callable[[ReplyReader], T],
-        *,
-        deadline_s: float = _REPLY_S,
-        urgent: bool = False,
-    ) -> T:
-        return self.exchange(self._sign_of_life + request, read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(self._sign_of_life + short(message, channel), read_reply)
 
     def _take_unasked(self, message: bytes) -> bool:
         unasked = is_unasked(message)
@@ -415,9 +405,8 @@ class ThorlabsController(Link):
             self.drain()
 
         self.prove_in_step(
-            lambda: self._query_once(
-                REQUEST_INFORMATION, INFORMATION_LAYOUT, deadline_s=_MARKER_S, urgent=True
-            ),
+            lambda: self._query_once(REQUEST_INFORMATION, INFORMATION_LAYOUT),
+            marker_s=_MARKER_S,
             clear_device=clear_device,
             once_if_silent=True,
         )

@@ -29,7 +29,6 @@ from drivers.stage.watched import (
 from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Settings, Status
 from drivers.wire_log import WireLog
 
-REPLY_S = 1.0
 _MARKER_S = 0.5
 
 S = TypeVar("S", bound=Settings)
@@ -74,14 +73,13 @@ class XimcController(Link):
         """Send a setting, data without CRC; repeat it when its echo does not come, which does no harm."""
         repeat(lambda: self.command(command, data))
 
-    def command(self, command: str, data: bytes = b"", *, urgent: bool = False) -> None:
-        """Send a command, data without CRC, once, and wait for its echo; urgent: at once, without resynchronising."""
+    def command(self, command: str, data: bytes = b"") -> None:
+        """Send a command, data without CRC, once, and wait for its echo."""
 
         def read_reply(reader: ReplyReader) -> None:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
 
-        request = ximc_protocol.request(command, data)
-        self.exchange(request, read_reply, deadline_s=REPLY_S, urgent=urgent)
+        self.exchange(ximc_protocol.request(command, data), read_reply)
 
     def move(self, count: int) -> None:
         """Start a move; the command is sent once. Without a valid echo the axis may be moving."""
@@ -89,11 +87,8 @@ class XimcController(Link):
 
     def stop(self) -> None:
         """Ramp down at once, without resynchronising; repeat the stop when its echo does not come."""
-        with self.lock:
-            repeat(
-                lambda: self.command("sstp", urgent=True),
-                before_next=self.drain,
-            )
+        with self.urgently():
+            repeat(lambda: self.command("sstp"), before_next=self.drain)
 
     def to_microsteps(self, steps: int, microsteps: int) -> int:
         """Return a position in microsteps, from full steps and the microsteps beyond them."""
@@ -140,14 +135,12 @@ class XimcController(Link):
         """Send a query, repeat it when no valid reply comes, and return the data of the reply."""
         return repeat(lambda: self._query_once(command, layout))
 
-    def _query_once(
-        self, command: str, layout: struct.Struct, *, deadline_s: float = REPLY_S, urgent: bool = False
-    ) -> bytes:
+    def _query_once(self, command: str, layout: struct.Struct) -> bytes:
         def read_reply(reader: ReplyReader) -> bytes:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
             return ximc_protocol.check_data(command, reader.read_exactly(layout.size + 2), self.name)
 
-        return self.exchange(ximc_protocol.request(command), read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(ximc_protocol.request(command), read_reply)
 
     def _resynchronise(self) -> None:
         """Complete by zeros what the controller waits for; then get its serial number, alone on the line."""
@@ -157,7 +150,8 @@ class XimcController(Link):
             self.drain()
 
         self.prove_in_step(
-            lambda: self._query_once("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True),
+            lambda: self._query_once("gser", ximc_protocol.SERIAL_LAYOUT),
+            marker_s=_MARKER_S,
             clear_device=clear_device,
         )
 

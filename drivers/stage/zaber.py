@@ -24,8 +24,6 @@ from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_mov
 from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
-REPLY_S = 1.0
-"""Longest wait for a reply, in seconds. A reply takes some ms; the rest is for a busy computer."""
 _MARKER_S = 0.5
 
 
@@ -116,11 +114,10 @@ class ZaberChain(Link):
                     waiting_for.discard(reply.device)
 
         request = zaber_protocol.request(0, 0, message_id, "stop")
-        self.exchange(request, read_reply, deadline_s=REPLY_S, urgent=True)
+        with self.urgently():
+            self.exchange(request, read_reply)
 
-    def _ask_once(
-        self, device: int, axis: int, words: str, *, deadline_s: float = REPLY_S, urgent: bool = False
-    ) -> Reply:
+    def _ask_once(self, device: int, axis: int, words: str) -> Reply:
         message_id = next(self._ids)
 
         def read_reply(reader: ReplyReader) -> Reply:
@@ -134,12 +131,13 @@ class ZaberChain(Link):
             return reply
 
         request = zaber_protocol.request(device, axis, message_id, words)
-        return self.exchange(request, read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(request, read_reply)
 
     def _resynchronise(self) -> None:
         """Wait for silence; then the reply to a new message id proves that no older reply is unread."""
         self.prove_in_step(
-            lambda: self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True),
+            lambda: self._ask_once(self._devices[0], 0, ""),
+            marker_s=_MARKER_S,
             silence_after=False,
         )
 

@@ -9,7 +9,6 @@ import pytest
 
 from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.link import LONGEST_LINE, Link, ReplyReader
-from drivers.stage import zaber
 from drivers.stage.zaber import ZaberChain
 from drivers.wire_log import WireLogFile
 
@@ -72,7 +71,8 @@ def test_an_urgent_exchange_does_not_wait_for_the_line_and_does_not_heal_it(scri
     link, resync = make(scripted([(b"a\n", b""), (b"stop\n", b"ok\n"), (b"b\n", b"2\n")]), clock)
     with pytest.raises(ReplyTimeout):
         link.exchange(b"a\n", line, deadline_s=1.0)
-    link.exchange(b"stop\n", line, deadline_s=1.0, urgent=True)
+    with link.urgently():
+        link.exchange(b"stop\n", line, deadline_s=1.0)
     assert resync.times == 0
     link.exchange(b"b\n", line, deadline_s=1.0)
     assert resync.times == 1
@@ -198,7 +198,7 @@ class Babbler:
     "says", [b"\xf8" * 512, b"\xf8" * LONGEST_LINE + b"\n"], ids=["no end", "long lines"]
 )
 def test_a_stop_ends_within_its_deadlines_on_a_line_without_end(clock, says, monkeypatch) -> None:
-    monkeypatch.setattr(zaber, "REPLY_S", 0.1)
+    monkeypatch.setattr(ZaberChain, "reply_s", 0.1)
     port = Babbler(says)
     chain = ZaberChain(port, [1, 2], clock=clock)
     ended: list[BaseException] = []
@@ -224,7 +224,8 @@ def test_a_line_too_long_is_thrown_away_with_its_refusal(scripted, clock) -> Non
     port = scripted([(b"a\n", b"x" * (LONGEST_LINE + 1)), (b"sync\n", b"in step\n"), (b"b\n", b"good\n")])
 
     def resynchronise() -> None:
-        link.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1, urgent=True)
+        with link.urgently():
+            link.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1)
 
     link = Link(port, clock=clock, resynchronise=resynchronise)
     with pytest.raises(ReplyGarbled):

@@ -16,6 +16,7 @@ class Line(Link):
     name = "port"
 
     def __init__(self, *old: bytes) -> None:
+        super().__init__(None, clock=None, resynchronise=None)
         self.old = list(old)
         self.events: list[str] = []
 

@@ -246,7 +246,7 @@ def test_a_move_that_arrived_damaged_is_not_sent_again(bench) -> None:
 
 
 def test_a_silent_controller_does_not_keep_the_others_moving(bench, monkeypatch) -> None:
-    monkeypatch.setattr(ximc, "REPLY_S", 0.2)
+    monkeypatch.setattr(ximc.XimcController, "reply_s", 0.2)
     stage = bench.homed()
     bench.lines[0].lose = lambda _request: True
     read, heard_s = bench.lines[0].read, []
