@@ -73,50 +73,47 @@ class PageFiles:
         )
 
 
-def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
-    """Return what the page can ask for."""
-    return {
-        **_stage_actions(session),
-        **_light_actions(session),
-        **_camera_actions(session),
-        **_file_actions(session, files),
-        **_page_actions(session),
-    }
+class PageRequests:
+    """What the page can ask for, as methods of a page's id and its request; each lists what it has done."""
 
+    def __init__(self, session: Session, files: PageFiles) -> None:
+        self._session = session
+        self._files = files
 
-def _stage_actions(session: Session) -> dict[str, Action]:
-    """Return the requests that turn something, and the one that opens devices again."""
+    def actions(self) -> Mapping[str, Action]:
+        """Return what the page can ask for, by the names that it uses."""
+        named = ("jog", "home", "light", "bias", "frame", "hands", "check", "propose", "write")
+        more = ("stop", "leave", "take", "beat", "forget")
+        return {"open": self.reopen} | {name: getattr(self, name) for name in (*named, *more)}
 
-    def jog(page: str, body: Mapping[str, Any]) -> Any:
+    # ------------------------------------------------------------ what turns or opens something
+
+    def jog(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Turn axes by small steps."""
         steps = body.get("steps_deg")
         if not isinstance(steps, dict) or not steps:
             raise UsageError("The request names no axis.", remedy=_AGAIN)
         wanted = {str(axis): _number(steps, axis) for axis in steps}
-        goals = session.bench.stage.move_by(wanted, page)
-        _told(
-            session,
-            page,
-            "asked for " + " and ".join(f"{axis} {goal:.2f}°" for axis, goal in goals.items()),
-            "jog",
-        )
+        goals = self._session.bench.stage.move_by(wanted, page)
+        asked = " and ".join(f"{axis} {goal:.2f}°" for axis, goal in goals.items())
+        self._told(page, f"asked for {asked}", "jog")
         return goals
 
-    def home(page: str, _body: Mapping[str, Any]) -> Any:
-        session.bench.stage.home(page)
-        _told(session, page, "started the homing of the stage")
+    def home(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Search the references of the stage."""
+        self._session.bench.stage.home(page)
+        self._told(page, "started the homing of the stage")
 
-    def reopen(page: str, _body: Mapping[str, Any]) -> Any:
-        _told(session, page, "asked to open the devices again")
-        failure = session.reopen()
+    def reopen(self, page: str, _body: Mapping[str, Any]) -> Any:
+        """Open the devices again."""
+        self._told(page, "asked to open the devices again")
+        failure = self._session.reopen()
         return failure.to_dict() if failure else None
 
-    return {"jog": jog, "home": home, "open": reopen}
+    # ------------------------------------------------------------ light and camera
 
-
-def _light_actions(session: Session) -> dict[str, Action]:
-    """Return the request that switches or sets the light."""
-
-    def light(page: str, body: Mapping[str, Any]) -> Any:
+    def light(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Switch or set the light."""
         numbers = {
             name: _number(body, name)
             for name in ("frequency_hz", "duty_percent", "level_percent")
@@ -127,89 +124,143 @@ def _light_actions(session: Session) -> dict[str, Action]:
         on = body.get("on")
         if on is not None and not isinstance(on, bool):
             raise UsageError("`on` must be true or false.", remedy=_AGAIN)
-        found = session.light(on=on, **numbers)
+        found = self._session.light(on=on, **numbers)
         if on is not None:
-            _told(session, page, f"switched the light {'on' if found['on'] else 'off'}")
+            self._told(page, f"switched the light {'on' if found['on'] else 'off'}")
         if numbers:
-            _told(session, page, f"set the light to {_light_text(found)}", "light")
+            self._told(page, f"set the light to {_light_text(found)}", "light")
         return found
 
-    return {"light": light}
-
-
-def _camera_actions(session: Session) -> dict[str, Action]:
-    """Return the requests that set the camera, and those to the hands of the simulated bench."""
-
-    def bias(page: str, body: Mapping[str, Any]) -> Any:
+    def bias(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Change one bias."""
         value = _number(body, "value")
         if value != int(value):
             raise ControlRefused("A bias is a whole number. Nothing was sent.", remedy="Give a whole number.")
         name = str(body.get("name"))
-        found = dict(session.bench.camera.set_bias(name, int(value)))
-        _told(session, page, f"set {name} to {found.get(name)}, as read back", name)
-        return found
+        return self._read_back(page, name, self._session.bench.camera.set_bias(name, int(value)))
 
-    def frame(page: str, body: Mapping[str, Any]) -> Any:
+    def frame(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Change exposure or gain."""
         name = str(body.get("name"))
-        found = dict(session.bench.camera.set_frame(name, _number(body, "value")))
-        _told(session, page, f"set {name} to {found.get(name)}, as read back", name)
-        return found
+        return self._read_back(page, name, self._session.bench.camera.set_frame(name, _number(body, "value")))
 
-    def hands(page: str, body: Mapping[str, Any]) -> Any:
+    def hands(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Do something with the hands at the simulated camera."""
         action, names = str(body.get("action")), [name for name in body if name not in ("page", "action")]
         numbers = {name: _number(body, name) for name in names}
-        found = session.bench.hands.do(action, numbers)
-        by = ", ".join(f"{name} {value:g}" for name, value in numbers.items())
-        _told(
-            session, page, f"used the hands of the simulated bench: {action}{', ' if by else ''}{by}", action
-        )
+        found = self._session.bench.hands.do(action, numbers)
+        by = ", ".join([action, *(f"{name} {value:g}" for name, value in numbers.items())])
+        self._told(page, f"used the hands of the simulated bench: {by}", action)
         return found
 
-    return {"bias": bias, "frame": frame, "hands": hands}
+    # ------------------------------------------------------------ checks and files
 
-
-def _file_actions(session: Session, files: PageFiles) -> dict[str, Action]:
-    """Return the requests that check or write something."""
-
-    def check(page: str, body: Mapping[str, Any]) -> Any:
+    def check(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Make the checks that a run makes before it moves."""
         name = body.get("sequence") or ""
-        sequence = str(files.sequence(str(name))) if name else None
-        checks = check_readiness(session, sequence=sequence, station_file=files.station)
+        sequence = str(self._files.sequence(str(name))) if name else None
+        checks = check_readiness(self._session, sequence=sequence, station_file=self._files.station)
         bad = sum(one.verdict != "good" for one in checks)
-        _told(session, page, f"made {len(checks)} checks; {bad} {'is' if bad == 1 else 'are'} not good")
+        self._told(page, f"made {len(checks)} checks; {bad} {'is' if bad == 1 else 'are'} not good")
         return [one.as_data() for one in checks]
 
-    def propose(_page: str, body: Mapping[str, Any]) -> Any:
-        return _proposal(session, files, body).as_data()
+    def propose(self, _page: str, body: Mapping[str, Any]) -> Any:
+        """Show the change of a file."""
+        return self._proposal(body).as_data()
 
-    def write(page: str, body: Mapping[str, Any]) -> Any:
-        proposal = _proposal(session, files, body)
+    def write(self, page: str, body: Mapping[str, Any]) -> Any:
+        """Write the change of a file that was shown."""
+        proposal = self._proposal(body)
         proposal.write(str(body.get("mark")))
-        _told(session, page, f"wrote {proposal.path}")
+        self._told(page, f"wrote {proposal.path}")
         return {"file": str(proposal.path)}
 
-    return {"check": check, "propose": propose, "write": write}
+    # ------------------------------------------------------------ the page itself
 
+    def stop(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Stop the stage."""
+        self._session.stop(f"on request of {self._session.owners.name(page)}")
 
-def _page_actions(session: Session) -> dict[str, Action]:
-    """Return the requests of the page itself: stop, who has the controls, what it shows."""
+    def leave(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Stop what the page has set in motion: it closes."""
+        self._session.stop_for_lost(page)
 
-    def forget(page: str, _body: Mapping[str, Any]) -> Any:
-        session.bench.loop.forget()
-        _told(session, page, "began the course of the focus anew")
+    def take(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Give the controls to the page.
 
-    return {
-        "stop": lambda page, _: session.stop(f"on request of {session.owners.name(page)}"),
-        "leave": lambda page, _: session.stop_for_lost(page),
-        "take": lambda page, _: _take(session, page),
-        "beat": lambda page, _: session.owners.beat(page),
-        "forget": forget,
-    }
+        A motion that another page started is stopped: nobody looks after it any more.
+        """
+        session, before = self._session, self._session.owners.holder
+        session.owners.take(page)
+        if before != page:
+            session.say(f"{session.owners.name(page)} has the controls now.")
+        if before != page and session.is_open and session.bench.stage.moving:
+            session.stop("because another page took over the controls")
 
+    def beat(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Note that the page is there."""
+        self._session.owners.beat(page)
 
-def _told(session: Session, page: str, what: str, topic: str = "") -> None:
-    """List what a page has done. Several entries in a row with the same topic become one."""
-    session.say(f"{session.owners.name(page)} {what}.", f"{topic} {page}" if topic else "")
+    def forget(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Begin the course of the focus anew."""
+        self._session.bench.loop.forget()
+        self._told(page, "began the course of the focus anew")
+
+    # ------------------------------------------------------------ inside
+
+    def _told(self, page: str, what: str, topic: str = "") -> None:
+        """List what a page has done. Several entries in a row with the same topic become one."""
+        session = self._session
+        session.say(f"{session.owners.name(page)} {what}.", f"{topic} {page}" if topic else "")
+
+    def _read_back(self, page: str, name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+        self._told(page, f"set {name} to {found.get(name)}, as read back", name)
+        return dict(found)
+
+    def _proposal(self, body: Mapping[str, Any]) -> Proposal:
+        """Return the change of a file that a request asks for."""
+        copy = body.get("copy") or ""
+        target = self._files.in_folder(str(copy)) if copy else None
+        bench, kind = self._session.bench, body.get("kind")
+        if kind == "pose":
+            source = self._files.sequence(str(body.get("sequence") or ""))
+            return propose_pose(
+                source,
+                {axis: round(angle, 4) for axis, angle in bench.stage.state.position_deg.items()},
+                poses=str(body["poses"]) if body.get("poses") else None,
+                name=str(body["name"]) if body.get("name") else None,
+                light=self._light_values() if body.get("light") is True else None,
+                target=target,
+            )
+        if kind != "station":
+            raise UsageError("The request does not say what to write.", remedy=_AGAIN)
+        wanted = body.get("what") or []
+        if not isinstance(wanted, list) or not wanted:
+            raise ControlRefused(
+                "Nothing is chosen.", remedy="Choose what to write down: zero, biases or light."
+            )
+        values, notes = station_values(
+            self._session.station.value,
+            position_deg=bench.stage.state.position_deg if "zero" in wanted else None,
+            biases=bench.camera.biases if "biases" in wanted and bench.camera.is_event else None,
+            frame=bench.camera.frame_settings if "biases" in wanted else None,
+            level_percent=bench.light.reading.flicker.level_percent if "light" in wanted else None,
+            hands=bench.hands.seen,
+        )
+        proposal = propose_values(Path(self._files.station), values, Station, target=target)
+        return Proposal(
+            proposal.path, proposal.source, proposal.before, proposal.after, (*notes, *proposal.notes)
+        )
+
+    def _light_values(self) -> dict[str, str]:
+        """Return the present flicker as a sequence states it. Its level is relative to the station's brightest one."""
+        now = self._session.bench.light.reading.flicker
+        return {
+            "waveform": now.waveform,
+            "frequency_hz": plain_number(now.frequency_hz, 6),
+            "duty_percent": plain_number(now.duty_percent, 4),
+            "level_percent": plain_number(now.level_percent, 4),
+        }
 
 
 def read_page(body: Mapping[str, Any]) -> str:
@@ -218,61 +269,6 @@ def read_page(body: Mapping[str, Any]) -> str:
     if not isinstance(page, str) or not _PAGE_ID.fullmatch(page):
         raise UsageError("The request does not say which page sends it.", remedy=_AGAIN)
     return page
-
-
-def _take(session: Session, page: str) -> None:
-    """Give the controls to a page. A motion that another page started is stopped: nobody looks after it any more."""
-    before = session.owners.holder
-    session.owners.take(page)
-    if before != page:
-        session.say(f"{session.owners.name(page)} has the controls now.")
-    if before != page and session.is_open and session.bench.stage.moving:
-        session.stop("because another page took over the controls")
-
-
-def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Proposal:
-    """Return the change of a file that a request asks for."""
-    copy = body.get("copy") or ""
-    target = files.in_folder(str(copy)) if copy else None
-    bench, kind = session.bench, body.get("kind")
-    if kind == "pose":
-        source = files.sequence(str(body.get("sequence") or ""))
-        return propose_pose(
-            source,
-            {axis: round(angle, 4) for axis, angle in bench.stage.state.position_deg.items()},
-            poses=str(body["poses"]) if body.get("poses") else None,
-            name=str(body["name"]) if body.get("name") else None,
-            light=_light_values(session) if body.get("light") is True else None,
-            target=target,
-        )
-    if kind != "station":
-        raise UsageError("The request does not say what to write.", remedy=_AGAIN)
-    wanted = body.get("what") or []
-    if not isinstance(wanted, list) or not wanted:
-        raise ControlRefused("Nothing is chosen.", remedy="Choose what to write down: zero, biases or light.")
-    values, notes = station_values(
-        session.station.value,
-        position_deg=bench.stage.state.position_deg if "zero" in wanted else None,
-        biases=bench.camera.biases if "biases" in wanted and bench.camera.is_event else None,
-        frame=bench.camera.frame_settings if "biases" in wanted else None,
-        level_percent=bench.light.reading.flicker.level_percent if "light" in wanted else None,
-        hands=bench.hands.seen,
-    )
-    proposal = propose_values(Path(files.station), values, Station, target=target)
-    return Proposal(
-        proposal.path, proposal.source, proposal.before, proposal.after, (*notes, *proposal.notes)
-    )
-
-
-def _light_values(session: Session) -> dict[str, str]:
-    """Return the present flicker as a sequence states it. Its level is relative to the station's brightest one."""
-    now = session.bench.light.reading.flicker
-    return {
-        "waveform": now.waveform,
-        "frequency_hz": plain_number(now.frequency_hz, 6),
-        "duty_percent": plain_number(now.duty_percent, 4),
-        "level_percent": plain_number(now.level_percent, 4),
-    }
 
 
 def _light_text(light: Mapping[str, Any]) -> str:

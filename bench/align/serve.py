@@ -8,7 +8,7 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -20,11 +20,10 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
-from starlette.types import Receive, Scope, Send
 
 from bench.align.live_loop import LivePicture
 from bench.align.open_bench import Confirmation
-from bench.align.page_requests import PageFiles, actions, read_page
+from bench.align.page_requests import PageFiles, PageRequests, read_page
 from bench.align.session import Session
 from bench.base.errors import ScriptError, UsageError
 from bench.stations.station import SHIPPED_STATIONS, load_station
@@ -68,7 +67,7 @@ class _Pages:
     def __init__(self, session: Session, files: PageFiles) -> None:
         self._session = session
         self._files = files
-        self._actions: Mapping[str, Callable[[str, Mapping[str, Any]], Any]] = actions(session, files)
+        self._actions = PageRequests(session, files).actions()
         # A stop has threads of its own, so that it never waits for other work.
         self._stops = ThreadPoolExecutor(4, thread_name_prefix="align-stop")
         self._work = ThreadPoolExecutor(4, thread_name_prefix="align-work")
@@ -111,12 +110,31 @@ class _Pages:
         result = await asyncio.get_running_loop().run_in_executor(pool, partial(action, page, body))
         return JSONResponse({"done": True, "result": result})
 
-    async def stream(self, request: Request) -> Response | _Stream:
-        page = request.query_params.get("page", "")
-        page = read_page({"page": page})
+    async def stream(self, request: Request) -> EventStream:
+        page = read_page({"page": request.query_params.get("page", "")})
         client = request.client.host if request.client else ""
         browser = _browser(request.headers.get("user-agent", ""), client)
-        return _Stream(self._session, page, browser, self._stops, self._texts)
+        return EventStream(self._messages(page, browser), heartbeat_s=BEAT_S)
+
+    async def _messages(self, page: str, browser: str) -> AsyncIterator[Message]:
+        """Tell one page. When its stream ends, the page is gone: a motion that the page started is stopped."""
+        session, shown, number = self._session, "", -1
+        session.owners.enter(page, browser)
+        try:
+            known = session.changes.number
+            while True:
+                text = self._texts.state()
+                if text != shown:
+                    shown = text
+                    yield Message(text, "state")
+                picture = session.picture()
+                if picture.number != number:
+                    number = picture.number
+                    yield Message(self._texts.picture(), "picture")
+                known = await session.changes.after(known)
+        finally:
+            if session.owners.leave(page):
+                self._stops.submit(session.stop_for_lost, page)
 
 
 class _Texts:
@@ -140,43 +158,6 @@ class _Texts:
         if picture is not self._picture[0]:
             self._picture = picture, json.dumps(_picture_data(self._session), allow_nan=False)
         return self._picture[1]
-
-
-class _Stream:
-    """The stream of one page. When it ends, the page is gone: a motion that the page started is stopped."""
-
-    def __init__(
-        self, session: Session, page: str, what: str, stops: ThreadPoolExecutor, texts: _Texts
-    ) -> None:
-        self._session = session
-        self._page = page
-        self._what = what
-        self._stops = stops
-        self._texts = texts
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the stream, as the ASGI specification defines it."""
-        session = self._session
-        session.owners.enter(self._page, self._what)
-        try:
-            await EventStream(self._messages(), heartbeat_s=BEAT_S)(scope, receive, send)
-        finally:
-            if session.owners.leave(self._page):
-                self._stops.submit(session.stop_for_lost, self._page)
-
-    async def _messages(self) -> AsyncIterator[Message]:
-        session, shown, number = self._session, "", -1
-        known = session.changes.number
-        while True:
-            text = self._texts.state()
-            if text != shown:
-                shown = text
-                yield Message(text, "state")
-            picture = session.picture()
-            if picture.number != number:
-                number = picture.number
-                yield Message(self._texts.picture(), "picture")
-            known = await session.changes.after(known)
 
 
 def _picture_data(session: Session) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import is_locked, storage_errors
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
-from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
+from bench.web.pages import Changes, EventStream, Message, last_id, page_app, read_object, whole_number
 
 # A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
 # parameter.
@@ -132,10 +132,9 @@ class Panel:
         self._extras: dict[RunWatch, asyncio.Task[None]] = {}
         self._batches: dict[Path, BatchView] = {}
         self._list_text = ""
-        self._list_number = 0
         self._list_readers = 0
         self._list_task: asyncio.Task[None] | None = None
-        self._list_changed = asyncio.Condition()
+        self._list_changes = Changes()
 
     def app(self) -> Starlette:
         """Return the application."""
@@ -242,10 +241,7 @@ class Panel:
         told = 0
         try:
             while True:
-                async with self._list_changed:
-                    while self._list_number == told:
-                        await self._list_changed.wait()
-                told = self._list_number
+                told = await self._list_changes.after(told)
                 yield Message(self._list_text, "update", str(told))
         finally:
             self._list_readers -= 1
@@ -261,9 +257,7 @@ class Panel:
             text = json.dumps(found, separators=(",", ":"), allow_nan=False)
             if text != self._list_text:
                 self._list_text = text
-                self._list_number += 1
-                async with self._list_changed:
-                    self._list_changed.notify_all()
+                self._list_changes.tell()
             await asyncio.sleep(LIST_S)
 
     # ---------------------------------------------------------------- a run
