@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 from simulators.errors import SimulatorError
@@ -31,65 +31,35 @@ LAMP_FAULTS: Final = {
 }
 
 
-@dataclass(frozen=True)
-class _Effect:
-    """Combined effect of the injected faults on the driver's light."""
-
-    brightness: float = 1.0
-    frequency: float = 1.0
-    duty: float = 1.0
-    sync: bool = True
-    line: SyncLine = field(default_factory=SyncLine)
-    jitter: float = 0.0
-
-
-_EFFECTS: Final[Mapping[str, Callable[[_Effect, float], _Effect]]] = {
-    "lamp_open": lambda effect, _factor: replace(effect, brightness=0.0),
-    "dim": lambda effect, factor: replace(effect, brightness=factor),
-    "wrong_frequency": lambda effect, factor: replace(effect, frequency=factor),
-    "wrong_duty": lambda effect, factor: replace(effect, duty=factor),
-    "no_sync": lambda effect, _factor: replace(effect, sync=False),
-    "sync_inverted": lambda effect, _factor: replace(effect, line=replace(effect.line, inverted=True)),
-    "sync_missing": lambda effect, factor: replace(
-        effect, line=replace(effect.line, missing_every=max(1, round(factor)))
-    ),
-    "sync_extra": lambda effect, factor: replace(
-        effect, line=replace(effect.line, extra_every=max(1, round(factor)))
-    ),
-    "sync_weak": lambda effect, factor: replace(
-        effect, line=replace(effect.line, lost_share=min(1.0, factor))
-    ),
-    "sync_channel": lambda effect, factor: replace(
-        effect, line=replace(effect.line, channel=min(15, round(factor)))
-    ),
-    "sync_jitter": lambda effect, factor: replace(effect, jitter=factor),
-}
-
-
 class Lamp:
     """A lamp and its cables."""
 
     def __init__(self, show: Callable[[LightState], None]) -> None:
         self._show = show
         self._driven = LightState()
-        self._effect = _Effect()
+        self._faults: dict[str, float] = {}
+        """Factor of each injected fault, by its name."""
 
     def drive(self, state: LightState) -> None:
         """Set the light that the driver produces from now on."""
         self._driven = state
-        effect = self._effect
+        faults = self._faults
+        brightness, frequency = faults.get("dim", 1.0), faults.get("wrong_frequency", 1.0)
         self._show(
             replace(
                 state,
-                low_v=state.low_v * effect.brightness,
-                high_v=state.high_v * effect.brightness,
-                frequency_hz=state.frequency_hz * effect.frequency,
-                duty_percent=min(99.0, state.duty_percent * effect.duty),
-                sync=state.sync and effect.sync,
-                sync_line=replace(
-                    effect.line,
-                    inverted=effect.line.inverted != state.sync_line.inverted,
-                    jitter_us=effect.jitter * state.period_us / effect.frequency,
+                low_v=state.low_v * brightness,
+                high_v=state.high_v * brightness,
+                frequency_hz=state.frequency_hz * frequency,
+                duty_percent=min(99.0, state.duty_percent * faults.get("wrong_duty", 1.0)),
+                sync=state.sync and "no_sync" not in faults,
+                sync_line=SyncLine(
+                    inverted=("sync_inverted" in faults) != state.sync_line.inverted,
+                    missing_every=self._count("sync_missing"),
+                    extra_every=self._count("sync_extra"),
+                    lost_share=min(1.0, faults.get("sync_weak", 0.0)),
+                    channel=min(15, round(faults.get("sync_channel", 0.0))),
+                    jitter_us=faults.get("sync_jitter", 0.0) * state.period_us / frequency,
                 ),
             )
         )
@@ -104,13 +74,19 @@ class Lamp:
             raise SimulatorError(
                 f"The factor {factor} is not positive.", remedy="Give a factor greater than 0."
             )
-        self._effect = _EFFECTS[kind](self._effect, factor)
+        if kind == "lamp_open":
+            kind, factor = "dim", 0.0
+        self._faults[kind] = factor
         self.drive(self._driven)
 
     def clear_faults(self) -> None:
         """Remove all faults."""
-        self._effect = _Effect()
+        self._faults.clear()
         self.drive(self._driven)
+
+    def _count(self, kind: str) -> int:
+        """Return every how many periods a fault comes; 0 for never."""
+        return max(1, round(self._faults[kind])) if kind in self._faults else 0
 
 
 class LightDriver(ABC):
