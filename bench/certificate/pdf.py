@@ -409,17 +409,10 @@ class Picture:
 
 def plots_of_run(run: Path, results: Results) -> dict[str, str]:
     """Draw the plots of a certificate from a run's folder: SVG by name. Those of stars need `views.h5`."""
-    from bench.report.view_picture import ViewPicture
     from bench.views.views_file import VIEWS, read_views
 
     stored = read_views(run / VIEWS) if (run / VIEWS).exists() else []
-    views = [
-        ViewPicture(
-            one.view.name, None, one.view.points_px, one.view.points_px - one.residuals_px, one.view.ids
-        )
-        for one in stored
-    ]
-    return draw_plots(results, views)
+    return draw_plots(results, [one.shown() for one in stored])
 
 
 def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str, str]:

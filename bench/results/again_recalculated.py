@@ -27,7 +27,7 @@ from bench.results.compare_trees import (
     compare_trees,
 )
 from bench.results.offline import OfflineResult, calibrate_paths
-from bench.results.offline_folder import SOURCES, Stars, offline_files, source_data
+from bench.results.offline_folder import SOURCES, offline_files, source_data
 from bench.results.offline_options import StationFile, options_of_data
 from bench.results.results_content import other_engine, other_software
 from bench.stations.station import load_station
@@ -82,8 +82,7 @@ def check_recalculated(folder: Path) -> Findings:
         )
     made = MadeAgain(
         results,
-        [Stars(view) for view in again.views],
-        again.calibration.residuals_px,
+        again.stored_views,
         str(described["camera_name"]),
         again.board or again.target,
         used,

@@ -345,13 +345,7 @@ def _made_again(
         return None
     _check_solved(evidence, solution.calibration.sigma, main_numbers(solution.calibration), found)
     return MadeAgain(
-        results,
-        solution.measurements,
-        solution.calibration.residuals_px,
-        job.camera_name,
-        job.board or job.target,
-        evidence.used,
-        evidence.head,
+        results, solution.views, job.camera_name, job.board or job.target, evidence.used, evidence.head
     )
 
 

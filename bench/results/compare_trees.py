@@ -6,11 +6,10 @@ Report and exports are made again from the stored results and views, so that rou
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import jinja2
 import numpy as np
@@ -20,10 +19,8 @@ from bench.base.errors import BenchError, EvidenceError, RunFolderError, Storage
 from bench.evidence.findings import Findings
 from bench.evidence.seal import INSTRUCTIONS, instructions, kind_of
 from bench.evidence.sshsig import fingerprint, read_signature
-from bench.records.results import Results
 from bench.records.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import read_json
-from bench.report.view_picture import ViewPicture, pictured_poses
 from bench.results.compare_numbers import (
     TOLERANCE_SHARE,
     add_faults,
@@ -35,15 +32,7 @@ from bench.results.compare_numbers import (
 from bench.results.result import shown_files
 from bench.results.results_content import other_software
 from bench.results.run_reader import stored_calibration
-from bench.views.views_file import (
-    VIEWS,
-    Measured,
-    StoredView,
-    has_pictures,
-    read_picture,
-    read_views,
-    views_file,
-)
+from bench.views.views_file import VIEWS, StoredView, read_views, views_file
 from calib.boards.board import Board
 from calib.target import StarTarget
 from calib.view import View
@@ -51,63 +40,7 @@ from calib.view import View
 # Compares views.h5 with the views that were made again: poses, stars, residuals, images, and that it holds no
 # more.
 
-Residuals = NDArray[np.float64]
 _BYTES_BY = ("starbench", "h5py", "numpy", "program")
-
-
-@dataclass(frozen=True)
-class _Picture:
-    """An image of views.h5; read when it is needed, because a run may have a thousand."""
-
-    read: Callable[[], NDArray[np.uint8]]
-
-    def decoded(self) -> NDArray[np.uint8]:
-        return self.read()
-
-
-@dataclass(frozen=True)
-class _Found:
-    """A view and its image, as `bench.views.views_file.views_file` takes them."""
-
-    view: View
-    image: _Picture | None
-
-
-@dataclass(frozen=True)
-class HeldViews:
-    """The content of views.h5."""
-
-    views: Sequence[StoredView]
-    # For each pose a function that reads its image, (H, W) uint8; None for recalculated results, which have
-    # no images.
-    pictures: Sequence[Callable[[], NDArray[np.uint8]] | None]
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a views.h5; its images are read when they are needed."""
-        views, pictured = read_views(path), has_pictures(path)
-        numbers = range(1, len(views) + 1)
-        return cls(views, [partial(read_picture, path, number) if pictured else None for number in numbers])
-
-    def as_file(self) -> bytes:
-        """Return the bytes of a views.h5 with this content."""
-        pairs = zip(self.views, self.pictures, strict=True)
-        found = [_Found(stored.view, None if read is None else _Picture(read)) for stored, read in pairs]
-        return views_file(found, [stored.residuals_px for stored in self.views])
-
-    def shown(self, results: Results) -> list[ViewPicture]:
-        """Return the poses as the report shows them."""
-        names = pictured_poses(results).names
-        return [
-            ViewPicture(
-                stored.view.name,
-                read() if read is not None and stored.view.name in names else None,
-                stored.view.points_px,
-                stored.view.points_px - stored.residuals_px,
-                stored.view.ids,
-            )
-            for stored, read in zip(self.views, self.pictures, strict=True)
-        ]
 
 
 @dataclass(frozen=True)
@@ -121,30 +54,22 @@ class SeenView:
 
 
 def compare_views(
-    path: Path,
-    again: Sequence[Measured],
-    residuals_px: Sequence[Residuals],
-    used: Mapping[str, Any],
-    source: str,
-    found: Findings,
-) -> HeldViews | None:
+    path: Path, again: Sequence[StoredView], used: Mapping[str, Any], source: str, found: Findings
+) -> Sequence[StoredView] | None:
     """Compare a views.h5 with the views found again, roughly those of another program; None if poses differ."""
     try:
-        held = HeldViews.read(path)
-        rewritten = held.as_file()  # this reads every image
+        held = read_views(path)
+        rewritten = views_file(held)  # this reads every image
     except (RunFolderError, MemoryError, RuntimeError) as error:
         what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
         found.fault("views", VIEWS, what)
         return None
-    names = [one.view.name for one in held.views], [one.view.name for one in again if one.view is not None]
+    names = [one.view.name for one in held], [one.view.name for one in again]
     if names[0] != names[1]:
         found.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
         return None
     other = bool(other_software(used))
-    seen = [
-        _seen(*pair, other=other) for pair in zip(held.views, held.pictures, again, residuals_px, strict=True)
-    ]
-    tell_views(seen, source, found)
+    tell_views([_seen(*pair, other=other) for pair in zip(held, again, strict=True)], source, found)
     if path.read_bytes() != rewritten:  # a file with the same bytes holds nothing besides this content
         if by := other_software(used, _BYTES_BY):
             found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {by}")
@@ -154,23 +79,15 @@ def compare_views(
     return held
 
 
-def _seen(
-    had: StoredView,
-    picture: Callable[[], NDArray[np.uint8]] | None,
-    again: Measured,
-    residuals: Residuals,
-    *,
-    other: bool,
-) -> SeenView:
+def _seen(had: StoredView, again: StoredView, *, other: bool) -> SeenView:
     """Compare one stored view."""
-    assert again.view is not None
     seen = [f"other {what}" for what in views_differ(had.view, again.view)]
-    if not close(had.residuals_px, residuals):
+    if not close(had.residuals_px, again.residuals_px):
         seen.append("other residuals")
-    if (picture is None) != (again.image is None):
-        seen.append("an image" if picture is None else "no image")
-    elif picture is not None and again.image is not None:
-        stored, made = picture(), again.image.decoded()
+    if (had.picture is None) != (again.picture is None):
+        seen.append("an image" if had.picture is None else "no image")
+    elif had.picture is not None and again.picture is not None:
+        stored, made = had.picture(), again.picture()
         if stored.shape != made.shape:
             seen.append("an image of another size")
         elif differ := np.count_nonzero(stored != made):
@@ -235,8 +152,7 @@ class MadeAgain:
     """Results that were made again from their sources."""
 
     results: Mapping[str, Any]
-    views: Sequence[Measured]
-    residuals_px: Sequence[Residuals]
+    views: Sequence[StoredView]
     camera_name: str
     # The printed target or the board; None if the views show several.
     target: StarTarget | Board | None
@@ -254,13 +170,12 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
     except (StorageError, *UNREADABLE) as error:
         found.fault("results", RESULTS, f"the results are incomplete ({error!r})")
         return
-    held = compare_views(folder / VIEWS, made.views, made.residuals_px, made.used, made.source, found)
+    held = compare_views(folder / VIEWS, made.views, made.used, made.source, found)
     if held is None or len(found.faults) > before:
         return  # report and exports follow from results and views that are wrong
     try:
         calibration = stored_calibration(stored["calibration"])
-        pictures = held.shown(stored)
-        due = shown_files(stored, calibration, made.camera_name, made.target, pictures, made.head)
+        due = shown_files(stored, calibration, made.camera_name, made.target, held, made.head)
     except (BenchError, *UNREADABLE, jinja2.TemplateError) as error:
         if other := other_software(made.used):
             found.not_compared.append(f"{EXPORTS} and {REPORT} with {RESULTS}: they were made with {other}")

@@ -15,14 +15,14 @@ from bench.records.results import CalibrationData, ConformityData
 from bench.records.run_facts import conformity
 from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
-from bench.results.solution import errors_in, planar_calibration
-from bench.results.solve_options import readings_result, require_enough_views
+from bench.results.solution import calibrated
+from bench.results.solve_options import readings_result
 from bench.results.view_sources import ViewSource, view_sources
 from bench.stations.station_budget import CollimatorConfig
-from bench.views.views_file import KeptViews
+from bench.views.views_file import KeptViews, StoredView
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
-from calib.engine import Calibration, calibrate
+from calib.engine import Calibration
 from calib.errors import CalibrationError, DegenerateViews
 from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
 from calib.target import StarTarget
@@ -49,6 +49,13 @@ class OfflineResult:
     target: StarTarget | None = field(default_factory=StarTarget)
     paths: Sequence[Path] = ()
     choices: OfflineOptions = field(default_factory=OfflineOptions)
+
+    @property
+    def stored_views(self) -> list[StoredView]:
+        """The views with their residuals, without images."""
+        return [
+            StoredView(view, px) for view, px in zip(self.views, self.calibration.residuals_px, strict=True)
+        ]
 
     @property
     def job(self) -> Job | None:
@@ -139,13 +146,7 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     views, used, skipped = read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
     words = words_for(_common_board(used, choices))
-    require_enough_views(views, options, board=words.is_board)
-    with errors_in(words):
-        calibration = calibrate(views, options)
-    notes = tuple(words.fitting(note) for note in (*calibration.notes, *cautions))
-    remarks = tuple(map(words.fitting, calibration.remarks))
-    calibration = replace(calibration, notes=notes, remarks=remarks)
-    planar = planar_calibration(views, options) if calibration.model != "planar" else None
+    calibration, planar = calibrated(views, options, words, cautions)
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(one == targets[0] for one in targets) else None
     return OfflineResult(

@@ -7,7 +7,7 @@ their runs; without a key the folder is a draft.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -22,20 +22,13 @@ from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.run_folder import EXPORTS, JOURNAL, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, write_atomic
-from bench.report.view_picture import ViewPicture
+from bench.results import results_content
 from bench.results.offline import OfflineResult
 from bench.results.offline_options import options_data
 from bench.results.result import json_bytes, shown_files
-from bench.results.results_content import (
-    collimator_data,
-    files_software,
-    point_factor,
-    projection_facts,
-    target_data,
-)
+from bench.results.results_content import calculated, collimator_data, files_software, target_data
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 from bench.views.views_file import VIEWS, views_file
-from calib.view import View
 
 SOURCES = "sources.json"
 SCHEMA = "starbench/sources/1"
@@ -44,14 +37,6 @@ RECALCULATION = (
     " record of a run."
 )
 """What results.json states about results that were not calculated by a run."""
-
-
-@dataclass(frozen=True)
-class Stars:
-    """A view without its image, as `bench.views.views_file.views_file` takes it."""
-
-    view: View
-    image: None = None
 
 
 class Sealer(Protocol):
@@ -124,12 +109,11 @@ def offline_files(
     }
     in_place = partial(_read_from, places=read_from or {})
     results, described = (mapped(content, in_place) for content in (results, described))
-    stars = [Stars(view) for view in result.views]
-    files = {SOURCES: json_bytes(described), VIEWS: views_file(stars, result.calibration.residuals_px)}
+    files = {SOURCES: json_bytes(described), VIEWS: views_file(result.stored_views)}
     if result.passport is not None:
         files[PASSPORT_COPY] = result.passport.data
     target = result.board or result.target
-    files |= shown_files(results, result.calibration, camera_name, target, _pictures(result))
+    files |= shown_files(results, result.calibration, camera_name, target, result.stored_views)
     files[RESULTS] = json_bytes(results)
     return files
 
@@ -146,21 +130,11 @@ def offline_results(
     result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: Sealer | None = None
 ) -> dict[str, Any]:
     """Return results.json of an offline calibration: as a run's, but without devices, gates and states."""
-    calibration = result.calibration
     return {
-        "schema": "starbench/results/1",
+        "schema": results_content.SCHEMA,
         "run": _run_facts(result, name, key),
         "devices": {},
-        "calibration": calibration.to_dict(),
-        "projection": projection_facts(
-            calibration.camera,
-            calibration.camera_covariance,
-            point_factor(calibration),
-            [view.points_px for view in result.views],
-        ),
-        "planar": result.planar.to_dict() if result.planar else None,
-        "passport": result.passport.to_dict() if result.passport else None,
-        "gimbal_readings": result.readings,
+        **calculated(result.calibration, result.planar, result.passport, result.readings, result.views),
         "poses": _pose_rows(result),
         "gates": [],
         **({"conformity": told} if (told := result.conformity) else {}),
@@ -256,11 +230,3 @@ def _runs(result: OfflineResult) -> list[dict[str, Any]]:
 def _camera_name(result: OfflineResult) -> str:
     names = {job.camera_name for job in _jobs(result)}
     return names.pop() if len(names) == 1 else "camera"
-
-
-def _pictures(result: OfflineResult) -> list[ViewPicture]:
-    """Return the views for the plots of the report, without images."""
-    return [
-        ViewPicture(view.name, None, view.points_px, view.points_px - residuals, view.ids)
-        for view, residuals in zip(result.views, result.calibration.residuals_px, strict=True)
-    ]

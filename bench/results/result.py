@@ -33,14 +33,14 @@ from bench.records.run_facts import coverage_factor
 from bench.records.run_folder import EXPORTS, MANIFEST, REPORT, RESULTS, RunFolder
 from bench.report.html import ReportData, render_report
 from bench.report.pose_plot import camera_covariance, change_maps
-from bench.report.view_picture import ViewPicture, pictured_poses
+from bench.report.view_picture import pictured_poses
 from bench.results.exports import exports
 from bench.results.results_content import results_content, run_software
 from bench.results.solution import Solution, main_numbers, solve_run
 from bench.results.view_sources import decided_by_run
 from bench.views.camera_kinds import EventKind, FrameKind
 from bench.views.measure import Measurement
-from bench.views.views_file import VIEWS, KeptViews, view_key, views_file
+from bench.views.views_file import VIEWS, KeptViews, StoredView, view_key, views_file
 from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.model.lens import is_fisheye
@@ -113,11 +113,11 @@ class ResultWriter:
         if previous := previous_calibration(bench_ledger(), ledger, results):
             results["previous"] = previous
         self._folder.write_atomic(RESULTS, json_bytes(results))
-        residuals = solution.calibration.residuals_px
-        self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
-        pictures = _view_pictures(results, solution)
+        self._folder.write_atomic(VIEWS, views_file(solution.views))
         target = self._job.board or self._job.target
-        shown = shown_files(results, solution.calibration, self._job.camera_name, target, pictures, head)
+        shown = shown_files(
+            results, solution.calibration, self._job.camera_name, target, solution.views, head
+        )
         for name, data in shown.items():
             self._folder.write_atomic(name, data)
         self.outcome = Outcome(results, self._folder.path / REPORT, head)
@@ -128,34 +128,23 @@ def shown_files(
     calibration: Calibration,
     camera_name: str,
     target: StarTarget | Board | None,
-    pictures: Sequence[ViewPicture],
+    views: Sequence[StoredView],
     head: str = "",
 ) -> dict[str, bytes]:
-    """Return the exports and, last, the report by name; ``head``, empty without a journal, is printed in it."""
+    """Return the exports and, last, the report by name; ``head``, empty without a journal, is printed in it.
+
+    Only the images that the report shows are decoded.
+    """
     written = exports(calibration, camera_name=camera_name, target=target)
     files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
+    pictured = pictured_poses(results).names
+    pictures = [one.shown(pictured=one.view.name in pictured) for one in views]
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:
     """Return JSON as results.json and the other files of results hold it."""
     return canonical_json(content)
-
-
-def _view_pictures(results: Results, solution: Solution) -> list[ViewPicture]:
-    """Return the poses as the report shows them; only images that the report shows are decoded."""
-    pictured = pictured_poses(results).names
-    return [
-        ViewPicture(
-            m.view.name,
-            m.image.decoded() if m.view.name in pictured else None,
-            m.view.points_px,
-            m.view.points_px - r,
-            m.view.ids,
-        )
-        for m, r in zip(solution.measurements, solution.calibration.residuals_px, strict=True)
-        if m.view is not None and m.image is not None
-    ]
 
 
 # The last calibration of the same camera, found by the bench's ledger, and the change since then.

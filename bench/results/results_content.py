@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bench import __version__
 from bench.base.home import forms
 from bench.plan.job import Job
+from bench.plan.passports import PassportInUse
 from bench.records.events import GateData
 from bench.records.history import Attempt, History
 from bench.records.results import CalibrationData, Results
@@ -109,14 +110,8 @@ def results_content(
     """Return the content of results.json of a run, without the comparison with an earlier run."""
     calibration = solution.calibration
     of_journal = journal_content(job, history, calibration.views)
-    calculated = {
-        "calibration": calibration.to_dict(),
-        "projection": projection(calibration, [m.view for m in solution.measurements if m.view is not None]),
-        "planar": solution.planar.to_dict() if solution.planar else None,
-        "passport": solution.passport.to_dict() if solution.passport else None,
-        "gimbal_readings": dict(solution.readings),
-        **solution.checks,
-    }
+    views = [one.view for one in solution.views]
+    numbers = calculated(calibration, solution.planar, solution.passport, solution.readings, views)
     judged = [gate.as_data() for gate in solution.judged]
     gates = [*judged, *of_journal.pop("gates")]
     found = {
@@ -124,15 +119,33 @@ def results_content(
         "run": {**of_journal.pop("run"), "software": dict(software_used)},
         "devices": of_journal.pop("devices"),
         "conditions": of_journal.pop("conditions"),
-        **calculated,
+        **numbers,
+        **solution.checks,
         "poses": of_journal.pop("poses"),
         "gates": gates,
-        **_conformity(job, calculated["calibration"], gates, checks="check" in solution.checks),
+        **_conformity(job, numbers["calibration"], gates, checks="check" in solution.checks),
         **of_journal,
         "truth": _lasting(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }
     return cast("Results", found)
+
+
+def calculated(
+    calibration: Calibration,
+    planar: Calibration | None,
+    passport: PassportInUse | None,
+    readings: Mapping[str, Any] | None,
+    views: Sequence[View],
+) -> dict[str, Any]:
+    """Return the part of results.json that was calculated, of a run or from files."""
+    return {
+        "calibration": calibration.to_dict(),
+        "projection": projection(calibration, views),
+        "planar": planar.to_dict() if planar else None,
+        "passport": passport.to_dict() if passport else None,
+        "gimbal_readings": dict(readings) if readings is not None else None,
+    }
 
 
 def _conformity(

@@ -7,7 +7,7 @@ HDF5 are imported late.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -233,22 +233,17 @@ def load(run_folder: str | Path) -> Run:
         run = starbench.load("runs/demo")
         print(run.camera, run.sigma)
     """
-    from bench.views.views_file import VIEWS, read_picture, read_views
+    from bench.views.views_file import VIEWS, read_views
 
     folder = Path(run_folder)
     if not (folder / JOURNAL).is_file():
         raise RunFolderError(
             "This is not a run folder: it has no journal.", where=str(folder), remedy="Check the path."
         )
-    stored = folder / VIEWS
-    if (folder / RESULTS).is_file() and stored.is_file():
-        views = read_views(stored)
-        pictures: list[ReadPicture] = [
-            partial(read_picture, stored, number) for number in range(1, len(views) + 1)
-        ]
-        return _run(folder, _read_results(folder), views, pictures)
-    results, views, pictures = _solve_again(folder)
-    return _run(folder, _read_results(folder) if (folder / RESULTS).is_file() else results, views, pictures)
+    if (folder / RESULTS).is_file() and (folder / VIEWS).is_file():
+        return _run(folder, _read_results(folder), read_views(folder / VIEWS))
+    results, views = _solve_again(folder)
+    return _run(folder, _read_results(folder) if (folder / RESULTS).is_file() else results, views)
 
 
 def _read_results(folder: Path) -> Results:
@@ -266,7 +261,7 @@ def _read_results(folder: Path) -> Results:
     return cast("Results", results)
 
 
-def _run(folder: Path, results: Results, views: Sequence[StoredView], pictures: Sequence[ReadPicture]) -> Run:
+def _run(folder: Path, results: Results, views: Sequence[StoredView]) -> Run:
     """Put a run together; raise RunFolderError if its results and views do not belong together."""
     try:
         found = results["calibration"]
@@ -278,7 +273,7 @@ def _run(folder: Path, results: Results, views: Sequence[StoredView], pictures: 
             stored_collimator(found["collimator"]),
             tuple(covariance["names"]),
             np.array(covariance["matrix"], np.float64),
-            tuple(_poses(folder, results, views, pictures)),
+            tuple(_poses(folder, results, views)),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
@@ -288,10 +283,10 @@ def _run(folder: Path, results: Results, views: Sequence[StoredView], pictures: 
         ) from error
 
 
-def _poses(
-    folder: Path, results: Results, views: Sequence[StoredView], pictures: Sequence[ReadPicture]
-) -> list[Pose]:
+def _poses(folder: Path, results: Results, views: Sequence[StoredView]) -> list[Pose]:
     """Return the calibrated poses; raise RunFolderError if views and results name different ones."""
+    from bench.views.views_file import VIEWS, read_picture
+
     solved = results["calibration"]["views"]
     names = [stored.view.name for stored in views]
     if names != [view["name"] for view in solved]:
@@ -311,20 +306,19 @@ def _poses(
             recorded[name]["measured_deg"],
             stored.view,
             stored.residuals_px,
-            picture,
+            stored.picture or partial(read_picture, folder / VIEWS, number),  # which says that it has none
         )
-        for name, view, stored, picture in zip(names, solved, views, pictures, strict=True)
+        for number, (name, view, stored) in enumerate(zip(names, solved, views, strict=True), 1)
     ]
 
 
-def _solve_again(folder: Path) -> tuple[Results, list[StoredView], list[ReadPicture]]:
+def _solve_again(folder: Path) -> tuple[Results, list[StoredView]]:
     """Find the stars in the accepted recordings again, and calibrate with the options of the run."""
     from bench.plan.job import Job
     from bench.records.history import replay
     from bench.records.journal import read_journal
     from bench.results.offline import calibrate_paths
     from bench.results.offline_options import OfflineOptions
-    from bench.views.views_file import StoredView
 
     history = replay(read_journal(folder / JOURNAL)[0])
     if history.started.get("rehearsal"):
@@ -347,12 +341,10 @@ def _solve_again(folder: Path) -> tuple[Results, list[StoredView], list[ReadPict
             for name, attempt in accepted.items()
         ],
     }
-    views = [StoredView(v, r) for v, r in zip(found.views, found.calibration.residuals_px, strict=True)]
-    return (
-        cast("Results", results),
-        views,
-        [partial(_picture_again, job, folder, accepted[v.name]) for v in found.views],
-    )
+    return cast("Results", results), [
+        replace(one, picture=partial(_picture_again, job, folder, accepted[one.view.name]))
+        for one in found.stored_views
+    ]
 
 
 def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:

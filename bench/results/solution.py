@@ -26,6 +26,7 @@ from bench.results.checks import gimbal_check, mount_faces, parallax_check, spli
 from bench.results.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
 from bench.views.gates import Gate, at_most, solution_gates
 from bench.views.measure import Measurement, aligned_poses
+from bench.views.views_file import StoredView
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError
 from calib.studies.camera_check import check_camera
@@ -55,6 +56,23 @@ CHECK_SEED = 20_260_101
 _COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
 _MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
 """Errors of a collimator that displace the apparent centre across the beam, as its place depends on the pupil's."""
+
+
+def calibrated(
+    views: Sequence[View],
+    options: CalibrationOptions,
+    words: TargetWords,
+    notes: Sequence[str],
+    check: Callable[[], None] = lambda: None,
+) -> tuple[Calibration, Calibration | None]:
+    """Calibrate, with further notes and in the words of the target; then, if that is another model, as planar."""
+    require_enough_views(views, options, board=words.is_board)
+    with errors_in(words):
+        found = calibrate(views, options)
+    check()
+    fitting = tuple(map(words.fitting, (*found.notes, *notes)))
+    found = replace(found, notes=fitting, remarks=tuple(map(words.fitting, found.remarks)))
+    return found, planar_calibration(views, options) if found.model != "planar" else None
 
 
 def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
@@ -114,7 +132,7 @@ class Solution:
     calibration: Calibration
     # Calibration by the planar model on the same points; None if that is the calibration's own model.
     planar: Calibration | None
-    measurements: Sequence[Measurement]
+    views: Sequence[StoredView]
     judged: Sequence[Gate]
     # `halves`, `gimbal`, `parallax` and `mount_faces` of the results, as far as they can be calculated.
     checks: Mapping[str, Any]
@@ -140,12 +158,8 @@ def solve_run(
     views = [m.view for m in measurements if m.view is not None]
     readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
     options = solve_options(job, step, readings)
-    require_enough_views(views, options, board=job.board is not None)
-    notes, words = _notes(job, step, history, measurements), words_for(job.board)
-    with errors_in(words):
-        calibration = _with_notes(calibrate(views, options), notes, words)
-    check()
-    planar = planar_calibration(views, options) if calibration.model != "planar" else None
+    notes = _notes(job, step, history, measurements)
+    calibration, planar = calibrated(views, options, words_for(job.board), notes, check)
     checks: dict[str, Any] = {
         "halves": split_half_check(views, options),
         "gimbal": gimbal_check(calibration, readings),
@@ -158,7 +172,7 @@ def solve_run(
     return Solution(
         calibration,
         planar,
-        measurements,
+        _stored_views(measurements, calibration),
         [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(compared)],
         {name: found for name, found in checks.items() if found is not None},
         readings_result(
@@ -222,9 +236,12 @@ def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[M
     return notes
 
 
-def _with_notes(calibration: Calibration, notes: Sequence[str], words: TargetWords) -> Calibration:
-    fitting = tuple(words.fitting(note) for note in (*calibration.notes, *notes))
-    return replace(calibration, notes=fitting, remarks=tuple(map(words.fitting, calibration.remarks)))
+def _stored_views(measurements: Sequence[Measurement], calibration: Calibration) -> list[StoredView]:
+    return [
+        StoredView(m.view, residuals, m.image.decoded if m.image is not None else None)
+        for m, residuals in zip(measurements, calibration.residuals_px, strict=True)
+        if m.view is not None
+    ]
 
 
 def _alignment_note(aligned: int, total: int) -> str:

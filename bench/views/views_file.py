@@ -15,12 +15,13 @@ import platform
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import h5py
 import numpy as np
@@ -30,6 +31,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
 from bench.base.home import home_folder
 from bench.records.storage import sha256_of
+from bench.report.view_picture import ViewPicture
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
 from drivers.camera.formats.hdf5_reading import dataset, member, whole
@@ -45,69 +47,49 @@ _REMEDY = "Delete the file; `starbench.load` then finds the stars again in the c
 
 @dataclass(frozen=True, eq=False)
 class StoredView:
-    """One pose as `views.h5` holds it, without its image."""
+    """One pose as `views.h5` holds it."""
 
     view: View
     # (N, 2) float64, px, star found minus star projected by the run's calibration.
     residuals_px: NDArray[np.float64]
+    # Reads its image, (H, W) uint8, grey values, when it is needed: a run may have a thousand. None without one.
+    picture: Callable[[], NDArray[np.uint8]] | None = None
+
+    def shown(self, *, pictured: bool = False) -> ViewPicture:
+        """Return the pose as a report shows it, with its image if it is ``pictured``."""
+        image = self.picture() if pictured and self.picture is not None else None
+        view = self.view
+        return ViewPicture(view.name, image, view.points_px, view.points_px - self.residuals_px, view.ids)
 
 
-class Pictured(Protocol):
-    """An image that can be decoded, as `bench.views.measure.StoredImage`."""
-
-    def decoded(self) -> NDArray[np.uint8]:
-        """Return the image: (H, W) uint8, grey values."""
-        ...
-
-
-class Measured(Protocol):
-    """A view with its image, as `bench.views.measure.Measurement`."""
-
-    @property
-    def view(self) -> View | None:
-        """The stars."""
-
-    @property
-    def image(self) -> Pictured | None:
-        """The image."""
-
-
-def views_file(
-    measurements: Sequence[Measured],
-    residuals_px: Sequence[NDArray[np.float64]],
-) -> bytes:
-    """Return views, residuals ((N, 2), found minus projected) and images, where there are any, as an HDF5 file."""
+def views_file(views: Iterable[StoredView]) -> bytes:
+    """Return views, residuals and images, where there are any, as an HDF5 file."""
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
         file.attrs["format"] = FORMAT
-        for number, (found, residuals) in enumerate(zip(measurements, residuals_px, strict=True), 1):
-            view = found.view
-            assert view is not None
+        for number, stored in enumerate(views, 1):
+            view = stored.view
             group = file.create_group(_group_name(number))
             group.attrs["name"] = view.name
             group.attrs["image_size"] = view.image_size
             for name in ("ids", "points_px", "target_mm", "covariances_px2"):
                 group.create_dataset(name, data=getattr(view, name))
-            group.create_dataset("residuals_px", data=residuals)
+            group.create_dataset("residuals_px", data=stored.residuals_px)
             if view.rim is not None:
                 _write_rim(group, view.rim)
-            if found.image is not None:
-                group.create_dataset(
-                    "picture", data=found.image.decoded(), compression="gzip", compression_opts=4
-                )
+            if stored.picture is not None:
+                group.create_dataset("picture", data=stored.picture(), compression="gzip", compression_opts=4)
     return memory.getvalue()
 
 
 def read_views(path: Path) -> list[StoredView]:
-    """Read the views and residuals of a `views.h5`, in the order of its groups, without images (`read_picture`)."""
+    """Read a `views.h5` in the order of its groups; recalculated results have no images."""
     with _opened(path) as file:
-        return [_stored_view(member(file, _group_name(number))) for number in range(1, len(file) + 1)]
-
-
-def has_pictures(path: Path) -> bool:
-    """Return whether a `views.h5` holds the images of the poses; views of recalculated results have none."""
-    with _opened(path) as file:
-        return all("picture" in group for group in file.values())
+        pictured = all("picture" in group for group in file.values())
+        return [
+            _stored_view(member(file, _group_name(n)), partial(read_picture, path, n) if pictured else None)
+            for n in range(1, len(file) + 1)
+        ]
 
 
 def read_picture(path: Path, number: int) -> NDArray[np.uint8]:
@@ -164,7 +146,7 @@ def _group_name(number: int) -> str:
     return f"pose-{number:03d}"
 
 
-def _stored_view(group: h5py.Group) -> StoredView:
+def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | None) -> StoredView:
     width, height = (int(side) for side in group.attrs["image_size"])
     view = View(
         name=str(group.attrs["name"]),
@@ -180,7 +162,7 @@ def _stored_view(group: h5py.Group) -> StoredView:
         raise InputMismatch(
             f"{len(view)} stars, but residuals of shape {residuals_px.shape}", where=group.name
         )
-    return StoredView(view, residuals_px)
+    return StoredView(view, residuals_px, picture)
 
 
 # Views kept from earlier calculations, so that the stars of a recording are found once only.

@@ -130,7 +130,7 @@ def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points
 def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
-    monkeypatch.setattr("bench.results.offline.calibrate", lambda *_: pytest.fail("calibrated"))
+    monkeypatch.setattr("bench.results.solution.calibrate", lambda *_: pytest.fail("calibrated"))
     said = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
     assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in said
 

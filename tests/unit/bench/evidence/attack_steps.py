@@ -11,8 +11,8 @@ import numpy as np
 from bench.evidence.verify import verify_folder
 from bench.plan.job import Job
 from bench.results.again_run import check_run_again
-from bench.results.compare_trees import HeldViews
 from bench.results.recorded_with import check_recorded_with
+from bench.views.views_file import read_views
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
 ADDR_X = 2
@@ -153,10 +153,10 @@ def move_star(file):
 
 def paint(f):
     """An image is painted over, and views.h5 written as the program writes it."""
-    held = HeldViews.read(f / "views.h5")
-    painted = held.pictures[0]()
+    first, *others = read_views(f / "views.h5")
+    painted = first.picture()
     painted[100:140, 100:140] = 255
-    f.write_views(replace(held, pictures=[lambda: painted, *held.pictures[1:]]))
+    f.write_views([replace(first, picture=lambda: painted), *others])
     f.tell_of_files()
 
 
@@ -255,7 +255,6 @@ def rederive(f, job):
     from bench.results.results_content import projection
     from bench.results.run_reader import stored_calibration
     from bench.results.solution import compare_with_truth
-    from bench.views.views_file import read_views
 
     results = f.results
     calibration = stored_calibration(results["calibration"])

@@ -11,10 +11,11 @@ from bench.evidence.sshsig import sign
 from bench.records.journal import FIRST_PREV, encode_line, read_journal
 from bench.records.run_folder import written_files
 from bench.report.html import ReportData, render_report
-from bench.results.compare_trees import HeldViews
+from bench.report.view_picture import pictured_poses
 from bench.results.exports import exports
 from bench.results.result import json_bytes
 from bench.results.run_reader import stored_calibration
+from bench.views.views_file import read_views, views_file
 
 
 def kinds(verification):
@@ -133,12 +134,14 @@ class Forger:
         calibration = stored_calibration(results["calibration"])
         for name, data in exports(calibration, camera_name=job.camera_name, target=job.target).items():
             (self.folder / "exports" / name).write_bytes(data)
-        held = HeldViews.read(self.folder / "views.h5")
-        html = render_report(ReportData(results, held.shown(results), self.head))
+        names = pictured_poses(results).names
+        held = read_views(self.folder / "views.h5")
+        shown = [one.shown(pictured=one.view.name in names) for one in held]
+        html = render_report(ReportData(results, shown, self.head))
         (self.folder / "report.html").write_text(html, encoding="utf-8")
 
     def write_views(self, held):
-        (self.folder / "views.h5").write_bytes(held.as_file())
+        (self.folder / "views.h5").write_bytes(views_file(held))
 
     def seal(self):
         reseal(self.folder, self.key)

@@ -40,7 +40,7 @@ def _calibrated_once(monkeypatch):
             CALIBRATED[key] = calibrate(views, options)
         return CALIBRATED[key]
 
-    monkeypatch.setattr("bench.results.offline.calibrate", once)
+    monkeypatch.setattr("bench.results.solution.calibrate", once)
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_
         found = calibrate(views, options)
         return replace(found, covariance=found.covariance / 100)
 
-    with mock.patch("bench.results.offline.calibrate", better):
+    with mock.patch("bench.results.solution.calibrate", better):
         result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, tmp_path / "forged", key)
     assert checked(tmp_path / "forged", signers, again=False).ok

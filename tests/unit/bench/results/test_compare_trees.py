@@ -10,11 +10,11 @@ from report_sample import sample
 
 from bench.evidence.findings import Findings
 from bench.report import plots
-from bench.results.compare_trees import HeldViews, MadeAgain, compare_trees
+from bench.results.compare_trees import MadeAgain, compare_trees
 from bench.results.result import json_bytes, shown_files
 from bench.results.results_content import software
 from bench.results.run_reader import stored_calibration
-from bench.views.views_file import StoredView
+from bench.views.views_file import StoredView, views_file
 from calib.target import StarTarget
 from calib.view import View
 
@@ -29,27 +29,19 @@ def held_views(results):
     def one(name):
         points = rng.uniform(0, 150, (30, 2))
         view = View(name, (160, 90), np.arange(30), points, points / 10, np.tile(np.eye(2), (30, 1, 1)))
-        return StoredView(view, rng.normal(0, 0.1, (30, 2)))
+        picture = rng.integers(0, 255, (90, 160)).astype(np.uint8)
+        return StoredView(view, rng.normal(0, 0.1, (30, 2)), lambda: picture)
 
-    views = [one(view["name"]) for view in results["calibration"]["views"]]
-    pictures = [rng.integers(0, 255, (90, 160)).astype(np.uint8) for _ in views]
-    return HeldViews(views, [lambda picture=picture: picture for picture in pictures])
+    return [one(view["name"]) for view in results["calibration"]["views"]]
 
 
 def write(folder, results, held):
     """Write results and what follows from them."""
     calibration = stored_calibration(results["calibration"])
-    shown = shown_files(results, calibration, "camera", TARGET, held.shown(results), HEAD)
-    for name, data in {"results.json": json_bytes(results), "views.h5": held.as_file(), **shown}.items():
+    shown = shown_files(results, calibration, "camera", TARGET, held, HEAD)
+    for name, data in {"results.json": json_bytes(results), "views.h5": views_file(held), **shown}.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
-
-
-class Again:
-    """A view and its image, as they are found again."""
-
-    def __init__(self, stored, read):
-        self.view, self.image = stored.view, mock.Mock(decoded=read)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +52,7 @@ def made(tmp_path_factory):
     for view in results["calibration"]["views"]:
         view |= {"rotation": np.eye(3).tolist(), "centre_mm": [0.0, 0.0, -255.0]}
     held = held_views(results)
-    drawn = plots.report_plots(results, held.shown(results))
+    drawn = plots.report_plots(results, [one.shown() for one in held])
     folder = tmp_path_factory.mktemp("made")
     with mock.patch("bench.report.plots.report_plots", return_value=drawn):
         write(folder, results, held)
@@ -76,10 +68,8 @@ def compared(folder, made, **used):
     """Compare a folder; ``used`` is what results and journal state of the program."""
     results = copy.deepcopy(made[1])
     results["run"]["software"] |= used
-    again = [Again(*pair) for pair in zip(made[2].views, made[2].pictures, strict=True)]
-    residuals = [one.residuals_px for one in made[2].views]
     found = Findings()
-    made_again = MadeAgain(results, again, residuals, "camera", TARGET, results["run"]["software"], HEAD)
+    made_again = MadeAgain(results, made[2], "camera", TARGET, results["run"]["software"], HEAD)
     compare_trees(folder, made_again, found)
     return found
 

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
-from bench.views.measure import Measurement, StoredImage
-from bench.views.views_file import read_picture, read_views, views_file
+from bench.views.views_file import StoredView, read_picture, read_views, views_file
 from calib.view import RimPoints, View
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "run-folder.md"
@@ -30,36 +29,36 @@ def view_of(name, stars, size=(64, 48)):
     )
 
 
-def measurement_of(view):
+def stored_of(view):
     width, height = view.image_size
-    return Measurement(view, StoredImage.from_image(RNG.integers(0, 256, (height, width), np.uint8)))
+    picture = RNG.integers(0, 256, (height, width), np.uint8)
+    return StoredView(view, RNG.normal(size=(len(view), 2)), lambda: picture)
 
 
 @given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
 def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, stars, name):
     name = name.encode("utf-8", "replace").decode()
     views = [view_of(f"{name} {number}", count) for number, count in enumerate(stars)]
-    measurements = [measurement_of(view) for view in views]
-    residuals = [RNG.normal(size=(len(view), 2)) for view in views]
+    written = [stored_of(view) for view in views]
     path = tmp_path_factory.mktemp("views") / "views.h5"
-    path.write_bytes(views_file(measurements, residuals))
+    path.write_bytes(views_file(written))
 
     stored = read_views(path)
     assert [s.view.name for s in stored] == [v.name for v in views]
-    for found, view, residual in zip(stored, views, residuals, strict=True):
+    for number, (found, view, had) in enumerate(zip(stored, views, written, strict=True), 1):
         assert found.view.image_size == view.image_size
         for field in ("ids", "points_px", "target_mm", "covariances_px2"):
             assert np.array_equal(getattr(found.view, field), getattr(view, field))
             assert getattr(found.view, field).dtype == getattr(view, field).dtype
-        assert np.array_equal(found.residuals_px, residual)
-    for number, measurement in enumerate(measurements, 1):
-        assert np.array_equal(read_picture(path, number), measurement.image.decoded())
+        assert np.array_equal(found.residuals_px, had.residuals_px)
+        assert np.array_equal(read_picture(path, number), had.picture())
+        assert np.array_equal(found.picture(), had.picture())
 
 
 def test_a_thousand_poses_keep_their_order(tmp_path):
     views = [view_of(str(number), 4, (2, 2)) for number in range(1, 1002)]
     path = tmp_path / "views.h5"
-    path.write_bytes(views_file([measurement_of(v) for v in views], [np.zeros((4, 2))] * len(views)))
+    path.write_bytes(views_file([stored_of(view) for view in views]))
     assert [stored.view.name for stored in read_views(path)] == [view.name for view in views]
 
 
@@ -72,7 +71,7 @@ def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, li
     rim = rim_of(points, lit)
     views = [replace(view_of("one", 5), rim=rim), view_of("two", 5)]
     path = tmp_path / "views.h5"
-    path.write_bytes(views_file([measurement_of(view) for view in views], [np.zeros((5, 2))] * 2))
+    path.write_bytes(views_file([stored_of(view) for view in views]))
     found, none = (stored.view.rim for stored in read_views(path))
     assert none is None
     assert found.level_sigma_mm == rim.level_sigma_mm
@@ -85,7 +84,7 @@ def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, li
 def path(tmp_path):
     view = replace(view_of("one", 5), rim=rim_of(3, 2))
     path = tmp_path / "views.h5"
-    path.write_bytes(views_file([measurement_of(view)], [np.zeros((5, 2))]))
+    path.write_bytes(views_file([stored_of(view)]))
     return path
 
 
