@@ -110,7 +110,7 @@ _Json = Mapping[str, Any]
 
 
 def run_facts(history: History, folder: Path) -> dict[str, Any]:
-    """Return the values of the columns of the index for a run."""
+    """Return what a list of runs states of a run, by field of `bench.records.run_index.IndexedRun`."""
     solved, started = history.solved, history.started
     return {
         "id": started.get("id", folder.name),
@@ -121,7 +121,7 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
         "simulated": bool(started.get("simulated", False)),
         "rehearsal": bool(started.get("rehearsal", False)),
         "begun_utc": history.started_utc,
-        "ended": history.ended,
+        "how": history.ended,
         "accepted": len(history.accepted()),
         "recordings": len(history.attempts) + sum(history.lost.values()),
         "deviations": len(history.deviations),
@@ -131,6 +131,7 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
         "coverage_factor": solved.get("coverage_factor"),
         "ledger_number": history.ledger.get("number"),
         "ledger_head": history.ledger.get("head"),
+        "parameters": estimates(solved),
     }
 
 

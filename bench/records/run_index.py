@@ -7,7 +7,6 @@ when journal or results.json have changed.
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -17,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
-from bench.records.history import History, replay
+from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.ledger_marks import KnownRun
-from bench.records.run_facts import Estimate, estimates, parameters_data, run_details, run_facts
+from bench.records.run_facts import Estimate, parameters_data, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import is_locked, make_folder, storage_errors
 
@@ -69,30 +68,19 @@ class IndexedRun:
         return {**asdict(self), "parameters": parameters_data(self.parameters)}
 
 
-__all__ = [
-    "INDEX", "QUEUE_COPY", "VERSION", "IndexedRun", "RunIndex", "is_batch", "is_rehearsal", "read_run",
-    "read_run_and_details", "run_folders",
-]  # fmt: skip
-
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 9
+VERSION = 10
 _COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
-_COLUMNS = (
-    "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
-    "recordings", "deviations", "temperature_c", "model", "rms_px",
-    "coverage_factor", "ledger_number", "ledger_head",
-)  # fmt: skip
 _SCHEMA = f"""
-CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, results_mtime_ns INTEGER,
-    {", ".join(_COLUMNS)}) WITHOUT ROWID;
+CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT)
+    WITHOUT ROWID;
 CREATE TABLE details (folder TEXT PRIMARY KEY, found TEXT) WITHOUT ROWID;
-CREATE TABLE parameters (folder TEXT, name TEXT, place INTEGER, value REAL, sigma REAL, k REAL, shared REAL,
-    PRIMARY KEY (folder, name)) WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
+"""``found`` holds `run_facts` and `run_details` as JSON; ``stamp`` tells which files they were read from."""
 
 
 def is_batch(folder: Path) -> bool:
@@ -229,31 +217,28 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     """Return the row of a run; it is made anew if the journal has changed."""
     with storage_errors(folder):
         found = (folder / JOURNAL).stat()
-    stamp = (found.st_size, found.st_mtime_ns, _results_mtime_ns(folder))
-    kept = index.execute(
-        "SELECT size, mtime_ns, results_mtime_ns FROM runs WHERE folder = ?", (str(folder),)
-    ).fetchone()
-    if kept != stamp:
-        _index(index, folder, stamp)
-    row = index.execute(f"SELECT {', '.join(_COLUMNS)} FROM runs WHERE folder = ?", (str(folder),)).fetchone()  # noqa: S608
-    facts = dict(zip(_COLUMNS, row, strict=True))
-    ended = facts.pop("ended")
-    facts |= {name: bool(facts[name]) for name in ("simulated", "rehearsal")}
-    rows = index.execute(
-        "SELECT name, value, sigma, k, shared FROM parameters WHERE folder = ? ORDER BY place", (str(folder),)
-    )
-    return IndexedRun(
-        folder=str(folder),
-        how=ended or ("running" if is_locked(folder) else "cut off"),
-        sealed=is_sealed(folder),
-        parameters={name: Estimate(*map(_nan_of, numbers)) for name, *numbers in rows},
-        **facts,
-    )
+    stamp = f"{found.st_size} {found.st_mtime_ns} {_results_mtime_ns(folder)}"
+    kept = index.execute("SELECT stamp, found FROM runs WHERE folder = ?", (str(folder),)).fetchone()
+    if kept is not None and kept[0] == stamp:
+        return _listed(folder, json.loads(kept[1]))
+    facts, details = _read(folder)
+    row = (str(folder), stamp, facts["id"], facts["ledger_number"], facts["ledger_head"], _packed(facts))
+    index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
+    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), _packed(details)))
+    return _listed(folder, facts)
 
 
-def _nan_of(value: float | None) -> float:
-    """Return a number of the index; SQLite stores NaN as NULL."""
-    return math.nan if value is None else value
+def _packed(found: Mapping[str, Any]) -> str:
+    return json.dumps(found, separators=(",", ":"))
+
+
+def _listed(folder: Path, facts: Mapping[str, Any]) -> IndexedRun:
+    """Return a run by its `run_facts`, and by what the folder says now."""
+    now = {
+        "how": facts["how"] or ("running" if is_locked(folder) else "cut off"),
+        "parameters": {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()},
+    }
+    return IndexedRun(folder=str(folder), sealed=is_sealed(folder), **{**facts, **now})
 
 
 def _results_mtime_ns(folder: Path) -> int:
@@ -264,21 +249,6 @@ def _results_mtime_ns(folder: Path) -> int:
         return 0
 
 
-def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int]) -> None:
-    history, facts, found = _read(folder)
-    places = ", ".join("?" * (len(_COLUMNS) + len(stamp) + 1))
-    row = (str(folder), *stamp, *(facts[name] for name in _COLUMNS))
-    index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
-    index.execute("DELETE FROM parameters WHERE folder = ?", (str(folder),))
-    rows = [
-        (str(folder), name, place, *one)
-        for place, (name, one) in enumerate(estimates(history.solved).items())
-    ]
-    index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
-    details = json.dumps(found, separators=(",", ":"))
-    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), details))
-
-
 def read_run(folder: Path) -> IndexedRun:
     """Read one run from its folder, without an index."""
     return read_run_and_details(folder)[0]
@@ -286,24 +256,16 @@ def read_run(folder: Path) -> IndexedRun:
 
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, dict[str, Any]]:
     """Read one run and its details (`bench.records.run_facts.run_details`) from its folder, without an index."""
-    history, facts, details = _read(folder)
-    ended = facts.pop("ended")
-    run = IndexedRun(
-        folder=str(folder),
-        how=ended or ("running" if is_locked(folder) else "cut off"),
-        sealed=is_sealed(folder),
-        parameters=estimates(history.solved),
-        **facts,
-    )
-    return run, details
+    facts, details = _read(folder)
+    return _listed(folder, facts), details
 
 
-def _read(folder: Path) -> tuple[History, dict[str, Any], dict[str, Any]]:
-    """Return the history of a run, the values of its columns, and its details."""
+def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what the index keeps of a run: its `run_facts`, and its details."""
     entries = read_journal(folder / JOURNAL)[0]
     history = replay(entries)
     try:
-        return history, run_facts(history, folder), run_details(history, entries, folder)
+        return run_facts(history, folder), run_details(history, entries, folder)
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise JournalBroken(
             f"A line of the journal has another form: {error}.",

@@ -110,7 +110,7 @@ def test_an_index_that_does_not_hold_is_made_anew(index, three, harm):
     before = index.runs(three)
     if harm == "older":
         with closing(sqlite3.connect(index.path)) as database, database:
-            database.execute("ALTER TABLE runs DROP COLUMN camera")
+            database.execute("ALTER TABLE runs DROP COLUMN found")
             database.execute("PRAGMA user_version = 0")
     else:
         for path in index.path.parent.iterdir():
