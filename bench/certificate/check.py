@@ -13,7 +13,7 @@ from bench.certificate.issue import DCC, LAB, PDF, PLOTS, certificate_files, req
 from bench.certificate.lab_config import LabConfig, lab_of
 from bench.certificate.sealed_run import is_statement, other_writer, run_of
 from bench.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
-from bench.evidence.findings import Findings
+from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
 from bench.records.ledger import LEDGER, Ledger
 from bench.records.run_folder import MANIFEST, RESULTS
@@ -23,7 +23,6 @@ from sequences.reader import Located
 
 _FILES = frozenset({CERTIFICATE, RESULTS, LAB, DCC, PDF, "VERIFY.txt"})
 _KIND = "certificate"
-_UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 
 
 def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
@@ -40,7 +39,7 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     except BenchError as error:
         found.fault(_KIND, error.where or CERTIFICATE, error.what.rstrip("."))
         return found
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         found.fault(_KIND, RESULTS, f"the certificate cannot be derived from it ({error!r})")
         return found
     if ledger is not None:

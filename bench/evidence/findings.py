@@ -53,6 +53,10 @@ class SealFault:
         return f"{self.where}: {self.what}"
 
 
+UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
+"""Exceptions raised by reading JSON that is not of the expected form."""
+
+
 @dataclass
 class Findings:
     """What one check found. A check that finds nothing returns an empty one."""

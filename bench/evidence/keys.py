@@ -22,7 +22,6 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
 from bench.evidence.signers import (
-    AUTHORISATION_NAMESPACE,
     NAMESPACE,
     PRINCIPAL,
     REVOKED_FILE,
@@ -37,7 +36,7 @@ from bench.evidence.signers import (
     replace_lines,
     trust,
 )
-from bench.evidence.sshsig import KEY_TYPE, encode_public_key, fingerprint, key_type_of, strings
+from bench.evidence.sshsig import KEY_TYPE, Ed25519Signer, fingerprint, key_type_of, strings
 from bench.records.storage import (
     make_folder,
     open_to_lock,
@@ -122,43 +121,16 @@ def principal_of(public_path: Path) -> str:
 NEW_KEY = f"{KEY_FILE}.new"
 """A key that replaces the bench's key, complete beside it, until it is put in its place."""
 
-__all__ = [
-    "AUTHORISATION_NAMESPACE",
-    "KEY_FILE",
-    "NAMESPACE",
-    "NEW_KEY",
-    "SIGNERS_FILE",
-    "BenchKey",
-    "Signer",
-    "create_key",
-    "ensure_key",
-    "finish_rotation",
-    "key_to_seal",
-    "load_key",
-    "locked_folder",
-    "private_text",
-    "read_signers",
-    "require_usable",
-    "trust",
-    "usable_key",
-]
-
 
 @dataclass(frozen=True)
-class BenchKey:
+class BenchKey(Ed25519Signer):
     """The bench's private key, ready to sign."""
 
-    private: Ed25519PrivateKey  # The private key; ``repr`` does not show it
     principal: str  # Name of the signer, as ``name@place``
     created: bool = False  # Whether the key was made by this call
 
     def __repr__(self) -> str:
         return f"BenchKey({self.principal}, {self.fingerprint})"
-
-    @property
-    def public_key(self) -> bytes:
-        """The public key as SSH encodes it."""
-        return encode_public_key(self.private.public_key())
 
     @property
     def fingerprint(self) -> str:

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken
-from bench.evidence.keys import KEY_FILE, SIGNERS_FILE, read_signers
+from bench.evidence.keys import KEY_FILE
+from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import read_signature
 from bench.records.events import Event
 from bench.records.journal import read_journal

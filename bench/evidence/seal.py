@@ -20,8 +20,9 @@ from pathlib import Path
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
-from bench.evidence.keys import NAMESPACE, BenchKey
-from bench.evidence.sshsig import fingerprint, is_valid, read_signature, sign
+from bench.evidence.keys import BenchKey
+from bench.evidence.signers import NAMESPACE
+from bench.evidence.sshsig import fingerprint, is_valid, read_signature
 from bench.records.journal import CAPTURES
 from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
 from bench.records.storage import (
@@ -63,7 +64,7 @@ def seal_passport(data: bytes, key: BenchKey) -> bytes:
     """Add a seal to a passport. Removing the second line of the result gives ``data``."""
     if not data.startswith(_FIRST + b" ") or _has_seal_line(data):
         raise EvidenceError("This is not an unsealed passport in the layout that Starbench writes.")
-    signature = sign(key.private, data, NAMESPACE).decode()
+    signature = key.sign(data, NAMESPACE).decode()
     return _FIRST + _BEGIN + json.dumps(signature).encode() + b",\n" + data[len(_FIRST) :]
 
 
@@ -214,7 +215,7 @@ def seal_folder(path: Path, key: BenchKey) -> str:
     _sync_files(path)
     manifest = make_manifest(path)
     write_atomic(path / MANIFEST, manifest)
-    write_atomic(path / SIGNATURE, sign(key.private, manifest, NAMESPACE))
+    write_atomic(path / SIGNATURE, key.sign(manifest, NAMESPACE))
     make_read_only(path)
     return key.fingerprint
 

@@ -11,8 +11,8 @@ import binascii
 import os
 import re
 import stat
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -146,7 +146,7 @@ class Signer:
 def read_signers(path: Path) -> list[Signer]:
     """Read a list of trusted keys, in the order of the lines; the error names a line that is not understood."""
     try:
-        lines = read_list(path, "the list of trusted keys").splitlines()
+        text = read_list(path, "the list of trusted keys")
     except OSError as error:
         raise EvidenceError(
             f"The list of trusted keys cannot be read: {error.strerror}.",
@@ -154,14 +154,25 @@ def read_signers(path: Path) -> list[Signer]:
             remedy="Get the file allowed_signers from the laboratory, and name it.",
         ) from error
     signers = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in _lines_of_keys(text):
         try:
             signers.append(read_signer(line))
         except EvidenceError as error:
             raise EvidenceError(error.what, where=f"{path}:{number}", remedy=error.remedy) from error
     return signers
+
+
+def _lines_of_keys(text: str) -> Iterator[tuple[int, str]]:
+    """Yield each line with a key and its number from 1: not those that are empty or a comment."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line
+
+
+def _add_line(path: Path, present: str, line: str) -> None:
+    separator = "" if not present or present.endswith("\n") else "\n"
+    make_private_folder(path.parent)
+    write_atomic(path, f"{present}{separator}{line}\n".encode())
 
 
 def read_signer(line: str) -> Signer:
@@ -214,9 +225,7 @@ def trust(folder: Path, line: str) -> Signer:
     present = _read_list(path)
     _refuse_two_purposes(path, signer)
     if line.strip() not in present.splitlines():
-        separator = "" if not present or present.endswith("\n") else "\n"
-        make_private_folder(folder)
-        write_atomic(path, f"{present}{separator}{line.strip()}\n".encode())
+        _add_line(path, present, line.strip())
     return signer
 
 
@@ -224,16 +233,12 @@ def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added
     """Put ``valid-before`` on the lines of a key that do not end earlier, and add lines, in one step."""
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
-    lines = []
-    for line in _read_list(path).splitlines():
-        ends = not line.strip() or line.lstrip().startswith("#")
-        signer = None if ends else signers.pop(0)
-        if signer is not None and signer.public_key == public_key:
+    present = _read_list(path)
+    lines = present.splitlines()
+    for (number, _), signer in zip(_lines_of_keys(present), signers, strict=True):
+        if signer.public_key == public_key:
             before = min(filter(None, (signer.valid_before, valid_before)))
-            ended = Signer(signer.principal, public_key, signer.namespaces, signer.valid_after, before)
-            lines.append(ended.line)
-        else:
-            lines.append(line)
+            lines[number - 1] = replace(signer, valid_before=before).line
     make_private_folder(folder)
     write_atomic(path, "".join(f"{line}\n" for line in (*lines, *added)).encode())
 
@@ -335,18 +340,17 @@ def read_revoked(path: Path) -> list[RevokedKey]:
     if not path.exists():
         return []
     with storage_errors(path):
-        lines = read_list(path, "the list of revoked keys").splitlines()
+        text = read_list(path, "the list of revoked keys")
     revoked = []
-    for number, line in enumerate(lines, start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            try:
-                revoked.append(_read_line(line))
-            except ValueError as error:
-                raise EvidenceError(
-                    f"This is not a line of a revoked key: {error}.",
-                    where=f"{path}:{number}",
-                    remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
-                ) from error
+    for number, line in _lines_of_keys(text):
+        try:
+            revoked.append(_read_line(line))
+        except ValueError as error:
+            raise EvidenceError(
+                f"This is not a line of a revoked key: {error}.",
+                where=f"{path}:{number}",
+                remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
+            ) from error
     return revoked
 
 
@@ -365,9 +369,7 @@ def revoke(folder: Path, key: RevokedKey) -> None:
         )
     with storage_errors(path):
         present = path.read_text(encoding="utf-8") if path.exists() else ""
-    make_private_folder(folder)
-    separator = "" if not present or present.endswith("\n") else "\n"
-    write_atomic(path, f"{present}{separator}{key.line}\n".encode())
+    _add_line(path, present, key.line)
 
 
 def _read_line(line: str) -> RevokedKey:

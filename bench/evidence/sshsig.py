@@ -211,18 +211,6 @@ def _printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
-__all__ = [
-    "KEY_TYPE",
-    "Ed25519Signer",
-    "SigningKey",
-    "SshSignature",
-    "encode_public_key",
-    "fingerprint",
-    "is_valid",
-    "read_signature",
-    "sign",
-]
-
 _MAGIC = b"SSHSIG"
 _VERSION = 1
 _HASHES = {b"sha512": hashlib.sha512, b"sha256": hashlib.sha256}

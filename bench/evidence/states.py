@@ -6,6 +6,7 @@ It follows from signatures, not from hashes (`bench.evidence.verify`). Nothing i
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
@@ -14,7 +15,7 @@ from pathlib import Path
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, StorageError
 from bench.evidence.authorisation import NOTHING_KNOWN, Known, check_authorisation, compare_authorisation
-from bench.evidence.findings import SealFault
+from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
 from bench.evidence.signers import NAMESPACE
@@ -69,6 +70,7 @@ def _moment(text: object) -> datetime | None:
         return None
 
 
+_STAMPED = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
 _CLOCK_SLACK = timedelta(minutes=10)
 """Clocks of a bench and of a time stamping authority may differ so much without a remark."""
 _MOST_MANIFEST_BYTES = 64 << 20
@@ -86,19 +88,16 @@ class State(StrEnum):
 
 
 @dataclass
-class Standing:
-    """What the signatures and time stamps beside a folder say."""
+class Standing(Findings):
+    """What the signatures and time stamps beside a folder say; its fields are those of `Verification`.
+
+    The kinds of its faults are ``unsealed``, ``signature``, ``manifest``, ``key``, ``authorisation``, ``timestamp``.
+    """
 
     # The state. ``SEALED`` needs a seal whose signature holds, ``AUTHORISED`` also a person's signature of
     # the seal that holds and is by a trusted key. Whether the bench's key is trusted is told by ``signer``
     # and ``faults``.
     state: State = State.DRAFT
-    # What does not hold: kinds ``unsealed``, ``signature``, ``key``, ``authorisation``, ``timestamp``.
-    faults: list[SealFault] = field(default_factory=list)
-    # What could not be checked here, each with the reason: a sentence without a full stop.
-    unchecked: list[str] = field(default_factory=list)
-    # What a reader should know: a sentence each, without a full stop.
-    remarks: list[str] = field(default_factory=list)
     # Who authorised, and what the time stamps say: a sentence each, without a full stop.
     statements: list[str] = field(default_factory=list)
     # signer, fingerprint: Name of the bench in the list of trusted keys (None if its key is not accepted),
@@ -111,7 +110,6 @@ class Standing:
     person_fingerprint: str | None = None
     # When the folder says that it was made, by the bench's own clock; None if it does not say.
     stated: datetime | None = None
-    stamps: tuple[Stamp, ...] = ()
 
 
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
@@ -122,36 +120,31 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
     """
     found = Standing()
     with storage_errors(folder):
-        stamps = check_timestamps(folder, trust.authorities)
-        found.faults += stamps.faults
-        found.unchecked += stamps.unchecked
-        found.stamps = tuple(stamps.stamps.values())
+        stamps = check_timestamps(folder, trust.authorities, found)
         found.stated = stated_time(folder)
         sealed = found.stated or now
         seal_key = _seal(found, folder)
-        own = stamps.stamps.get(AUTHORISATION_TIMESTAMP)
+        own = stamps.get(AUTHORISATION_TIMESTAMP)
         check = check_authorisation(folder, trust, Moments(now, own, at, min(sealed, now), now), seal_key)
     if seal_key is not None:
         # An authorisation that is accepted signs the seal: its time stamp proves that the seal existed.
-        proofs = [stamps.stamps.get(TIMESTAMP), own if check.person is not None else None]
+        proofs = [stamps.get(TIMESTAMP), own if check.person is not None else None]
         proven = min(filter(None, proofs), key=lambda stamp: stamp.utc, default=None)
         _judge_seal(found, seal_key, trust, Moments(now, proven, at, sealed, sealed))
     if seal_key is None and not (folder / MANIFEST).exists():
         with storage_errors(folder):
-            faults, statements = check_ended_page(folder, trust, now, sealed)
-        found.faults += faults
-        found.statements += statements
+            check_ended_page(folder, trust, now, sealed, found)
     if check.unchecked:
-        found.unchecked.append(f"{AUTHORISATION}: {check.unchecked}")
+        found.not_compared.append(f"{AUTHORISATION}: {check.unchecked}")
     if check.fault:
-        found.faults.append(SealFault("authorisation", AUTHORISATION, check.fault))
+        found.fault("authorisation", AUTHORISATION, check.fault)
     elif check.person is not None and found.state is State.SEALED:
         found.state = State.AUTHORISED
         found.person, found.person_fingerprint = check.person, check.fingerprint
         found.statements.append(f"Authorised by {check.person} ({check.fingerprint})")
         found.remarks += [f"{AUTHORISATION}: {check.remark}"] if check.remark else []
-    found.statements += stamps.statements
-    _clocks(found, now)
+    found.statements += [f"{_STAMPED[stamp.of]} existed at {stamp.text}" for stamp in stamps.values()]
+    _clocks(found, stamps.values(), now)
     return found
 
 
@@ -161,14 +154,14 @@ def _seal(found: Standing, folder: Path) -> bytes | None:
         for name in (MANIFEST, SIGNATURE):
             if (folder / name).is_symlink() or not (folder / name).is_file():
                 why = "this is a link, not a file" if (folder / name).is_symlink() else "the file is missing"
-                found.faults.append(SealFault("unsealed", name, f"{why}; this folder is not sealed"))
+                found.fault("unsealed", name, f"{why}; this folder is not sealed")
                 return None
         if (folder / MANIFEST).stat().st_size > _MOST_MANIFEST_BYTES:
-            found.faults.append(SealFault("manifest", MANIFEST, f"more than {_MOST_MANIFEST_BYTES} bytes"))
+            found.fault("manifest", MANIFEST, f"more than {_MOST_MANIFEST_BYTES} bytes")
             return None
         signature = read_signature(read_beside(folder, SIGNATURE) or b"")
     except EvidenceError as error:
-        found.faults.append(SealFault("signature", SIGNATURE, error.what))
+        found.fault("signature", SIGNATURE, error.what)
         return None
     found.fingerprint = fingerprint(signature.public_key)
     what = ""
@@ -182,7 +175,7 @@ def _seal(found: Standing, folder: Path) -> bytes | None:
     if not what:
         found.state = State.SEALED
     else:
-        found.faults.append(SealFault("signature", SIGNATURE, what))
+        found.fault("signature", SIGNATURE, what)
     return signature.public_key
 
 
@@ -191,17 +184,17 @@ def _judge_seal(found: Standing, public_key: bytes, trust: Trust, moments: Momen
     judged = judge_key(public_key, NAMESPACE, trust, moments)
     found.signer = judged.principal
     if judged.fault:
-        found.faults.append(SealFault("key", SIGNATURE, judged.fault))
+        found.fault("key", SIGNATURE, judged.fault)
     elif judged.remark:
         found.remarks.append(f"{SIGNATURE}: {judged.remark}")
 
 
-def _clocks(found: Standing, now: datetime) -> None:
+def _clocks(found: Standing, stamps: Iterable[Stamp], now: datetime) -> None:
     """Remark on times that contradict each other."""
     if found.stated is None:
         return
     stated = f"{found.stated:%Y-%m-%d %H:%M} UTC"
-    for stamp in found.stamps:
+    for stamp in stamps:
         if stamp.utc < found.stated - _CLOCK_SLACK:
             found.remarks.append(
                 f"{stamp.file}: {stamp.of} existed at {stamp.text}, but the bench's own clock stated the later time"
@@ -238,7 +231,7 @@ def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHIN
         standing = standing_of(folder, trust, now)
         compared = compare_authorisation(folder, known)
         if compared.fault:
-            standing.faults.append(SealFault("authorisation", AUTHORISATION, compared.fault))
+            standing.fault("authorisation", AUTHORISATION, compared.fault)
     except StorageError as error:
         return ShownState(State.DRAFT, f"DRAFT: the seal cannot be read: {error.what}")
     text = _text(standing)
@@ -260,32 +253,30 @@ def _text(standing: Standing) -> str:
 # names.
 
 
-def check_ended_page(
-    folder: Path, trust: Trust, now: datetime, stated: datetime
-) -> tuple[list[SealFault], list[str]]:
-    """Return what does not hold on the page of a folder without a seal, and what does; both empty without a page."""
+def check_ended_page(folder: Path, trust: Trust, now: datetime, stated: datetime, found: Standing) -> None:
+    """Tell what does not hold on the page of a folder without a seal, or what does; nothing without a page."""
     try:
         armoured = read_beside(folder, PAGE_SIGNATURE)
         if armoured is None:
-            return [], []
+            return
         signature = read_signature(armoured)
         page = (folder / REPORT).read_bytes() if (folder / REPORT).is_file() else b""
         holds = signature.namespace == NAMESPACE and is_valid(signature, page)
     except EvidenceError as error:
-        return [SealFault("signature", PAGE_SIGNATURE, error.what)], []
+        found.fault("signature", PAGE_SIGNATURE, error.what)
+        return
     judged = judge_key(signature.public_key, NAMESPACE, trust, Moments(now, None, None, stated, stated))
     if not holds:
-        fault = SealFault("signature", PAGE_SIGNATURE, f"the signature does not match this {REPORT}")
+        found.fault("signature", PAGE_SIGNATURE, f"the signature does not match this {REPORT}")
     elif judged.fault:
-        fault = SealFault("key", PAGE_SIGNATURE, judged.fault)
+        found.fault("key", PAGE_SIGNATURE, judged.fault)
     elif why := _of_another_journal(folder, page):
-        fault = SealFault("journal", JOURNAL, why)
+        found.fault("journal", JOURNAL, why)
     else:
         signer = f"{judged.principal} ({fingerprint(signature.public_key)})"
-        return [], [
+        found.statements.append(
             f"{REPORT} is the page of a run that did not finish, signed by {signer}; its journal is whole"
-        ]
-    return [fault], []
+        )
 
 
 def _of_another_journal(folder: Path, page: bytes) -> str:

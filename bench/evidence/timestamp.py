@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import EvidenceError
-from bench.evidence.findings import SealFault
+from bench.evidence.findings import Findings
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
 from bench.evidence.signers import refuse_writable_by_others
 from bench.records.run_folder import SIGNATURE
@@ -149,35 +149,19 @@ class Stamp:
         return f"{self.utc:%Y-%m-%d %H:%M:%S} UTC by the {whose}"
 
 
-@dataclass
-class StampCheck:
-    """The time stamps beside a seal, as checked."""
-
-    faults: list[SealFault] = field(default_factory=list)  # Time stamps that do not hold
-    # Time stamps that could not be checked, each with the reason: a sentence without a full stop.
-    unchecked: list[str] = field(default_factory=list)
-    stamps: dict[str, Stamp] = field(default_factory=dict)
-
-    @property
-    def statements(self) -> list[str]:
-        """A sentence for each time stamp, without a full stop."""
-        what = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
-        return [f"{what[stamp.of]} existed at {stamp.text}" for stamp in self.stamps.values()]
-
-
-def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampCheck:
-    """Check the time stamps beside a seal. Nothing is asked over a network."""
-    check = StampCheck()
+def check_timestamps(folder: Path, authorities: TrustedAuthorities, found: Findings) -> dict[str, Stamp]:
+    """Check the time stamps beside a seal; return those that hold, by file. Nothing is asked over a network."""
+    stamps: dict[str, Stamp] = {}
     for name in STAMPED:
         try:
             stamp = _check_file(folder, name, authorities)
         except UncheckedError as error:
-            check.unchecked.append(f"{name}: {error.what}")
+            found.not_compared.append(f"{name}: {error.what}")
         except EvidenceError as error:
-            check.faults.append(SealFault("timestamp", name, error.what))
+            found.fault("timestamp", name, error.what)
         else:
-            check.stamps |= {name: stamp} if stamp is not None else {}
-    return check
+            stamps |= {name: stamp} if stamp is not None else {}
+    return stamps
 
 
 def _check_file(folder: Path, name: str, authorities: TrustedAuthorities) -> Stamp | None:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
-from bench.evidence.findings import Derivation, Derivations, Findings, SealFault, Verification, check_journal
+from bench.evidence.findings import UNREADABLE, Derivations, Findings, Verification, check_journal
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
 from bench.evidence.signers import Signer
@@ -117,12 +116,6 @@ def _files(found: Findings, folder: Path, manifest: Mapping[str, str]) -> None:
             found.fault("changed", name, "the file was changed after sealing")
 
 
-__all__ = ["Derivation", "Derivations", "Findings", "SealFault", "Verification", "verify_folder"]
-
-UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
-"""Exceptions raised by reading JSON that is not of the expected form."""
-
-
 def verify_folder(
     folder: Path,
     trust: Trust | Iterable[Signer],
@@ -147,13 +140,9 @@ def verify_folder(
             remedy="Name the folder that a run, a certificate or recalculated results were written to.",
         )
     kind = kind_of(folder)
-    found = Findings()
     trusted = trust if isinstance(trust, Trust) else Trust(tuple(trust))
     with storage_errors(folder):
-        standing = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
-        found.faults += standing.faults
-        found.not_compared += standing.unchecked
-        found.remarks += standing.remarks
+        found = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
         manifest = check_listed(folder, found)
         captures = check_journal(folder, manifest, found) if kind == "run" and manifest is not None else None
         facts = _results(folder, manifest, captures, camera_serial, found)
@@ -163,38 +152,10 @@ def verify_folder(
         for derive in derive_with:
             if not found.faults:
                 found.add(derive(folder))
-    return Verification(
-        folder=str(folder),
-        kind=kind,
-        again=again,
-        faults=tuple(found.faults),
-        not_compared=tuple(found.not_compared),
-        remarks=tuple(found.remarks),
-        state=str(standing.state),
-        statements=tuple(standing.statements),
-        stated=standing.stated.isoformat() if standing.stated else None,
-        signer=standing.signer,
-        fingerprint=standing.fingerprint,
-        person=standing.person,
-        person_fingerprint=standing.person_fingerprint,
-        files=len(manifest or ()),
-        run_id=facts.run_id,
-        camera_serial=facts.camera_serial,
-        simulated=facts.simulated,
-    )
-
-
-@dataclass(frozen=True)
-class _ResultFacts:
-    """Run and camera that results name, and the recordings they were made from."""
-
-    run_id: str | None = None
-    camera_serial: str | None = None
-    simulated: bool | None = None
-    captures: tuple[tuple[str, str], ...] = ()
-
-
-_NO_RESULTS = _ResultFacts()
+    standing = {name: tuple(one) if isinstance(one, list) else one for name, one in vars(found).items()}
+    stated = found.stated.isoformat() if found.stated else None
+    told = {**standing, **facts, "state": str(found.state), "stated": stated}
+    return Verification(str(folder), kind, again=again, files=len(manifest or ()), **told)
 
 
 def _results(
@@ -203,48 +164,51 @@ def _results(
     captures: Mapping[str, Capture] | None,
     camera_serial: str | None,
     found: Findings,
-) -> _ResultFacts:
-    """Check that results, journal and list of files name the same recordings; ``captures`` is None without journal."""
+) -> dict[str, Any]:
+    """Check that results, journal and list of files name the same recordings; ``captures`` is None without journal.
+
+    Returns what `Verification` states of run and camera.
+    """
     path = folder / RESULTS
     if path.is_symlink() or not path.is_file():
-        return _NO_RESULTS  # the journal tells whether a run must have results
+        return {}  # the journal tells whether a run must have results
     try:
-        facts = _facts_of(read_json(path))
+        facts, recordings = _facts_of(read_json(path))
     except StorageError as error:
         found.fault("results", RESULTS, f"{error.what[0].lower()}{error.what[1:].rstrip('.')}")
-        return _NO_RESULTS
+        return {}
     except UNREADABLE as error:
         found.fault(
             "results",
             RESULTS,
             f"the file cannot be read ({error if type(error) is ValueError else repr(error)})",
         )
-        return _NO_RESULTS
+        return {}
     if captures is not None:
         sources: dict[str, Mapping[str, str]] = {"the journal": {n: c.sha256 for n, c in captures.items()}}
         sources |= {} if manifest is None else {MANIFEST: manifest}
-        for name, sha256 in facts.captures:
+        for name, sha256 in recordings:
             for source, hashes in sources.items():
                 if hashes.get(name) != sha256:
                     found.fault("results", RESULTS, f"{source} does not name {name} with this hash")
-    if camera_serial is not None and facts.camera_serial != camera_serial:
-        what = f"the results belong to camera {facts.camera_serial}; {camera_serial} was requested"
+    if camera_serial is not None and facts["camera_serial"] != camera_serial:
+        what = f"the results belong to camera {facts['camera_serial']}; {camera_serial} was requested"
         found.fault("item", RESULTS, what)
     return facts
 
 
-def _facts_of(results: Any) -> _ResultFacts:
-    """Read the results of a run or of a recalculation. Raises one of ``UNREADABLE``."""
+def _facts_of(results: Any) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Return run and camera that results name, and name and SHA-256 of each recording; or raise an ``UNREADABLE``."""
     camera = results["devices"].get("camera") or {}
     serial = camera.get("serial")
-    return _ResultFacts(
-        run_id=str(results["run"]["id"]),
-        camera_serial=None if serial is None else str(serial),
-        simulated=bool(results["run"]["simulated"]),
-        captures=tuple(
-            (str(attempt["capture"]), str(attempt["sha256"]))
-            for pose in results["poses"]
-            for attempt in pose.get("attempts") or ()
-            if attempt["capture"] is not None
-        ),
-    )
+    facts = {
+        "run_id": str(results["run"]["id"]),
+        "camera_serial": None if serial is None else str(serial),
+        "simulated": bool(results["run"]["simulated"]),
+    }
+    return facts, [
+        (str(attempt["capture"]), str(attempt["sha256"]))
+        for pose in results["poses"]
+        for attempt in pose.get("attempts") or ()
+        if attempt["capture"] is not None
+    ]

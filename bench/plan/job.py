@@ -79,13 +79,6 @@ def calibration_options(
     )
 
 
-__all__ = [
-    "MAX_MOTION_DEG",
-    "Job",
-    "calibration_options",
-    "documents_of",
-]
-
 MAX_MOTION_DEG = 0.0005
 """Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
-from bench.evidence.findings import Findings
+from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.seal import read_passport_seal
 from bench.evidence.sshsig import fingerprint, read_signature
 from bench.plan.passports import PassportInUse, read_passport_file
@@ -20,7 +20,6 @@ from bench.records.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE
 from bench.records.storage import read_json, sha256_of
 from bench.results.compare_numbers import differences
 from bench.results.compare_trees import (
-    UNREADABLE,
     MadeAgain,
     compare_file,
     compare_instructions,

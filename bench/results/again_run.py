@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
-from bench.evidence.findings import Findings
+from bench.evidence.findings import UNREADABLE, Findings
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
@@ -34,7 +34,6 @@ from bench.records.run_folder import (
 from bench.records.storage import read_bounded, read_json
 from bench.results.compare_numbers import MOST_SHOWN, add_faults, differences, is_excused, tolerance
 from bench.results.compare_trees import (
-    UNREADABLE,
     MadeAgain,
     compare_instructions,
     compare_plan,

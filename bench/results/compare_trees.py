@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, EvidenceError, RunFolderError, StorageError
-from bench.evidence.findings import Findings
+from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.seal import INSTRUCTIONS, instructions, kind_of
 from bench.evidence.sshsig import fingerprint, read_signature
 from bench.records.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
@@ -139,8 +139,6 @@ def close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
     return bool(np.all(np.abs(stored - again) <= TOLERANCE_SHARE * scale))
 
 
-UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
-"""Exceptions raised by results that are not of the expected form."""
 _REPORT_BY = ("starbench", "report_form", "numpy", "opencv-python-headless")
 _EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
 _PRINCIPAL = re.compile(r" -I (\S+) -n ")

@@ -19,10 +19,10 @@ from typing import Any, TextIO, cast
 from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.base.home import home_folder
-from bench.evidence.keys import NAMESPACE, BenchKey, key_to_seal, usable_key
+from bench.evidence.keys import BenchKey, key_to_seal, usable_key
 from bench.evidence.ledger_check import sealed_strangers
 from bench.evidence.seal import seal
-from bench.evidence.sshsig import sign
+from bench.evidence.signers import NAMESPACE
 from bench.messaging.messages import Courier, Outbox
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
@@ -71,7 +71,7 @@ def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callab
         if not history.ended:
             return
         page = render_ended(history, way_on(history, folder.path), entries[-1].hash, NAMESPACE).encode()
-        signature = sign(key().private, page, NAMESPACE)
+        signature = key().sign(page, NAMESPACE)
         folder.write_atomic(REPORT, page)
         folder.write_atomic(PAGE_SIGNATURE, signature)
     except BenchError as error:

@@ -268,17 +268,6 @@ class StoredImage:
         return np.asarray(image, np.uint8)
 
 
-__all__ = [
-    "ExpectedGrid",
-    "Measurement",
-    "aligned_poses",
-    "edge_angle_deg",
-    "find_stars",
-    "measure",
-    "motion_px",
-    "recorded_image",
-]
-
 ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
 """Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
 [column row 1] to [u v 1] px. Raises DegenerateViews if no prediction is possible."""

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from bench.base.bounded_json import canonical_json
-from bench.evidence.keys import create_key, load_key, read_signers
+from bench.evidence.keys import create_key, load_key
 from bench.evidence.seal import seal
+from bench.evidence.signers import read_signers
 from bench.records.journal import CAPTURE_STORED, Journal
 from bench.records.run_folder import RunFolder
 from bench.views.views_file import KeptViews

@@ -13,7 +13,8 @@ from bench.cluster.recalculation import TABLE, Recalculation, ResultsFolders
 from bench.cluster.tasks import Place, Task, find_places, list_recordings
 from bench.cluster.work import Serial, WorkersLost
 from bench.commands.cli import cli
-from bench.evidence.keys import SIGNERS_FILE, create_key, read_signers
+from bench.evidence.keys import create_key
+from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.verify import verify_folder
 from bench.plan.plan import load_documents, make_plan
 from bench.results.forecasts import expected_bench

@@ -5,8 +5,8 @@ import json
 import shutil
 from datetime import datetime
 
-from bench.evidence.keys import NAMESPACE
 from bench.evidence.seal import make_manifest
+from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import sign
 from bench.records.journal import FIRST_PREV, encode_line, read_journal
 from bench.records.run_folder import written_files

@@ -15,7 +15,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
-from bench.evidence.keys import create_key, ensure_key, load_key, load_public_key, read_signers, trust
+from bench.evidence.keys import create_key, ensure_key, load_key, load_public_key
+from bench.evidence.signers import read_signers, trust
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence import timestamp, tsa_client
 from bench.evidence.authorisation import authorise
+from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import add_beside
 from bench.evidence.sshsig import string
@@ -26,6 +27,7 @@ from bench.evidence.timestamp import (
     UncheckedError,
     as_reply,
     check_reply,
+    check_timestamps,
     read_authorities,
     sets_in_order,
 )
@@ -61,8 +63,8 @@ def test_a_request_is_that_of_openssl(authority):
 def test_a_time_stamp_proves_when_the_seal_existed(sealed, signers, authority, others):
     stamped(sealed, authority)
     found = standing_of(sealed, Trust(signers, (), others), datetime.now(UTC))
-    assert (found.faults, found.unchecked) == ([], [])
-    (stamp,) = found.stamps
+    assert (found.faults, found.not_compared) == ([], [])
+    (stamp,) = check_timestamps(sealed, others, Findings()).values()
     assert abs(stamp.utc - datetime.now(UTC)) < timedelta(minutes=1)
     assert found.statements == [
         f"The seal existed at {stamp.utc:%Y-%m-%d %H:%M:%S} UTC by the clock of Example TSA"
@@ -73,10 +75,10 @@ def test_a_time_stamp_proves_when_the_seal_existed(sealed, signers, authority, o
 def test_without_a_trusted_certificate_it_is_not_checked(sealed, signers, authority):
     stamped(sealed, authority)
     found = standing_of(sealed, Trust(signers), NOW)
-    assert (found.faults, found.stamps) == ([], ())
+    assert (found.faults, found.statements) == ([], [])
     assert (
         "no certificate of a time stamping authority is trusted here; it names Example TSA"
-        " (give its root with --tsa-certificates FILE)" in found.unchecked[0]
+        " (give its root with --tsa-certificates FILE)" in found.not_compared[0]
     )
 
 
@@ -84,7 +86,7 @@ def test_without_the_package_it_is_not_checked(sealed, signers, authority, other
     stamped(sealed, authority)
     monkeypatch.setitem(sys.modules, "rfc3161_client", None)
     found = standing_of(sealed, Trust(signers, (), others), NOW)
-    assert found.unchecked == ["SHA256SUMS.tsr: the package for time stamps is not installed"]
+    assert found.not_compared == ["SHA256SUMS.tsr: the package for time stamps is not installed"]
     with pytest.raises(UncheckedError, match=r"pip install 'starbench\[certificate\]'"):
         make_request(b"signature", nonce=False)
 

@@ -10,8 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
-from bench.evidence.keys import NAMESPACE, create_key
+from bench.evidence.keys import create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
+from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, kinds, reseal
