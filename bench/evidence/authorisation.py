@@ -37,7 +37,7 @@ from bench.evidence.sshsig import (
     read_signature,
 )
 from bench.records.journal import Entry, read_journal
-from bench.records.ledger import LEDGER, LedgerFile
+from bench.records.ledger import LEDGER, Ledger
 from bench.records.run_folder import MANIFEST, SIGNATURE
 from bench.records.storage import read_json, sha256_of, storage_errors
 
@@ -166,7 +166,7 @@ Known = Mapping[str, Sequence[Authorised]]
 NOTHING_KNOWN: Known = {}
 
 
-def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerprint: str) -> bool:
+def enter_authorisation(ledger: Ledger, folder: Path, person: str, fingerprint: str) -> bool:
     """Write into the ledger that a person has authorised this folder. False if the bench has no ledger."""
     if not ledger.path.exists():
         return False

@@ -13,7 +13,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, JournalBroken
+from bench.base.errors import BenchError
 from bench.evidence.keys import KEY_FILE
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import read_signature
@@ -26,8 +26,6 @@ from bench.records.ledger_marks import (
     KnownRun,
     LedgerRun,
     Strangers,
-    breaks_of,
-    runs_of,
 )
 from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, is_sealed
 from bench.records.run_index import RunIndex
@@ -94,17 +92,11 @@ def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
     said = _said_by(folder)
     if said is None:
         return []
-    try:
-        entries = ledger.entries()
-        runs = runs_of(entries)
-        breaks = breaks_of(entries)
-    except (JournalBroken, LookupError, TypeError) as error:
+    _, runs, breaks, damage = ledger.read()
+    if damage:
         is_own = is_sealed_by(folder, own_public_keys(ledger.home))
-        return (
-            [f"The ledger of this bench is damaged, so it does not confirm this run: {error}"]
-            if is_own
-            else []
-        )
+        told = f"The ledger of this bench is damaged, so it does not confirm this run: {damage}"
+        return [told] if is_own else []
     entered = next((run for run in runs if run.head == said.place.get("head")), None)
     if entered is not None:
         return _differences(folder, said, entered)

@@ -27,7 +27,6 @@ from bench.records.ledger_marks import (
     RUN_BEGUN,
     RUN_ENDED,
     Break,
-    BreakFindings,
     LedgerMark,
     LedgerRun,
     OwnMark,
@@ -48,16 +47,12 @@ from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_errors, sync_folder
 from drivers import file_lock
 
-# The file of the ledger: its lines, its lock, and the marks of its state elsewhere. It gives lines no
-# meaning.
-#
-# `bench.records.ledger` has the runs in it, and its breaks.
-
 LEDGER = "ledger.jsonl"
+PLACE_FORGOTTEN = "place_forgotten"
 
 
-class LedgerFile:
-    """The file of a ledger, read anew by every method: others write too.
+class Ledger:
+    """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
 
     ``warnings`` are second places that could not be read or written by the last call; nothing was stopped by them.
     """
@@ -88,7 +83,7 @@ class LedgerFile:
         """
         self.warnings = []
         with self._held():
-            refuse(list(find_breaks(self.entries(), self._own_mark()).what), self.path)
+            refuse(find_breaks(self.entries(), self._own_mark()).what, self.path)
             with self._opened() as journal:
                 yield journal
         self._write_anchors()
@@ -129,16 +124,23 @@ class LedgerFile:
         own = self._own_mark()
         counts = tuple(sorted(highest_counts(entries).items()))
         mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc, counts)
-        new = replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark)
+        self._store(replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark))
+
+    def _store(self, own: OwnMark) -> None:
+        """Write the bench's own mark; what fails becomes a warning."""
         try:
-            write_own_mark(self.home, new)
+            write_own_mark(self.home, own)
         except BenchError as error:
             self.warnings.append(f"The bench's own mark of the ledger cannot be written: {error}")
 
+    def _places(self) -> tuple[str, ...]:
+        """Return the second places that were used before."""
+        own = self._own_mark()
+        return own.anchors if isinstance(own, OwnMark) else ()
+
     def _ask_anchors(self, anchor: str | None) -> list[Witness]:
         """Ask all second places: those that were used before, and the one that a station names."""
-        own = self._own_mark()
-        used = own.anchors if isinstance(own, OwnMark) else ()
+        used = self._places()
         places = dict.fromkeys([*used, *([anchor] if anchor else [])])
         return [ask_anchor(Path(place), was_there=place in used) for place in places]
 
@@ -159,25 +161,8 @@ class LedgerFile:
         """Change the list of second places that the bench's own mark holds; what fails becomes a warning."""
         with self._held():
             own = self._own_mark()
-            if not isinstance(own, OwnMark):
-                return
-            try:
-                write_own_mark(self.home, replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
-            except BenchError as error:
-                self.warnings.append(f"The bench's own mark of the ledger cannot be written: {error}")
-
-
-def refuse(faults: Sequence[str], path: Path) -> None:
-    """Refuse a ledger with faults, which are sentences."""
-    if faults:
-        raise EvidenceError(f"The ledger is broken: {' '.join(faults)}", where=str(path), remedy=EXPLAIN)
-
-
-PLACE_FORGOTTEN = "place_forgotten"
-
-
-class Ledger(LedgerFile):
-    """The ledger of a bench. Every method reads the file anew, because other processes write to it too."""
+            if isinstance(own, OwnMark):
+                self._store(replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
 
     # ------------------------------------------------------------ runs
 
@@ -262,16 +247,21 @@ class Ledger(LedgerFile):
     ) -> tuple[list[str], list[Break]]:
         """Return a sentence for each break that nobody explained, by all places that know of the ledger."""
         own, witnesses = self._own_mark(), self._ask_anchors(anchor)
-        try:
-            entries = self.entries()
-            runs_of(entries)
-            recorded = breaks_of(entries)
-        except (JournalBroken, LookupError, TypeError) as error:
-            return [f"The ledger is damaged: {error}"], []
+        entries, _, recorded, damage = self.read()
+        if damage:
+            return [f"The ledger is damaged: {damage}"], []
         findings = find_breaks(entries, own, witnesses, strangers)
-        self.warnings = list(findings.warnings)
+        self.warnings = findings.warnings
         unexplained = [str(one) for one in recorded if one.reason is None]
         return [*unexplained, *findings.what], [one for one in recorded if one.reason is not None]
+
+    def read(self) -> tuple[list[Entry], list[LedgerRun], list[Break], str]:
+        """Return the lines, the runs and the recorded breaks; or nothing, and how the file is damaged."""
+        try:
+            entries = self.entries()
+            return entries, runs_of(entries), breaks_of(entries), ""
+        except (JournalBroken, LookupError, TypeError) as error:
+            return [], [], [], str(error) or type(error).__name__
 
     def explain(
         self, reason: str, by: str, *, anchor: str | None = None, strangers: Strangers = no_strangers
@@ -289,8 +279,7 @@ class Ledger(LedgerFile):
 
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
         """Write to a second place no longer, and enter why."""
-        own = self._own_mark()
-        known = own.anchors if isinstance(own, OwnMark) else ()
+        known = self._places()
         if place not in known:
             raise UsageError(
                 f"{place} is not a second place of this ledger.",
@@ -309,18 +298,12 @@ class Ledger(LedgerFile):
     ) -> Iterator[Journal]:
         """Lock and open the ledger, and record a break as its next line. A damaged file is kept under another name."""
         with self._held():
-            findings, damage = BreakFindings(), ""
-            try:
-                entries = self.entries()
-                runs_of(entries)
-                breaks_of(entries)
-            except (JournalBroken, LookupError, TypeError) as error:
-                entries, damage = [], f"The ledger was damaged: {error}"
+            entries, _, recorded, damage = self.read()
             findings = find_breaks(entries, self._own_mark(), witnesses, strangers)
-            self.warnings = list(findings.warnings)
-            what = [damage] if damage else list(findings.what)
+            self.warnings = findings.warnings
+            what = [f"The ledger was damaged: {damage}"] if damage else findings.what
             if strict:
-                refuse([*what, *(str(one) for one in breaks_of(entries) if one.reason is None)], self.path)
+                refuse([*what, *(str(one) for one in recorded if one.reason is None)], self.path)
             kept = self._set_aside() if damage else None
             with self._opened() as journal:
                 if what:
@@ -337,6 +320,12 @@ class Ledger(LedgerFile):
             self.path.rename(kept)
             sync_folder(self.home)
             return f"{kept.name} sha256 {sha256_of(kept)}"
+
+
+def refuse(faults: Sequence[str], path: Path) -> None:
+    """Refuse a ledger with faults, which are sentences."""
+    if faults:
+        raise EvidenceError(f"The ledger is broken: {' '.join(faults)}", where=str(path), remedy=EXPLAIN)
 
 
 def bench_ledger() -> Ledger:

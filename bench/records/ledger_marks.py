@@ -319,14 +319,18 @@ class Break:
         return f"On {self.utc[:16].replace('T', ' ')} UTC the ledger was found broken: {' '.join(self.what)}"
 
 
-@dataclass(frozen=True)
+@dataclass
 class BreakFindings:
     """What was found and is not recorded yet."""
 
-    what: tuple[str, ...] = ()  # The findings, as sentences; empty if there is no break
+    what: list[str] = field(default_factory=list)  # The findings, as sentences; empty if there is no break
     # What other places know, as a line ``ledger_broken`` holds it.
-    known: tuple[Mapping[str, Any], ...] = ()
-    warnings: tuple[str, ...] = ()  # Places that could not be asked
+    known: list[Mapping[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)  # Places that could not be asked
+
+    def knows(self, place: str, mark: LedgerMark) -> None:
+        """Add what a place knows."""
+        self.known.append({"place": place, **mark.to_dict()})
 
 
 def breaks_of(entries: Iterable[Entry]) -> list[Break]:
@@ -370,18 +374,6 @@ def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
     return highest
 
 
-@dataclass
-class _Findings:
-    """Findings as they are collected."""
-
-    what: list[str] = field(default_factory=list)
-    known: list[Mapping[str, Any]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-
-    def knows(self, place: str, mark: LedgerMark) -> None:
-        self.known.append({"place": place, **mark.to_dict()})
-
-
 def find_breaks(
     entries: Sequence[Entry],
     own: OwnMark | str | None,
@@ -389,7 +381,7 @@ def find_breaks(
     strangers: Strangers = no_strangers,
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
-    found = _Findings()
+    found = BreakFindings()
     excused = {head for one in breaks_of(entries) for head in one.heads}
     _ask_own_mark(found, entries, own, excused)
     for witness in anchors:
@@ -405,11 +397,11 @@ def find_breaks(
         found.known.append(mark)
     if len(found.what) > _MOST_KNOWN:
         found.what[_MOST_KNOWN:] = [f"And {len(found.what) - _MOST_KNOWN} more."]
-    return BreakFindings(tuple(found.what), tuple(found.known), tuple(found.warnings))
+    return found
 
 
 def _ask_own_mark(
-    found: _Findings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
+    found: BreakFindings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
 ) -> None:
     if isinstance(own, str):
         found.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
@@ -423,7 +415,7 @@ def _ask_own_mark(
 
 
 def _ask_anchor(
-    found: _Findings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
+    found: BreakFindings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
 ) -> None:
     if witness.trouble:
         found.warnings.append(
