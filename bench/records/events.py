@@ -355,13 +355,13 @@ class UntilDecided(TypedDict):
 
 
 class Recovered(TypedDict):
-    """Payload of ``recovered``: files by what recovery found or did (`bench.records.run_folder.RecoveryNotes`)."""
+    """Payload of ``recovered``: recordings by what a restart found; all but the first two are now in quarantine."""
 
     intact: Sequence[str]
-    missing: Sequence[str]
-    changed: Sequence[str]
-    interrupted: Sequence[str]
-    unnamed: Sequence[str]
+    missing: Sequence[str]  # That the journal names and that do not exist
+    changed: Sequence[str]  # That differ from the journal
+    interrupted: Sequence[str]  # Incomplete ones
+    unnamed: Sequence[str]  # Complete ones that the journal does not name: the run was cut off before that
 
 
 class Asked(TypedDict):

@@ -12,12 +12,11 @@ import re
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Self, TypedDict
+from typing import TYPE_CHECKING, Self, TypedDict, cast
 
 from bench.base.errors import RunFolderError, StorageError, UsageError
-from bench.records.journal import CAPTURES, Capture, Journal, capture_name, stored_captures
+from bench.records.journal import CAPTURES, Capture, Journal, stored_captures
 from bench.records.storage import (
     is_temporary,
     lock_folder,
@@ -30,7 +29,7 @@ from bench.records.storage import (
 )
 
 if TYPE_CHECKING:
-    from bench.records.events import WireLogState
+    from bench.records.events import Recovered, WireLogState
 
 JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"
@@ -122,7 +121,10 @@ class RunFolder:
         return part
 
     def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
-        """Sync the file at ``part_path(name)`` and give it its new name; ``goes_on`` is as for `sha256_of`."""
+        """Sync the file at ``part_path(name)`` and give it its name; after that the journal may name it.
+
+        ``goes_on`` is as for `sha256_of`.
+        """
         path = self._place(name)
         part = path.with_name(path.name + PART)
         if path.exists():
@@ -136,23 +138,9 @@ class RunFolder:
         move_into_place(part, path)
         return capture
 
-    def capture_part_path(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
-        """Return where the camera writes a recording until it is complete; pose and attempt count from 1."""
-        return self.part_path(capture_name(pose_index, attempt, ending))
-
-    def commit_capture(
-        self,
-        pose_index: int,
-        attempt: int,
-        ending: str = ".raw",
-        goes_on: Callable[[], object] = lambda: None,
-    ) -> Capture:
-        """Give a complete recording its name. After that the journal may name it. Pose and attempt count from 1."""
-        return self.commit(capture_name(pose_index, attempt, ending), goes_on)
-
-    def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
+    def quarantine_part(self, name: str) -> str | None:
         """Move an incomplete recording to ``quarantine/``: its new path in the run folder; None if there was none."""
-        path = self._place(capture_name(pose_index, attempt, ending))
+        path = self._place(name)
         part = path.with_name(path.name + PART)
         if not part.exists():
             return None
@@ -256,36 +244,15 @@ def _keep_reserve(path: Path) -> None:
 # aside.
 
 
-@dataclass(frozen=True)
-class RecoveryNotes:
-    """What a restart has found in a run folder."""
-
-    intact: tuple[Capture, ...] = ()
-    missing: tuple[str, ...] = ()  # Recordings that the journal names and that do not exist
-    changed: tuple[str, ...] = ()  # Recordings that differ from the journal; now in ``quarantine/``
-    interrupted: tuple[str, ...] = ()  # Incomplete recordings; now in ``quarantine/``
-    # Complete recordings that the journal does not name, because the run was cut off before that; now in
-    # ``quarantine/``.
-    unnamed: tuple[str, ...] = ()
-
-    def as_data(self) -> dict[str, Any]:
-        """Return the notes as data of a journal line."""
-        return {
-            "intact": [capture.name for capture in self.intact],
-            "missing": list(self.missing),
-            "changed": list(self.changed),
-            "interrupted": list(self.interrupted),
-            "unnamed": list(self.unnamed),
-        }
-
-
-def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
+def recover(folder: RunFolder, journal: Journal) -> Recovered:
     """Put a run folder, locked by this process, in order after a crash.
 
     Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
     """
     stored = stored_captures(journal.entries)
-    found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}
+    found: dict[str, list[str]] = {
+        state: [] for state in ("intact", "missing", "changed", "interrupted", "unnamed")
+    }
     make_folder(folder.path / CAPTURES)
     with storage_errors(folder.path):
         for path in [p for p in folder.path.rglob("*") if is_temporary(p)]:
@@ -296,17 +263,12 @@ def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
             found[state].append(name)
             if state != "intact":
                 folder.quarantine(path)
-    return RecoveryNotes(
-        intact=tuple(stored[name] for name in found["intact"]),
-        missing=tuple(sorted(set(stored) - set(found["intact"]) - set(found["changed"]))),
-        changed=tuple(found["changed"]),
-        interrupted=tuple(found["interrupted"]),
-        unnamed=tuple(found["unnamed"]),
-    )
+    found["missing"] = sorted(set(stored) - set(found["intact"]) - set(found["changed"]))
+    return cast("Recovered", found)
 
 
 def _state_of(path: Path, capture: Capture | None) -> str:
-    """Return the state of a recording after a crash: a field of `RecoveryNotes`."""
+    """Return the state of a recording after a crash: a key of `Recovered`."""
     if path.name.endswith(PART):
         return "interrupted"
     if capture is None:

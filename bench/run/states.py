@@ -13,6 +13,7 @@ from bench.base.clock import Aborted
 from bench.base.errors import PreflightFailed
 from bench.plan.job import Job, ScriptStep
 from bench.records.events import Event
+from bench.records.journal import capture_name
 from bench.records.run_folder import recover, written_files
 from bench.run.heartbeat import leave_view
 from bench.run.interlocks import Trip, interlock_text
@@ -140,10 +141,10 @@ class StateWork:
     def recover(self, *_: Any, **__: Any) -> None:
         """Put the run folder in order after a process died while working on it."""
         notes = recover(self._run.folder, self._run.log.journal)
-        self._run.log.write(Event.RECOVERED, **notes.as_data())
-        for name in notes.missing:
+        self._run.log.write(Event.RECOVERED, **notes)
+        for name in notes["missing"]:
             self._run.log.write(Event.DEVIATION, what=f"{name} was missing when the run was resumed.")
-        for name in notes.changed:
+        for name in notes["changed"]:
             self._run.log.write(
                 Event.DEVIATION,
                 what=f"{name} was changed before the run was resumed; it was moved to quarantine.",
@@ -182,10 +183,11 @@ class StateWork:
         pose, kind, devices = step.pose, self._run.job.camera_kind, self._run.devices.opened
         before = self._run.devices.position_deg()
         light = devices.light.read()
-        part = self._run.folder.capture_part_path(pose.index, attempt, kind.ending)
+        name = capture_name(pose.index, attempt, kind.ending)
+        part = self._run.folder.part_path(name)
         facts = kind.record(devices.camera, part, step, self._run.job.frequency_hz(step))
         after = self._run.devices.position_deg()
-        capture = self._run.folder.commit_capture(pose.index, attempt, kind.ending, self._run.clock.monotonic)
+        capture = self._run.folder.commit(name, self._run.clock.monotonic)
         self._run.log.write(
             Event.CAPTURE_STORED,
             capture=capture.name,

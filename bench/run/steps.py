@@ -14,6 +14,7 @@ from bench.base.errors import PoseFailed
 from bench.plan.job import Job, ParkStep, ScriptStep
 from bench.records.events import Circumstances, Event
 from bench.records.history import History, count_crash
+from bench.records.journal import capture_name
 from bench.report.text import goals_text
 from bench.run.machine import RunMachine
 from bench.run.run_devices import RunContext
@@ -302,7 +303,8 @@ class Steps:
     def keep_lost_recording(self, step: RecordStep, why: str) -> None:
         """Move what exists of an incomplete recording to quarantine, and journal it."""
         pose, attempt = step.pose, self._run.log.history.next_attempt(step.pose.index)
-        kept = self._run.folder.quarantine_part(pose.index, attempt, self._run.job.camera_kind.ending)
+        name = capture_name(pose.index, attempt, self._run.job.camera_kind.ending)
+        kept = self._run.folder.quarantine_part(name)
         self._run.log.write(
             Event.ATTEMPT_LOST, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
         )

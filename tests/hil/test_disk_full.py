@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import StorageError
-from bench.records.journal import CAPTURE_STORED, Journal, read_journal, stored_captures
+from bench.records.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
 from bench.records.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
@@ -40,9 +40,9 @@ def record_until_full(folder, journal, first):
     pose = first
     while True:
         try:
-            part = folder.capture_part_path(pose, 1)
+            part = folder.part_path(capture_name(pose, 1))
             part.write_bytes(os.urandom(150_000))
-            capture = folder.commit_capture(pose, 1)
+            capture = folder.commit(capture_name(pose, 1))
             journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())
         except (StorageError, OSError) as error:  # a camera's own writing raises OSError
             return pose, error

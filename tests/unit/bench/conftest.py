@@ -12,7 +12,7 @@ from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.seal import seal
 from bench.evidence.signers import read_signers
-from bench.records.journal import CAPTURE_STORED, Journal
+from bench.records.journal import CAPTURE_STORED, Journal, capture_name
 from bench.records.run_folder import RunFolder
 from bench.views.views_file import KeptViews
 from tests.unit.bench.evidence.resealed import copied
@@ -72,8 +72,10 @@ def make_a_run(path, *, serial="00050423"):
         for pose, attempts in ((1, 2), (2, 1)):
             told = []
             for attempt in range(1, attempts + 1):
-                folder.capture_part_path(pose, attempt).write_bytes(f"recording {pose} {attempt}".encode())
-                capture = folder.commit_capture(pose, attempt)
+                folder.part_path(capture_name(pose, attempt)).write_bytes(
+                    f"recording {pose} {attempt}".encode()
+                )
+                capture = folder.commit(capture_name(pose, attempt))
                 journal.append(
                     CAPTURE_STORED, pose=pose, pose_name=str(pose), attempt=attempt, **capture.as_data()
                 )

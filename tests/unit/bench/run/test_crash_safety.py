@@ -15,7 +15,7 @@ import pytest
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.seal import seal
 from bench.evidence.verify import verify_folder
-from bench.records.journal import CAPTURE_STORED, Journal, read_journal, stored_captures
+from bench.records.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
 from bench.records.run_folder import RunFolder, recover
 
 POSES = 3
@@ -99,8 +99,8 @@ def run_once(path, acknowledged, key=None):
             done = {e.data["pose"] for e in journal.entries if e.event == CAPTURE_STORED}
             for pose in range(1, POSES + 1):
                 if pose not in done:
-                    folder.capture_part_path(pose, 1).write_bytes(recording(pose))
-                    capture = folder.commit_capture(pose, 1)
+                    folder.part_path(capture_name(pose, 1)).write_bytes(recording(pose))
+                    capture = folder.commit(capture_name(pose, 1))
                     journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())
                     acknowledged[pose] = capture
             folder.write_atomic("exports/opencv.yaml", b"fx: 1\n" * 100)
