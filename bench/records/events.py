@@ -134,23 +134,11 @@ class Circumstances(TypedDict, total=False):
     why: str
 
 
-Entering = TypedDict(
-    "Entering",
-    {
-        "state": str,
-        "from": str,
-        "step": NotRequired[int],
-        "pose": NotRequired[int],
-        "pose_name": NotRequired[str],
-        "target_deg": NotRequired[Mapping[str, float]],
-        "attempt": NotRequired[int],
-        "wait_s": NotRequired[float],
-        "by": NotRequired[str],
-        "rule": NotRequired[str],
-        "why": NotRequired[str],
-    },
-)
-"""Payload of ``entering``: the states, the step, and its `Circumstances`."""
+class Entering(Circumstances, TypedDict("Left", {"from": str})):  # a key that is a keyword
+    """Payload of ``entering``: the states, the step, and its circumstances."""
+
+    state: str
+    step: NotRequired[int]
 
 
 class StateEntered(TypedDict):

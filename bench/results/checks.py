@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.stations.station import Station
-from bench.views.expected_grid import best_angles_deg
+from bench.views.expected_grid import engine_angles_deg
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.model.gimbal_readings import AXES
@@ -53,12 +53,11 @@ def gimbal_check(
 
     None with too few poses, or if an axis did not move.
     """
-    readings = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in readings_deg]
     try:
         check = check_hand_eye(
             calibration.rotations,
             calibration.rotation_covariance,
-            readings,
+            [engine_angles_deg(pose) for pose in readings_deg],
             focal_uncertainty=_focal_uncertainty(calibration),
             birge_ratio=calibration.birge_ratio,
             names=[view.name for view in calibration.views],
@@ -108,15 +107,9 @@ def _pairs(pairs: PairRatios) -> dict[str, Any]:
 
 def _fault(fault: GimbalFault) -> dict[str, Any]:
     """Return a fault, for results.json; poses count from 0."""
-    return {
-        "kind": fault.kind,
-        "axis": None if fault.axis is None else AXES[fault.axis],
-        "pose": fault.pose,
-        "size_deg": fault.size_deg,
-        "sigma_deg": fault.sigma_deg,
-        "probability": fault.probability,
-        "claimed": True,  # Readers of earlier results expect it; those listed faults that were not claimed.
-    }
+    told = {**vars(fault), "axis": None if fault.axis is None else AXES[fault.axis]}
+    del told["rival"]
+    return {**told, "claimed": True}  # Readers of earlier results expect it: those listed others, too.
 
 
 def mount_faces(calibration: Calibration, station: Station) -> list[dict[str, Any]] | None:

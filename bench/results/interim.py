@@ -13,12 +13,12 @@ import numpy as np
 
 from bench.plan.job import Job
 from bench.records.events import ChosenPose, UntilDecided, UntilEnd
-from bench.records.history import Attempt, History
+from bench.records.history import History
 from bench.report.text import meaning_of_goal
 from bench.results.next_pose import Choice, Wish, choose_pose, fixed_parts
 from bench.results.solution import measure_again
 from bench.results.solve_options import limited_numbers, solve_options
-from bench.views.expected_grid import best_angles_deg
+from bench.views.expected_grid import engine_angles_deg
 from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
@@ -63,20 +63,14 @@ class Decisions:
             check()
             if index not in measured:
                 measured[index] = measure_again(self._job, self._folder, attempt)
-        interim = self._calibrated(step, [attempt for _, attempt in accepted], measured)
-        check()
-        return decide(step, self._job, history, interim)
-
-    def _calibrated(
-        self, step: ChooseStep, accepted: Sequence[Attempt], measured: Mapping[int, Measurement]
-    ) -> Interim:
-        found = [measured[attempt.pose_index] for attempt in accepted]
-        options = solve_options(self._job, step.solve, [a.stored["measured_deg"] for a in accepted])
+        found = [measured[index] for index, _ in accepted]
+        options = solve_options(self._job, step.solve, [a.stored["measured_deg"] for _, a in accepted])
         try:
-            calibration = calibrate([m.view for m in found if m.view is not None], options)
+            calibration, why = calibrate([m.view for m in found if m.view is not None], options), ""
         except CalibrationError as error:
-            return Interim(found, None, str(error), options.passport)
-        return Interim(found, calibration, "", options.passport)
+            calibration, why = None, str(error)
+        check()
+        return decide(step, self._job, history, Interim(found, calibration, why, options.passport))
 
 
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:
@@ -181,7 +175,7 @@ def _choose(
 
     One without the tag comes last: the gimbal must then identify the stars, and none may have failed.
     """
-    taken = [_pose(a.stored["measured_deg"]) for _, a in sorted(history.accepted().items())]
+    taken = [engine_angles_deg(a.stored["measured_deg"]) for _, a in sorted(history.accepted().items())]
     chosen = history.chosen
     labelled = sum(m.facts.get("named_by", "tag") in {"tag", "part of the tag"} for m in interim.measurements)
     record = job.record_step(step.pose.index) if step.pose is not None else None
@@ -200,18 +194,13 @@ def _choose(
             interim.calibration,
             interim.passport,
             taken_deg=taken,
-            refused_deg=[_pose(chosen[pose]) for pose in failed],
+            refused_deg=[engine_angles_deg(chosen[pose]) for pose in failed],
             wish=replace(wish, needs_tag=needs_tag),
             readings=readings,
         )
         if isinstance(choice, Choice):
             break
     return choice
-
-
-def _pose(angles_deg: Mapping[str, float]) -> dict[str, float]:
-    """Return the angles of a pose as the engine names them: encoder readings if the axis has one."""
-    return {f"{axis}_deg": angle for axis, angle in best_angles_deg(angles_deg).items()}
 
 
 def _chosen(step: ChooseStep, choice: Choice) -> ChosenPose:

@@ -19,9 +19,10 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.records.storage import read_json
+from bench.report.pose_plot import camera_of
 from calib.calibration import Calibration, ViewSummary
 from calib.model.boresight import Boresight
-from calib.model.camera import PINHOLE, CameraModel
+from calib.model.camera import CameraModel
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.result_parts import BudgetRow, GimbalEstimate
 from calib.view import View
@@ -74,12 +75,7 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
 
 def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
     """Return the camera that results.json states; errors as `stored_calibration`."""
-    width, height = stored["image_size"]
-    values = stored["camera"]
-    lens = {name: value for name, value in values.items() if name not in PINHOLE}
-    return CameraModel(
-        values["fx"], values["fy"], values["cx"], values["cy"], (width, height), distortion=lens
-    )
+    return camera_of(stored["camera"], stored["image_size"])
 
 
 def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:

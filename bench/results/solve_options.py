@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.plan.passports import determines_one_view
 from bench.stations.station import Station
-from bench.views.expected_grid import best_angles_deg
+from bench.views.expected_grid import engine_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
@@ -78,9 +78,8 @@ def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]
         if defocus is not None and off is not None
         else None
     )
-    angles = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in measured_deg]
     return GimbalReadings(
-        tuple(angles),
+        tuple(map(engine_angles_deg, measured_deg)),
         gimbal.reading_sigma_deg,
         gimbal.scale_sigma,
         gimbal.eccentricity_deg,
@@ -128,12 +127,7 @@ def _bound(calibration: Calibration, readings: GimbalReadings | None) -> dict[st
     bound = readings.parallax if readings else None
     if bound is None:
         return None
-    stated = {
-        "defocus": bound.defocus,
-        "defocus_sigma": bound.defocus_sigma,
-        "pupil_off_pivot_mm": bound.pupil_off_pivot_mm,
-        "pupil_off_pivot_sigma_mm": bound.pupil_off_pivot_sigma_mm,
-    }
+    stated = asdict(bound)
     if calibration.collimator is None:
         return stated
     parallax, sigma = bound.mean_and_sigma(calibration.collimator.r)

@@ -106,17 +106,14 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             remedy="Give the files of its captures instead.",
         )
     for index, attempt in sorted(accepted.items()):
+        path = folder / str(attempt.stored["capture"])
+        if choices.board is not None:
+            read = partial(_view_of_recording, path, choices)
+            yield ViewSource(path, read, decided_by=_decided_by("recording", path, choices))
+            continue
         step = job.record_step(index)
         step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
-        path = folder / str(attempt.stored["capture"])
         read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
-        if choices.board is not None:
-            yield ViewSource(
-                path,
-                partial(_view_of_recording, path, choices),
-                decided_by=_decided_by("recording", path, choices),
-            )
-            continue
         yield ViewSource(path, read, job=job, attempt=attempt, decided_by=decided_by_run(job, step, attempt))
 
 
@@ -190,11 +187,7 @@ def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     moving = MovingRecording(path, choices.reconstruct_hz, choices.pictures_at_s)
     for number, at_s in enumerate(moving.at_s):
         name = f"{path.stem}-at-{at_s:.3f}s"
-        yield ViewSource(
-            path,
-            partial(_view_of_picture, moving, number, name, choices.board),
-            view_name=name,
-        )
+        yield ViewSource(path, partial(_view_of_picture, moving, number, name, choices.board), view_name=name)
 
 
 def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Board) -> View:
@@ -216,26 +209,23 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
     from drivers.camera.formats.prophesee_words import is_evt2_file
 
     ending = path.suffix.lower()
-    if ending in OTHER_RECORDINGS or (ending in RECORDINGS and is_evt2_file(path)):
-        decided_by = None if ending in _READ_BY_OTHERS else _decided_by(f"other {ending}", path, choices)
-        return ViewSource(path, partial(_view_of_other_recording, path, choices), decided_by=decided_by)
-    if ending in RECORDINGS:
-        decided_by = _decided_by("recording", path, choices)
-        return ViewSource(path, partial(_view_of_recording, path, choices), decided_by=decided_by)
-    if ending in PHOTOGRAPHS:
-        decided_by = _decided_by("photograph", path, choices)
-        return ViewSource(path, partial(_view_of_photograph, path, choices), decided_by=decided_by)
     if ending in POINTS:
-        return ViewSource(
-            path,
-            partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin),
-            sized=choices.image_size is not None,
+        read = partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin)
+        return ViewSource(path, read, sized=choices.image_size is not None)
+    if ending in OTHER_RECORDINGS or (ending in RECORDINGS and is_evt2_file(path)):
+        kind, find = f"other {ending}", _view_of_other_recording
+    elif ending in RECORDINGS:
+        kind, find = "recording", _view_of_recording
+    elif ending in PHOTOGRAPHS:
+        kind, find = "photograph", _view_of_photograph
+    else:
+        raise UsageError(
+            f"Unknown file extension {ending!r}." if ending else "The file has no extension.",
+            where=str(path),
+            remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
         )
-    raise UsageError(
-        f"Unknown file extension {ending!r}." if ending else "The file has no extension.",
-        where=str(path),
-        remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
-    )
+    decided_by = None if ending in _READ_BY_OTHERS else _decided_by(kind, path, choices)
+    return ViewSource(path, partial(find, path, choices), decided_by=decided_by)
 
 
 def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:

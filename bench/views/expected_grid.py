@@ -43,6 +43,11 @@ def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
     return None if grid is None else lambda _image_size: np.array(grid)
 
 
+def engine_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
+    """Return the same angles by the engine's names: ``pan_deg``."""
+    return {f"{axis}_deg": angle for axis, angle in best_angles_deg(measured_deg).items()}
+
+
 def best_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
     """Return angle by axis, degrees: that of the encoder (``pan_encoder``) if there is one, else the stated one."""
     axes = ("pan", "tilt", "roll")
