@@ -116,7 +116,11 @@ class Expanded:
 
 def row_names(calibration: CalibrationData) -> list[str]:
     """Return the names of the rows, to which certificates can be assigned."""
-    return [str(row["name"]) for row in calibration.get("budget_rows") or []]
+    return [str(row["name"]) for row in _stated_rows(calibration)]
+
+
+def _stated_rows(calibration: CalibrationData) -> Sequence[BudgetRowData]:
+    return calibration.get("budget_rows") or []
 
 
 def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
@@ -150,10 +154,11 @@ def budget_of(
     stated = expanded(calibration, symbol)
     spread = _spread_freedom(calibration)
     rows = []
+    split = _Split(calibration, symbol, unit, sources, stated.u)
     for group, by_symbol in calibration["budget"].items():
         variance = (float(by_symbol.get(symbol, 0.0)) / stated.growth) ** 2
-        nu = None if group in _CERTAIN or group in _terms(calibration.get("budget_rows") or []) else spread
-        rows += _rows_of(calibration, group, symbol, unit, variance, nu, stated.u, sources)
+        nu = None if group in _CERTAIN or group in _terms(_stated_rows(calibration)) else spread
+        rows += split.rows(group, variance, nu)
     combined = math.sqrt(sum(row.u**2 for row in rows))
     if not abs(combined - stated.u) <= _SAME * stated.u:
         raise EvidenceError(
@@ -187,68 +192,61 @@ def budget_of(
     )
 
 
-def _rows_of(
-    calibration: CalibrationData,
-    group: str,
-    symbol: str,
-    unit: str,
-    variance: float,
-    nu: float | None,
-    whole: float,
-    sources: Mapping[str, RowSource],
-) -> list[BudgetRow]:
-    """Return the rows of a source of the engine's budget; their squares add up to its variance."""
-    members = [row for row in calibration.get("budget_rows") or [] if _group(row, calibration) == group]
-    weights = [float(row["contribution"].get(symbol, 0.0)) ** 2 for row in members]
-    if not sum(weights) > 0:  # the engine splits distortion coefficients by groups only
-        name = ", ".join(str(row["name"]) for row in members) or group
-        alone = members[0] if len(members) == 1 else None
-        return [_row(alone, name, group, symbol, unit, math.sqrt(variance), nu, whole, sources)]
-    scale = variance / sum(weights)
-    return [
-        _row(row, str(row["name"]), group, symbol, unit, math.sqrt(weight * scale), nu, whole, sources)
-        for row, weight in zip(members, weights, strict=True)
-    ]
+@dataclass(frozen=True)
+class _Split:
+    """The uncertainty of one result, to be split into rows."""
 
+    calibration: CalibrationData
+    symbol: str
+    unit: str
+    sources: Mapping[str, RowSource]
+    u: float
 
-def _row(
-    stated: BudgetRowData | None,
-    name: str,
-    group: str,
-    symbol: str,
-    unit: str,
-    u: float,
-    nu: float | None,
-    whole: float,
-    sources: Mapping[str, RowSource],
-) -> BudgetRow:
-    row: Mapping[str, Any] = stated or {}
-    kind: Literal["A", "B"] = "A" if row.get("type", "") == "A" or (not row and group in _TYPE_A) else "B"
-    source = sources.get(name, RowSource())
-    value, divisor, value_unit = _stated_value(row, source)
-    has_value = bool(value) and bool(divisor)
-    sensitivity = u * divisor / value if has_value and value and divisor else None
-    if sensitivity is not None and (row.get("sensitivity") or {}).get(symbol, 0.0) < 0:
-        sensitivity = -sensitivity
-    base = value_unit.partition(" ")[0]
-    freedom = row.get("degrees_of_freedom") if stated and group in _terms([stated]) else nu
-    return BudgetRow(
-        name=name,
-        type=kind,
-        value=value if has_value else None,
-        unit=value_unit if has_value else "",
-        distribution=str(row.get("distribution") or "normal"),
-        divisor=nine_digits(divisor) if has_value and divisor else None,
-        sensitivity=None if sensitivity is None else nine_digits(sensitivity),
-        sensitivity_unit=(unit if base == "1" else f"{unit}/{base}") if has_value else "",
-        u=nine_digits(u),
-        share=nine_digits((u / whole) ** 2) if whole > 0 else 0.0,
-        nu=None if freedom is None or not math.isfinite(freedom) else nine_digits(float(freedom)),
-        source=str(row.get("source") or _SOURCES.get(group, "joint adjustment")),
-        number=source.number,
-        date=source.date,
-        sha256=source.sha256,
-    )
+    def rows(self, group: str, variance: float, nu: float | None) -> list[BudgetRow]:
+        """Return the rows of a source of the engine's budget; their squares add up to its variance."""
+        members = [row for row in _stated_rows(self.calibration) if _group(row, self.calibration) == group]
+        weights = [float(row["contribution"].get(self.symbol, 0.0)) ** 2 for row in members]
+        if not sum(weights) > 0:  # the engine splits distortion coefficients by groups only
+            name = ", ".join(str(row["name"]) for row in members) or group
+            return [
+                self._row(members[0] if len(members) == 1 else None, name, group, math.sqrt(variance), nu)
+            ]
+        scale = variance / sum(weights)
+        return [
+            self._row(row, str(row["name"]), group, math.sqrt(weight * scale), nu)
+            for row, weight in zip(members, weights, strict=True)
+        ]
+
+    def _row(
+        self, stated: BudgetRowData | None, name: str, group: str, u: float, nu: float | None
+    ) -> BudgetRow:
+        row: Mapping[str, Any] = stated or {}
+        kind: Literal["A", "B"] = "A" if row.get("type", "") == "A" or (not row and group in _TYPE_A) else "B"
+        source = self.sources.get(name, RowSource())
+        value, divisor, value_unit = _stated_value(row, source)
+        has_value = bool(value) and bool(divisor)
+        sensitivity = u * divisor / value if has_value and value and divisor else None
+        if sensitivity is not None and (row.get("sensitivity") or {}).get(self.symbol, 0.0) < 0:
+            sensitivity = -sensitivity
+        base = value_unit.partition(" ")[0]
+        freedom = row.get("degrees_of_freedom") if stated and group in _terms([stated]) else nu
+        return BudgetRow(
+            name=name,
+            type=kind,
+            value=value if has_value else None,
+            unit=value_unit if has_value else "",
+            distribution=str(row.get("distribution") or "normal"),
+            divisor=nine_digits(divisor) if has_value and divisor else None,
+            sensitivity=None if sensitivity is None else nine_digits(sensitivity),
+            sensitivity_unit=(self.unit if base == "1" else f"{self.unit}/{base}") if has_value else "",
+            u=nine_digits(u),
+            share=nine_digits((u / self.u) ** 2) if self.u > 0 else 0.0,
+            nu=None if freedom is None or not math.isfinite(freedom) else nine_digits(float(freedom)),
+            source=str(row.get("source") or _SOURCES.get(group, "joint adjustment")),
+            number=source.number,
+            date=source.date,
+            sha256=source.sha256,
+        )
 
 
 def _in_words(row: BudgetRow, words: TargetWords) -> BudgetRow:
@@ -294,7 +292,7 @@ def _terms(rows: Sequence[BudgetRowData]) -> dict[str, float]:
 
 def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float, float]:
     """Return of a parameter the whole variance, that of the views, and the sum of squared variances over freedom."""
-    budget, terms = calibration.get("budget") or {}, _terms(calibration.get("budget_rows") or [])
+    budget, terms = calibration.get("budget") or {}, _terms(_stated_rows(calibration))
     if not budget:
         raise EvidenceError(
             "The results have no uncertainty budget.",
@@ -309,9 +307,7 @@ def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float,
 
 def _common_freedom(calibration: CalibrationData, k: float) -> float:
     """Return the degrees of freedom that belong to the common coverage factor; infinite for k = 2."""
-    stated = [
-        row.get("degrees_of_freedom") for row in calibration.get("budget_rows") or [] if row["type"] == "A"
-    ]
+    stated = [row.get("degrees_of_freedom") for row in _stated_rows(calibration) if row["type"] == "A"]
     found = float(stated[0]) if stated and stated[0] else math.inf
     if abs(coverage_factor(found) - k) < _SAME:
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from bench.base.bounded_json import parse_json
@@ -9,9 +10,18 @@ from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
 from bench.certificate.clauses import faults_of_lab
 from bench.certificate.compose import Identity, compose
-from bench.certificate.issue import DCC, LAB, PDF, PLOTS, certificate_files, require_libraries
+from bench.certificate.issue import (
+    DCC,
+    LAB,
+    PDF,
+    certificate_files,
+    changes_of,
+    plots_in,
+    reason_of_further,
+    require_libraries,
+)
 from bench.certificate.lab_config import LabConfig, lab_of
-from bench.certificate.sealed_run import is_statement, other_writer, run_of
+from bench.certificate.sealed_run import is_statement, other_writer, stated_run
 from bench.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
@@ -69,24 +79,10 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
         )
     if found.faults:
         return
-    run = run_of(
-        content,
-        results,
-        journal_head=certificate.run.journal_head,
-        seal_sha256=certificate.run.seal_sha256,
-        signer=certificate.run.signer,
-        signer_fingerprint=certificate.run.signer_fingerprint,
-        written=certificate.run.software[len(content["run"]["software"]) :],
-    )
-    also = certificate.statement("also").partition("Reason: ")[2]
-    identity = Identity(
-        certificate.number,
-        certificate.issued_utc,
-        run,
-        certificate.amends,
-        also,
-        stated,
-    )
+    written = certificate.run.software[len(content["run"]["software"]) :]
+    run = replace(certificate.run, **stated_run(content, results, written))
+    also = reason_of_further(certificate)
+    identity = Identity(certificate.number, certificate.issued_utc, run, certificate.amends, also, stated)
     again = compose(content, lab.value, identity)
     if again.to_json() != (folder / CERTIFICATE).read_bytes():
         where = _first_difference(certificate, again)
@@ -160,8 +156,8 @@ def _compare_documents(
     def signed(dcc: bytes) -> bytes:
         return stored if without_signature(stored) == dcc else dcc
 
-    plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
-    files = certificate_files(certificate, parse_json(results), results, lab.text, plots, sign=signed)
+    found_again = parse_json(results)
+    files = certificate_files(certificate, found_again, results, lab.text, plots_in(folder), sign=signed)
     for name in (DCC, PDF):
         if files[name] == (folder / name).read_bytes():
             continue
@@ -181,8 +177,6 @@ def _check_number(certificate: Certificate, lab: LabConfig, found: Findings) -> 
 
 def _first_difference(stated: Certificate, derived: Certificate) -> str:
     """Name the first field that differs."""
-    from bench.certificate.issue import changes_of
-
     try:
         changes = changes_of(derived, stated)
     except BenchError:
@@ -256,9 +250,7 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
         return
     from bench.certificate.pdf import plots_of_run
 
-    drawn = plots_of_run(run, parse_json(results))
-    stored = {path.stem: path.read_text("utf-8") for path in (folder / PLOTS).glob("*.svg")}
-    if drawn != stored:
+    if plots_of_run(run, parse_json(results)) != plots_in(folder):
         found.not_compared.append(
             "the plots are not drawn alike from the run here: another version of Starbench, or changed plots"
         )

@@ -79,7 +79,6 @@ def certificate_files(
     sign: Callable[[bytes], bytes] | None = None,
 ) -> dict[str, bytes]:
     """Return the files of a certificate's folder but its seal's; ``sign`` signs the DCC, None leaves it unsigned."""
-    from bench.certificate.dcc import render_dcc
     from bench.certificate.pdf import render_pdf
 
     dcc = render_dcc(certificate)
@@ -327,7 +326,13 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
         return Amends(before.number, digest, reason, changes_of(before, trial))
 
     return make_certificate(
-        source, lab, folder, laboratory, also=_also(before), amended=amended, amends=before.number
+        source,
+        lab,
+        folder,
+        laboratory,
+        also=reason_of_further(before),
+        amended=amended,
+        amends=before.number,
     )
 
 
@@ -361,9 +366,14 @@ def _texts_by_path(certificate: Certificate) -> dict[str, str]:
     }
 
 
-def _also(before: Certificate) -> str:
-    """Return why the amended certificate was a further one of its run; the new one is it, too."""
-    return before.statement("also").partition("Reason: ")[2]
+def reason_of_further(certificate: Certificate) -> str:
+    """Return why a certificate is a further one of its run, as one that amends it is, too; empty for the first one."""
+    return certificate.statement("also").partition("Reason: ")[2]
+
+
+def plots_in(folder: Path) -> dict[str, str]:
+    """Return the plots in the folder of a certificate: SVG by name."""
+    return {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
 
 
 def _read_certificate(folder: Path, verification: Verification) -> tuple[Certificate, Source]:
@@ -383,7 +393,7 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
     with storage_errors(folder):
         certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE), str(folder / CERTIFICATE))
         results = read_bounded(folder / RESULTS)
-        plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
+        plots = plots_in(folder)
     found = parse_json(results)
     of_the_run = certificate.run.software[: len(found["run"]["software"])]
     run = replace(certificate.run, software=(*of_the_run, *written_with()))

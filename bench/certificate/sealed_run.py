@@ -194,47 +194,30 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         )
     from bench.certificate.pdf import plots_of_run
 
-    run = run_of(
-        found,
-        results,
+    run = Run(
+        **stated_run(found, results, written_with()),
         journal_head=entries[-1].hash,
         seal_sha256=seal,
         signer=verification.signer or "",
         signer_fingerprint=verification.fingerprint or "",
-        written=written_with(),
     )
     return Source(found, results, run, plots_of_run(folder, found), statement_of(verification))
 
 
-def run_of(
-    found: Results,
-    results: bytes,
-    *,
-    journal_head: str,
-    seal_sha256: str,
-    signer: str,
-    signer_fingerprint: str,
-    written: tuple[Software, ...],
-) -> Run:
-    """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give."""
+def stated_run(found: Results, results: bytes, written: tuple[Software, ...]) -> dict[str, Any]:
+    """Return the fields of a `Run` that results.json states; only the sealed folder can give the others."""
     run = found["run"]
     place: Mapping[str, Any] = run.get("ledger") or {}
-    return Run(
-        id=str(run["id"]),
-        sequence=str(run["sequence"]),
-        station=str(run["station"]),
-        ledger_number=int(place["number"]) if "number" in place else None,
-        ledger_head=str(place.get("head") or ""),
-        journal_head=journal_head,
-        seal_sha256=seal_sha256,
-        results_sha256=sha256(results),
-        signer=signer,
-        signer_fingerprint=signer_fingerprint,
-        software=(
-            *(Software(str(name), str(version)) for name, version in run["software"].items()),
-            *written,
-        ),
-    )
+    used = (Software(str(name), str(version)) for name, version in run["software"].items())
+    return {
+        "id": str(run["id"]),
+        "sequence": str(run["sequence"]),
+        "station": str(run["station"]),
+        "ledger_number": int(place["number"]) if "number" in place else None,
+        "ledger_head": str(place.get("head") or ""),
+        "results_sha256": sha256(results),
+        "software": (*used, *written),
+    }
 
 
 def _refuse_unverified(folder: Path, verification: Verification) -> None:

@@ -13,12 +13,13 @@ from bench.certificate.certificate_data import (
     Certificate,
     Change,
     Deviation,
+    Run,
     ValueBefore,
 )
 from bench.certificate.compose import Identity, compose
 from bench.certificate.dcc import render_dcc
 from bench.certificate.lab_config import lab_of
-from bench.certificate.sealed_run import run_of
+from bench.certificate.sealed_run import stated_run
 from bench.evidence.findings import Verification
 from bench.evidence.keys import ensure_key
 from bench.evidence.seal import seal_folder
@@ -84,14 +85,12 @@ def sample_lab(text=LAB):
 
 
 def identity(**facts):
-    run = run_of(
-        sample_results(),
-        RESULTS.read_bytes(),
+    run = Run(
+        **stated_run(sample_results(), RESULTS.read_bytes(), ()),
         journal_head="4f" * 32,
         seal_sha256="5e" * 32,
         signer="bench@lab",
         signer_fingerprint="SHA256:Sces8o9+LQPy9Z1snLqj6+sutjM38veePqEncDBU3Tc",
-        written=(),
     )
     return Identity(**{"number": "SIMULATED-SB-2026-00017", "issued_utc": ISSUED, "run": run, **facts})
 
