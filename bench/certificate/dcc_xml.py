@@ -177,11 +177,15 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
     return [*lines[:_MOST_FAULTS], *more]
 
 
+def _unusable(what: str, where: Path) -> UsageError:
+    return UsageError(what, where=str(where), remedy=_REMEDY)
+
+
 def load_schema(folder: Path) -> XMLSchema:
     """Load the schemas of a folder, which must have these versions; `UsageError` if one is missing or no schema."""
     etree = library("lxml.etree")
     if not folder.is_dir():
-        raise UsageError("There is no such folder of schemas.", where=str(folder), remedy=_REMEDY)
+        raise _unusable("There is no such folder of schemas.", folder)
     contents = {
         DCC_SCHEMA: _schema_bytes(folder / DCC_SCHEMA, DCC, DCC_VERSION),
         SI_SCHEMA: _schema_bytes(folder / SI_SCHEMA, SI, SI_VERSION),
@@ -192,9 +196,7 @@ def load_schema(folder: Path) -> XMLSchema:
     try:
         return etree.XMLSchema(etree.fromstring(contents[DCC_SCHEMA], parser))
     except (etree.XMLSchemaParseError, etree.XMLSyntaxError) as error:
-        raise UsageError(
-            f"The schemas cannot be used: {_plain(str(error))}.", where=str(folder), remedy=_REMEDY
-        ) from error
+        raise _unusable(f"The schemas cannot be used: {_plain(str(error))}.", folder) from error
 
 
 def _schema_parser(etree: Any) -> Any:
@@ -221,34 +223,25 @@ def _schema_bytes(path: Path, namespace: str, version: str) -> bytes:
     """Return the bytes of a schema after checking its namespace, its version and what it imports."""
     etree = library("lxml.etree")
     if not path.is_file():
-        raise UsageError(
-            f"The folder has no {path.name}, which the check needs.", where=str(path.parent), remedy=_REMEDY
-        )
+        raise _unusable(f"The folder has no {path.name}, which the check needs.", path.parent)
     if path.stat().st_size > _MOST_SCHEMA_BYTES:
-        raise UsageError("The file is too large for a schema.", where=str(path), remedy=_REMEDY)
+        raise _unusable("The file is too large for a schema.", path)
     content = path.read_bytes()
     try:
         root: _Element = etree.fromstring(content, _schema_parser(etree))
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise UsageError(
-            f"The file is not an XML schema ({short(str(error))}).", where=str(path), remedy=_REMEDY
-        ) from error
+        raise _unusable(f"The file is not an XML schema ({short(str(error))}).", path) from error
     if root.tag != f"{_XS}schema" or root.get("targetNamespace") != namespace:
-        raise UsageError(f"The file is not the schema of {namespace}.", where=str(path), remedy=_REMEDY)
+        raise _unusable(f"The file is not the schema of {namespace}.", path)
     if root.get("version") != version:
         stated = short(root.get("version", "")) or "none"
-        raise UsageError(
-            f"The schema has version {stated}; the certificate needs {version}.",
-            where=str(path),
-            remedy=_REMEDY,
-        )
+        raise _unusable(f"The schema has version {stated}; the certificate needs {version}.", path)
     for imported in root.iter(f"{_XS}import", f"{_XS}include", f"{_XS}redefine"):
         name = imported.get("schemaLocation", "").rsplit("/", 1)[-1]
         if _FILES.get(imported.get("namespace", "")) != name:
-            raise UsageError(
+            raise _unusable(
                 f"The schema imports {short(imported.get('schemaLocation', ''))}, which is not known here.",
-                where=str(path),
-                remedy=_REMEDY,
+                path,
             )
     return content
 
@@ -261,7 +254,7 @@ def _signature_schema(folder: Path) -> bytes:
     shipped = Path(str(library("signxml").__file__)).parent / "schemas" / SIGNATURE_SCHEMA
     if shipped.is_file():
         return shipped.read_bytes()
-    raise UsageError(f"The folder has no {SIGNATURE_SCHEMA}.", where=str(folder), remedy=_REMEDY)
+    raise _unusable(f"The folder has no {SIGNATURE_SCHEMA}.", folder)
 
 
 def _plain(message: str) -> str:

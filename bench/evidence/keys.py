@@ -334,7 +334,7 @@ def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: b
         )
     with locked_folder(folder):
         finish_rotation(folder)
-        old, principal = _read_public(folder / f"{KEY_FILE}.pub")
+        old, principal = read_public(folder / f"{KEY_FILE}.pub")
         archived = _archive(folder, old, keep=keep_old)
         line = _begin(folder, now, old, principal, passphrase)
         finish_rotation(folder)
@@ -371,7 +371,7 @@ def _archive(folder: Path, old: bytes, *, keep: bool) -> Path | None:
     return path
 
 
-def _read_public(path: Path) -> tuple[bytes, str]:
+def read_public(path: Path) -> tuple[bytes, str]:
     """Return the public key of a file ``.pub``, and its principal."""
     with storage_errors(path):
         text = path.read_text(encoding="utf-8")

@@ -5,8 +5,6 @@ A folder is this bench's if the bench's key, or an earlier key of the same name,
 
 from __future__ import annotations
 
-import base64
-import binascii
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.evidence.keys import KEY_FILE
+from bench.evidence.keys import KEY_FILE, read_public
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import read_signature
 from bench.records.events import Event
@@ -40,9 +38,8 @@ _ASK = "Ask who can write to this computer's files."
 def own_public_keys(home: Path) -> set[bytes]:
     """Return this bench's public keys as SSH encodes them: the present one, and trusted ones of the same name."""
     try:
-        fields = (home / KEY_FILE).with_suffix(".pub").read_text(encoding="utf-8").split()
-        own, principal = base64.b64decode(fields[1], validate=True), fields[2]
-    except (OSError, UnicodeDecodeError, IndexError, binascii.Error, ValueError):
+        own, principal = read_public((home / KEY_FILE).with_suffix(".pub"))
+    except (BenchError, UnicodeDecodeError):
         return set()
     try:
         trusted = read_signers(home / SIGNERS_FILE)

@@ -185,8 +185,7 @@ class OtherFileError(EvidenceError):
 
 def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, name: str) -> Stamp:
     """Check one time stamp (RFC 3161, 2.4.2); `UncheckedError` without the package or a trusted authority."""
-    client = stamp_library()
-    response = read_reply(client, reply)
+    response = read_reply(reply)
     with _reading():
         _refuse_other_bytes(response, signed)
         authority = _authority_name(response)
@@ -199,7 +198,7 @@ def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, na
     for roots, is_laboratory in ((authorities.laboratory, True), (authorities.others, False)):
         try:
             if roots:
-                client.VerifierBuilder(roots=list(roots)).build().verify_message(response, signed)
+                stamp_library().VerifierBuilder(roots=list(roots)).build().verify_message(response, signed)
                 utc = response.tst_info.gen_time.astimezone(UTC)
                 return Stamp(name, STAMPED.get(name, ""), utc, authority, is_laboratory)
         except Exception as error:  # noqa: BLE001 - the packages raise many kinds for hostile bytes
@@ -209,12 +208,11 @@ def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, na
 
 def as_reply(data: bytes) -> bytes:
     """Return a complete reply. A bare token is put into one, because ``openssl ts -verify -in`` reads replies."""
-    client = stamp_library()
     for candidate in (data, sequence(_GRANTED + data)):
         with suppress(EvidenceError):
-            if read_reply(client, candidate).as_bytes() == sets_in_order(candidate):
+            if read_reply(candidate).as_bytes() == sets_in_order(candidate):
                 return candidate
-    read_reply(client, data)
+    read_reply(data)
     raise EvidenceError("this is not a time stamp: its encoding is not DER")
 
 
@@ -247,26 +245,19 @@ def _read_certificates(path: Path, *, needed: bool) -> tuple[Certificate, ...]:
 
 
 def stamp_library() -> Any:
-    """Return the functions of rfc3161-client that are used here; UncheckedError where it is not installed."""
+    """Return the package rfc3161-client; UncheckedError where it is not installed."""
     try:
         import rfc3161_client
-        from rfc3161_client.base import HashAlgorithm
     except ImportError as error:
         raise UncheckedError(
             "the package for time stamps is not installed", remedy=f"Install it: {_EXTRA}"
         ) from error
-    from types import SimpleNamespace
-
-    return SimpleNamespace(
-        VerifierBuilder=rfc3161_client.VerifierBuilder,
-        TimestampRequestBuilder=rfc3161_client.TimestampRequestBuilder,
-        HashAlgorithm=HashAlgorithm,
-        decode_timestamp_response=rfc3161_client.decode_timestamp_response,
-    )
+    return rfc3161_client
 
 
-def read_reply(client: Any, reply: bytes) -> Any:
+def read_reply(reply: bytes) -> Any:
     """Read a reply that grants a time stamp, with the package of `stamp_library`."""
+    client = stamp_library()
     with _reading():
         response = client.decode_timestamp_response(sets_in_order(reply))
         status = response.status

@@ -34,7 +34,7 @@ class Request:
 def make_request(signed: bytes, *, nonce: bool) -> Request:
     """Make a request with SHA-256 and certificate (RFC 3161, 2.4.1); without ``nonce`` the same bytes each time."""
     library = stamp_library()
-    builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.HashAlgorithm.SHA256)
+    builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.base.HashAlgorithm.SHA256)
     request = builder.cert_request(cert_request=True).nonce(nonce=nonce).build()
     return Request(bytes(request.as_bytes()), request.nonce if nonce else None)
 
@@ -70,7 +70,7 @@ def ask_authority(url: str, request: Request) -> bytes:
             where=url,
             remedy="Check the address and the network, or use --request and --token without a network.",
         ) from error
-    if request.nonce is not None and read_reply(stamp_library(), reply).tst_info.nonce != request.nonce:
+    if request.nonce is not None and read_reply(reply).tst_info.nonce != request.nonce:
         raise EvidenceError(
             "The reply is not the answer to this request: its random number differs.",
             where=url,

@@ -125,8 +125,6 @@ def _sealer(folder: Path, stored: Mapping[str, Any]) -> _Sealer | None:
 
 def _cannot(described: Mapping[str, Any]) -> str:
     """Return why the calibration cannot be made again; empty if it can."""
-    if "options" not in described:
-        return "an earlier version wrote them, without the options of the calculation"
     gone = [path for path in described["paths"] if not Path(path).exists()]
     if gone:
         return f"{gone[0]} is not there any more" + (f", and {len(gone) - 1} more" if len(gone) > 1 else "")

@@ -355,18 +355,13 @@ def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> di
     return {**stored, "change": change_since(stored["calibration"], results["calibration"])}
 
 
-_LATER = frozenset({"coverage_factor", "coverage_factors", "shared"})
-"""What journals of earlier versions do not state."""
-
-
 def _check_solved(
     evidence: _Evidence, sigma: Mapping[str, float], again: Mapping[str, Any], found: Findings
 ) -> None:
     """Compare the main numbers of the calibration in the journal with those that were calculated again."""
     solved = evidence.history.solved
-    due = {name: value for name, value in again.items() if name in solved or name not in _LATER}
     had, must = (
-        {"calibration": {**one, "camera": one.get("values"), "values": None}} for one in (solved, due)
+        {"calibration": {**one, "camera": one.get("values"), "values": None}} for one in (solved, again)
     )
     seen = list(differences(had, must, tolerance(sigma, {})))
     if other_software(evidence.used):

@@ -5,11 +5,12 @@ A forecast is that of a sequence's last calibration, with the collimator's error
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.base.errors import UsageError
 from bench.plan.plan import Plan
@@ -27,8 +28,10 @@ from sequences.script import ChooseStep, SolveStep
 
 _CENTRE = 0.5
 _CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}
-_LARGEST_ROLL_DEG = 90.0
-_SMALLEST_K = 2.0
+LARGEST_ROLL_DEG = 90.0
+"""Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
+SMALLEST_COVERAGE_FACTOR = 2.0
+"""The k of the expanded uncertainty if many poses determine it."""
 _QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px": WORST_CORNER}
 """Column of the budget for each limit that the budget explains."""
 _UNITS = ("_px", "_mm")
@@ -141,15 +144,20 @@ def _poses_deg(planned: Plan) -> list[dict[str, float]]:
 
 
 def _candidates(planned: Plan) -> Iterator[dict[str, float]]:
-    """Yield a grid of poses over the station's limits; a roll beyond a quarter of a turn repeats the pattern."""
+    """Return a grid of poses over the station's limits; a roll beyond a quarter of a turn repeats the pattern."""
     steps = {}
     for name, axis in planned.station.value.axes.items():
         lowest, highest = axis.limits_deg
         if name == "roll":
-            lowest, highest = max(lowest, -_LARGEST_ROLL_DEG), min(highest, _LARGEST_ROLL_DEG)
+            lowest, highest = max(lowest, -LARGEST_ROLL_DEG), min(highest, LARGEST_ROLL_DEG)
         steps[f"{name}_deg"] = np.linspace(lowest, highest, _CANDIDATES.get(name, _CANDIDATES["pan"]))
-    for angles in product(*steps.values()):
-        yield dict(zip(steps, map(float, angles), strict=True))
+    return pose_grid(steps)
+
+
+def pose_grid(axes: Mapping[str, NDArray[np.float64]]) -> Iterator[dict[str, float]]:
+    """Yield the poses with every combination of the angles of each axis, degrees."""
+    for angles in product(*axes.values()):
+        yield dict(zip(axes, map(float, angles), strict=True))
 
 
 def _last_solve(planned: Plan) -> SolveStep | None:
@@ -182,7 +190,7 @@ def _cause(found: Forecast, name: str, most: float) -> str:
         return ""
     parts = {row.name: row.contribution.get(quantity, 0.0) for row in found.budget_rows}
     fixed = {name: part for name, part in parts.items() if name not in REDUCED_BY_POSES}
-    floor = _SMALLEST_K * float(np.sqrt(sum(part**2 for part in fixed.values())))
+    floor = SMALLEST_COVERAGE_FACTOR * float(np.sqrt(sum(part**2 for part in fixed.values())))
     if floor > most:
         largest = max(fixed, key=lambda each: fixed[each])
         return (

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +14,13 @@ from numpy.typing import NDArray
 
 from bench.plan.plan import Plan
 from bench.report.text import goals_text, meaning_of_goal
-from bench.results.forecasts import expected_bench, forecast_bench
+from bench.results.forecasts import (
+    LARGEST_ROLL_DEG,
+    SMALLEST_COVERAGE_FACTOR,
+    expected_bench,
+    forecast_bench,
+    pose_grid,
+)
 from bench.results.solve_options import stated_radial_sigma
 from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
@@ -46,13 +51,10 @@ GRID = {"pan_deg": 13, "tilt_deg": 9, "roll_deg": 7}
 """Poses along each axis, in each of the two grids: over the stage's range, and over the part that shows the target."""
 REFINEMENTS = (0.5, 0.25)
 """Steps of the finer grids around the best pose, in steps of the grid."""
-LARGEST_ROLL_DEG = 90.0
-"""Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
 ALIGNED_ROLL_DEG = 5.0
 """A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
 MORE_STARS = 1.2
 """A chosen pose should show this many times the stars that its gate asks for."""
-_K = 2.0
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,8 @@ def choose_pose(
         bench, gimbal, taken_deg, refused_deg=refused_deg, min_stars=int(MORE_STARS * wish.min_stars)
     )
     reached = _ranges(station.value.axes, bench, taken_deg)
-    axes = _visible_part(reached, weigher.possible(_grid(reached)))
-    weighed = weigher.weigh(_grid(axes)) if axes else []
+    axes = _visible_part(reached, weigher.possible(pose_grid(reached)))
+    weighed = weigher.weigh(pose_grid(axes)) if axes else []
     if not weighed:
         return "No pose within the limits of the stage shows enough of the target, besides those recorded."
     lacks: Literal["", "roll"] = "roll" if wish.roll and "roll" in station.value.axes else ""
@@ -201,11 +203,6 @@ def _visible_part(axes: Mapping[str, Array], possible: Sequence[Angles]) -> dict
     return found
 
 
-def _grid(axes: Mapping[str, Array]) -> Iterator[dict[str, float]]:
-    for angles in product(*axes.values()):
-        yield dict(zip(axes, (float(angle) for angle in angles), strict=True))
-
-
 def _around(pose: Angles, axes: Mapping[str, Array], share: float) -> Iterator[dict[str, float]]:
     """Yield the neighbours of a pose at a share of the grid's step, within the grid."""
     ranges = {
@@ -216,7 +213,7 @@ def _around(pose: Angles, axes: Mapping[str, Array], share: float) -> Iterator[d
         )
         for name, angles in axes.items()
     }
-    for near in _grid(ranges):
+    for near in pose_grid(ranges):
         if near != dict(pose):
             yield near
 
@@ -252,10 +249,12 @@ def _expected(before: Sigmas | None, after: Sigmas, wish: Wish) -> dict[str, flo
     """Return the expanded uncertainties to expect: those that are reached shrink as the forecast does."""
     later = {"expanded_fx_px": after.fx_px, "worst_corner_px": after.worst_px}
     if before is None:
-        return {name: _K * later[name] for name in wish.wanted}
+        return {name: SMALLEST_COVERAGE_FACTOR * later[name] for name in wish.wanted}
     earlier = {"expanded_fx_px": before.fx_px, "worst_corner_px": before.worst_px}
     return {
-        name: wish.now[name] * later[name] / earlier[name] if name in wish.now else _K * later[name]
+        name: wish.now[name] * later[name] / earlier[name]
+        if name in wish.now
+        else SMALLEST_COVERAGE_FACTOR * later[name]
         for name in wish.wanted
     }
 
@@ -287,8 +286,6 @@ REDUCED_SLOWLY = frozenset({PARALLAX, UNBOUNDED_PARALLAX, GIMBAL_SCALE, COMMON_F
 
 _QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
 """Column of the budget for each goal."""
-SMALLEST_COVERAGE_FACTOR = 2.0
-"""The k of the expanded uncertainty if many poses determine it."""
 
 
 def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:

@@ -17,9 +17,8 @@ from bench import __version__
 from bench.base.home import forms
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
-from bench.records.events import GateData
 from bench.records.history import Attempt, History
-from bench.records.results import CalibrationData, Results
+from bench.records.results import Results
 from bench.records.run_facts import conformity
 from bench.report.maps import reach_px, star_distance
 from bench.results.solution import Solution, compare_with_truth
@@ -114,6 +113,9 @@ def results_content(
     numbers = calculated(calibration, solution.planar, solution.passport, solution.readings, views)
     judged = [gate.as_data() for gate in solution.judged]
     gates = [*judged, *of_journal.pop("gates")]
+    failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
+    # PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any.
+    judged_limits = conformity(numbers["calibration"], job.limits, failed, checks="check" in solution.checks)
     found = {
         "schema": SCHEMA,
         "run": {**of_journal.pop("run"), "software": dict(software_used)},
@@ -123,7 +125,7 @@ def results_content(
         **solution.checks,
         "poses": of_journal.pop("poses"),
         "gates": gates,
-        **_conformity(job, numbers["calibration"], gates, checks="check" in solution.checks),
+        **({"conformity": judged_limits} if judged_limits is not None else {}),
         **of_journal,
         "truth": _lasting(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
@@ -146,15 +148,6 @@ def calculated(
         "passport": passport.to_dict() if passport else None,
         "gimbal_readings": dict(readings) if readings is not None else None,
     }
-
-
-def _conformity(
-    job: Job, calibration: CalibrationData, gates: Sequence[GateData], *, checks: bool
-) -> dict[str, Any]:
-    """Return PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any."""
-    failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
-    found = conformity(calibration, job.limits, failed, checks=checks)
-    return {} if found is None else {"conformity": found}
 
 
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
@@ -327,13 +320,15 @@ _NOT_STATED: Final = "not stated"
 def run_software(station: Station) -> dict[str, str]:
     """Return `software`, and versions of plug-ins and optional libraries that the station uses."""
     brought = {plugin.distribution: plugin.version for plugin in used_plugins(station)}
-    library = _LIBRARIES.get(_driver(station.camera))
-    return _joined({**brought, **_versions([library] if library is not None else [])})
+    library = _LIBRARIES.get(getattr(station.camera, "driver", ""))
+    own = software()  # whose entries no package replaces
+    return own | brought | _versions([library] if library is not None else []) | own
 
 
 def files_software(endings: Iterable[str]) -> dict[str, str]:
     """Return `software`, and the version of each optional library that reads files with such endings."""
-    return _joined(_versions({_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}))
+    readers = {_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}
+    return software() | _versions(readers)
 
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
@@ -368,10 +363,6 @@ def used_plugins(station: Station) -> Iterator[Plugin]:
                 yield plugin
 
 
-def _driver(section: object) -> str:
-    return str(getattr(section, "driver", ""))
-
-
 def _versions(packages: Iterable[str]) -> dict[str, str]:
     """Return the versions of packages; one that is missing has taken no part."""
     found = {}
@@ -381,9 +372,3 @@ def _versions(packages: Iterable[str]) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _joined(more: Mapping[str, str]) -> dict[str, str]:
-    """Return `software` with further packages, which never replace an entry of it."""
-    own = software()
-    return own | {name: stated for name, stated in more.items() if name not in own}

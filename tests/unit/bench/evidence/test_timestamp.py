@@ -116,7 +116,7 @@ def test_each_bit_of_a_reply_counts(reply, others):
 
 def test_a_second_certificate_of_the_authority_is_refused(reply, others, monkeypatch):
     """It could be a forged one with another name."""
-    response = timestamp.read_reply(timestamp.stamp_library(), reply)
+    response = timestamp.read_reply(reply)
     (own,) = map(bytes, response.signed_data.certificates)
     for certificates in ([own, own], []):
         signed = SimpleNamespace(signer_infos=response.signed_data.signer_infos, certificates=certificates)
