@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Unpack, overload
+from typing import Any, ParamSpec
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError, ScriptError
@@ -37,6 +37,7 @@ from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.history.chart_findings import standard_problem
 from bench.messaging.messages import Courier, Outbox
 from bench.plan.plan import load_documents
+from bench.records.events import event_name
 from bench.records.history import History, replay
 from bench.records.journal import Journal, UnsyncedJournal, read_journal
 from bench.records.run_folder import JOURNAL, is_sealed
@@ -48,6 +49,8 @@ from bench.stations.station_fields import MessagesConfig
 from sequences.errors import DocumentFaults
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
+
+P = ParamSpec("P")
 
 # Messages of a batch that no run can send: a process died, hung or could not begin; the batch ended.
 #
@@ -204,7 +207,7 @@ class Batch:
             begun: BatchBegun = {"queue": self._queue.value.name, "files": self._files()}
             if self._rehearsal:
                 begun["rehearsal"] = True
-            self._journal_event(BatchEvent.BEGUN, **begun)
+            self._journal_event(BatchBegun, **begun)
         elif self._record.rehearsal != self._rehearsal:
             raise RunFolderError(
                 "A rehearsed batch and a real one cannot continue in the same folder.",
@@ -223,7 +226,7 @@ class Batch:
             how, why = self._run_all()
         finally:
             requests.close()
-        self._journal_event(BatchEvent.ENDED, how=how, why=why)
+        self._journal_event(BatchEnded, how=how, why=why)
         if not self._rehearsal:
             summary = summarise(self.folder, self._record)
             self._messages.batch_ended(summary, self.folder, self._journal.head)
@@ -235,38 +238,23 @@ class Batch:
         names = [(w, f) for a, b in pairs for w, f in ((a.sequence, b.sequence), (a.station, b.station))]
         return {name: path for name, path in names if name != path}
 
-    @overload
-    def _journal_event(self, event: Literal[BatchEvent.BEGUN], **data: Unpack[BatchBegun]) -> None: ...
-    @overload
-    def _journal_event(self, event: Literal[BatchEvent.ITEM_BEGUN], **data: Unpack[ItemBegun]) -> None: ...
-    @overload
-    def _journal_event(self, event: Literal[BatchEvent.ITEM_ENDED], **data: Unpack[ItemEnded]) -> None: ...
-    @overload
-    def _journal_event(self, event: Literal[BatchEvent.REQUESTED], **data: Unpack[Requested]) -> None: ...
-    @overload
-    def _journal_event(self, event: Literal[BatchEvent.ENDED], **data: Unpack[BatchEnded]) -> None: ...
-    def _journal_event(self, event: BatchEvent, **data: Any) -> None:
+    def _journal_event(self, payload: Callable[P, object], *_: P.args, **data: P.kwargs) -> None:
         with self._lock:
-            self._record.apply(self._journal.append(event, **data))
+            self._record.apply(self._journal.append(BatchEvent(event_name(payload)), **data))
 
     def _answer(self, request: Request | None, name: str) -> None:
         """Decide on a request once, and record the decision in the journal."""
         with self._lock:
             if request is None:
-                self._journal_event(
-                    BatchEvent.REQUESTED,
-                    id=name,
-                    word="unknown",
-                    taken=False,
-                    why="the file is not a request",
-                )
+                why = "the file is not a request"
+                self._journal_event(Requested, id=name, word="unknown", taken=False, why=why)
             elif request.id not in self._record.answered:
                 try:
                     why = refusal(request, self._record)
                 except Exception as error:  # noqa: BLE001 - an unexpected request must not end the batch
                     why = f"the request cannot be processed: {type(error).__name__}: {error}"
                 content = request.model_dump(exclude={"format"}, exclude_none=True)
-                self._journal_event(BatchEvent.REQUESTED, **content, taken=not why, why=why)
+                self._journal_event(Requested, **content, taken=not why, why=why)
                 what = request.name or (request.job.name if request.job else "")
                 self._say(
                     f"{request.word} {what} by {request.by}: {f'refused, {why}' if why else 'accepted'}"
@@ -346,9 +334,7 @@ class Batch:
             unreadable, recorded = str(error), record.recorded.get(item.key, 0)
         again = (run / JOURNAL).exists()
         attempt = record.attempts.get(item.key, 0) + 1
-        self._journal_event(
-            BatchEvent.ITEM_BEGUN, item=item.key, again=again, attempt=attempt, recorded=recorded
-        )
+        self._journal_event(ItemBegun, item=item.key, again=again, attempt=attempt, recorded=recorded)
         if unreadable:
             self._end(item, WorkerEnd("failed", unreadable))
             return
@@ -378,7 +364,7 @@ class Batch:
         return hung is not None
 
     def _end(self, item: Item, end: WorkerEnd) -> None:
-        self._journal_event(BatchEvent.ITEM_ENDED, item=item.key, **end.to_dict())
+        self._journal_event(ItemEnded, item=item.key, **end.to_dict())
         self._alarm(item, end)
 
     def _alarm(self, item: Item, end: WorkerEnd) -> None:

@@ -1,11 +1,12 @@
 """The events of a run's journal, and the type of what each carries: degrees, and seconds unless a name says otherwise.
 
-`RunLog.tell` takes exactly these payloads, and a replay gives them back; nothing else in a journal means anything.
+`RunLog.write` takes exactly these payloads, and a replay gives them back; nothing else in a journal means anything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any, Literal, NotRequired, TypedDict
 
@@ -14,7 +15,7 @@ from bench.records.journal import CAPTURE_STORED
 # What a run's journal states about the devices: who they are, and how they were left. Types only.
 
 
-class DevicesFound(TypedDict):
+class Devices(TypedDict):
     """Payload of ``devices``: identities, and the camera's settings as read back."""
 
     camera: Mapping[str, Any]
@@ -79,6 +80,14 @@ class Event(StrEnum):
     """The run departed from its sequence; printed in the report."""
     RUN_ENDED = "run_ended"
     """Last line of a run."""
+
+
+_NEXT_WORD = re.compile("(?<=[a-z])(?=[A-Z])")
+
+
+def event_name(payload: Callable[..., object]) -> str:
+    """Return the name of the event whose payload a type is: ``attempt_checked`` for `AttemptChecked`."""
+    return _NEXT_WORD.sub("_", getattr(payload, "__name__", "")).lower()
 
 
 class LedgerPlace(TypedDict):

@@ -3,47 +3,34 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Unpack, cast, overload
+from typing import Any, ParamSpec, cast
 
 import calib.errors
 from bench.base.errors import JournalBroken
 from bench.records.events import (
-    Answered,
-    Asked,
     AttemptChecked,
-    AttemptLost,
     CaptureStored,
     Commanded,
-    ComputerBusy,
-    Deviation,
-    DevicesFound,
-    DevicesLeft,
-    Entering,
+    Devices,
     Event,
     FailureData,
     GateData,
-    InterlockReleased,
     LedgerPlace,
-    LeftOff,
     MeasuredFacts,
-    PoseSkipped,
-    Recovered,
-    RunEnded,
-    RunResumed,
     RunStarted,
     Solved,
     StateEntered,
-    StepDone,
-    SupervisorLost,
     UntilDecided,
-    Written,
+    event_name,
 )
 from bench.records.journal import CLOCK_JUMPED, Entry, Journal
+
+P = ParamSpec("P")
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
 """States in which a pose is at work."""
@@ -86,7 +73,7 @@ class History:
 
     started: RunStarted = field(default_factory=lambda: cast("RunStarted", {}))
     started_utc: str = ""
-    devices: DevicesFound = field(default_factory=lambda: cast("DevicesFound", {}))
+    devices: Devices = field(default_factory=lambda: cast("Devices", {}))
     devices_left: Sequence[Mapping[str, str]] = ()
     """How each device was left after the last step that needs devices; empty before, or if nothing states it."""
     devices_at_end: Sequence[Mapping[str, str]] = ()
@@ -261,7 +248,7 @@ def _apply_devices(history: History, entry: Entry) -> None:
     if entry.event == Event.DEVICES_LEFT:
         history.devices_left = tuple(entry.data["devices"])
         return
-    history.devices = cast("DevicesFound", entry.data)
+    history.devices = cast("Devices", entry.data)
     history.devices_left = history.devices_at_end = ()
 
 
@@ -343,61 +330,12 @@ class RunLog:
         with self._lock:
             yield self.history
 
-    @overload
-    def write(self, event: Literal[Event.RUN_STARTED], **data: Unpack[RunStarted]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.RUN_RESUMED], **data: Unpack[RunResumed]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.DEVICES], **data: Unpack[DevicesFound]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.CAPTURE_STORED], **data: Unpack[CaptureStored]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.STEP_DONE], **data: Unpack[StepDone]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.ATTEMPT_CHECKED], **data: Unpack[AttemptChecked]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.ATTEMPT_LOST], **data: Unpack[AttemptLost]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.SOLVED], **data: Unpack[Solved]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.WRITTEN], **data: Unpack[Written]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.UNTIL_DECIDED], **data: Unpack[UntilDecided]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.RECOVERED], **data: Unpack[Recovered]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.ASKED], **data: Unpack[Asked]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.ANSWERED], **data: Unpack[Answered]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.COMMANDED], **data: Unpack[Commanded]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.POSE_SKIPPED], **data: Unpack[PoseSkipped]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.INTERLOCK_RELEASED], **data: Unpack[InterlockReleased]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.SUPERVISOR_LOST], **data: Unpack[SupervisorLost]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.COMPUTER_BUSY], **data: Unpack[ComputerBusy]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.DEVIATION], **data: Unpack[Deviation]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.RUN_ENDED], **data: Unpack[RunEnded]) -> None: ...
-    @overload
-    def write(self, event: Literal[Event.DEVICES_LEFT], **data: Unpack[DevicesLeft]) -> None: ...
-    def write(self, event: Event, **data: Any) -> None:
-        """Write one line and update the history; it survives a power cut unless a restart finds the same again."""
-        self._write(event, data)
+    def write(self, payload: Callable[P, object], *_: P.args, **data: P.kwargs) -> None:
+        """Write one line and update the history; it survives a power cut unless a restart finds the same again.
 
-    def write_entering(self, data: Entering) -> None:
-        """Write that the machine is about to enter a state. Otherwise as ``write``."""
-        self._write(Event.ENTERING, data)
-
-    def write_left_off(self, data: LeftOff) -> None:
-        """Write that the work of a state ended, with its error if it failed. Otherwise as ``write``."""
-        self._write(Event.LEFT_OFF, data)
-
-    def _write(self, event: Event, data: Mapping[str, Any]) -> None:
+        ``payload`` is the type of what the line holds, which names its event (`bench.records.events.event_name`).
+        """
+        event = Event(event_name(payload))
         write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
         with self._lock:
             apply_entry(self.history, write(event, **data))

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
+from bench.records import events
 from bench.records.events import Event
 from bench.records.history import History, RunLog
 from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
@@ -146,14 +147,14 @@ class CommandInbox:
     def decide(self, command: Command | None, name: str, why_not: str = "") -> None:
         """Decide on a command (None: the file holds none) and journal it; ``why_not`` refuses any command."""
         if command is None:
-            self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is not a command")
+            self._log.write(events.Commanded, id=name, word="unknown", taken=False, why="it is not a command")
             return
         with self._log.held() as history:
             if command.word == "skip" and command.pose is None:
                 command = command.model_copy(update={"pose": history.at_pose})
             why_not = why_not or refusal(command, history, self._poses)
             fields = command.model_dump(exclude={"format"})
-            self._log.write(Event.COMMANDED, **fields, taken=not why_not, why=why_not)
+            self._log.write(events.Commanded, **fields, taken=not why_not, why=why_not)
         if command.word == "abort" and not why_not:
             self._clock.request_stop(f"abort by {command.by}")
 

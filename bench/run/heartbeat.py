@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from bench.base.bounded_json import parse_json
 from bench.base.clock import BenchClock
 from bench.base.errors import StorageError
-from bench.records.events import Event
+from bench.records import events
 from bench.records.history import RunLog
 from bench.records.run_folder import RunFolder
 from bench.records.storage import TEMPORARY, read_bounded, storage_errors, write_atomic
@@ -200,7 +200,7 @@ class BusyWatch:
         if late_s >= BUSY_S * window_s / WINDOW_S and now_s - self._noted_s >= REPEAT_S:
             self._noted_s = now_s
             self._log.write(
-                Event.COMPUTER_BUSY, late_s=round(late_s, 3), window_s=round(window_s, 3), lateness=lateness
+                events.ComputerBusy, late_s=round(late_s, 3), window_s=round(window_s, 3), lateness=lateness
             )
 
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 from bench.base.clock import BenchClock
 from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.plan.job import Job
-from bench.records.events import Event
+from bench.records import events
 from bench.records.history import RunLog
 from bench.records.run_folder import RunFolder
 from bench.records.storage import storage_errors
@@ -93,7 +93,7 @@ class RunDevices:
         if self._devices is not None:
             for fault in self._devices.make_safe():
                 self._say(f"CHECK THE BENCH: {fault}")
-                self._log.write(Event.DEVIATION, what=f"While the run held: {fault}")
+                self._log.write(events.Deviation, what=f"While the run held: {fault}")
 
     def make_safe(self) -> None:
         """Make all devices safe once, each independently; never raises. ``unsafe`` names what did not confirm."""
@@ -114,7 +114,7 @@ class RunDevices:
             ends = [dict(end) for end in history.devices_at_end]
         else:
             ends = [end.to_dict() for end in lost_ends(NOT_ASKED)]
-        self._log.write(Event.DEVICES_LEFT, devices=ends)
+        self._log.write(events.DevicesLeft, devices=ends)
 
     def ends(self) -> list[DeviceEnd]:
         """Return how the run leaves each device, as far as anything is known."""

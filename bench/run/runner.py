@@ -16,7 +16,8 @@ from bench.base.device_ends import DeviceEnd
 from bench.base.errors import FORESEEN, BenchError, Failure, StorageError
 from bench.messaging.messages import Courier
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
-from bench.records.events import Entering, Event, FailureData, LeftOff
+from bench.records import events
+from bench.records.events import Entering, FailureData, LeftOff
 from bench.records.history import RunLog, way_on
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
@@ -188,7 +189,7 @@ class Runner:
                 self._do_remaining_steps()
             with self.context.clock.shielded():
                 self.context.devices.make_safe()
-            self.context.log.write(Event.RUN_ENDED, how="finished", why="", **self._end_data())
+            self.context.log.write(events.RunEnded, how="finished", why="", **self._end_data())
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
         except FORESEEN as error:
@@ -276,7 +277,7 @@ class Runner:
 
     def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
         if failure is None:
-            self.context.log.write(Event.RUN_ENDED, how=how, why=why, **self._end_data())
+            self.context.log.write(events.RunEnded, how=how, why=why, **self._end_data())
             return
         error: FailureData = {
             "kind": failure.kind,
@@ -286,9 +287,9 @@ class Runner:
         }
         data = self._end_data()
         if crashed:
-            self.context.log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True, **data)
+            self.context.log.write(events.RunEnded, how=how, why=why, error=error, crashed=True, **data)
         else:
-            self.context.log.write(Event.RUN_ENDED, how=how, why=why, error=error, **data)
+            self.context.log.write(events.RunEnded, how=how, why=why, error=error, **data)
 
     # ------------------------------------------------------------------ which steps
 
@@ -315,7 +316,7 @@ class Runner:
             if isinstance(step, RecordStep) and (attempt := history.unchecked(step.pose.index)) is not None:
                 self._steps.fire_at("check", step, attempt=attempt.attempt)
                 if step.pose.index in history.accepted():
-                    self.context.log.write(Event.STEP_DONE, step=step.number)
+                    self.context.log.write(events.StepDone, step=step.number)
 
     def _do_step(self, step: ScriptStep) -> None:
         """Do a step, unless its pose is skipped."""
@@ -323,7 +324,7 @@ class Runner:
         done = self.context.log.history.done_steps
         if self._steps.is_skipped(step):
             if step.number not in done:
-                self.context.log.write(Event.STEP_DONE, step=step.number, skipped=True)
+                self.context.log.write(events.StepDone, step=step.number, skipped=True)
             return
         if isinstance(step, RecordStep):
             self._steps.record(step)
@@ -332,7 +333,7 @@ class Runner:
         if isinstance(step, ChooseStep):
             self._show_decision(step)
         if step.number not in done:
-            self.context.log.write(Event.STEP_DONE, step=step.number)
+            self.context.log.write(events.StepDone, step=step.number)
         done_s = self.context.job.done_after_s(step)
         if done_s is not None:
             self._progress.done(done_s)
@@ -379,7 +380,7 @@ class Runner:
 
     def entering(self, data: Entering) -> None:
         """Journal a change of state before it is made; then update heartbeat, interlocks and progress."""
-        self.context.log.write_entering(data)
+        self.context.log.write(events.Entering, **data)
         state = data["state"]
         self._heartbeat.entering(state)
         self.context.interlocks.entering(state)
@@ -389,13 +390,13 @@ class Runner:
 
     def left_off(self, data: LeftOff) -> None:
         """Journal that the work of a state has ended; nothing interrupts the time between two states."""
-        self.context.log.write_left_off(data)
+        self.context.log.write(events.LeftOff, **data)
         self.context.interlocks.left_off()
 
     def _report_lost_supervisor(self) -> None:
         """Journal that the supervisor of this process has ended; the run continues."""
         if self._heartbeat.supervisor_is_gone():
-            self.context.log.write(Event.SUPERVISOR_LOST)
+            self.context.log.write(events.SupervisorLost)
             self._notify(
                 "failure",
                 "continues, but its supervisor has ended: no further run follows",

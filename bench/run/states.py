@@ -12,7 +12,7 @@ from typing import Any, Final
 from bench.base.clock import Aborted
 from bench.base.errors import PreflightFailed
 from bench.plan.job import Job, ScriptStep
-from bench.records.events import Event
+from bench.records import events
 from bench.records.journal import capture_name
 from bench.records.run_folder import recover, written_files
 from bench.run.heartbeat import leave_view
@@ -141,18 +141,18 @@ class StateWork:
     def recover(self, *_: Any, **__: Any) -> None:
         """Put the run folder in order after a process died while working on it."""
         notes = recover(self._run.folder, self._run.log.journal)
-        self._run.log.write(Event.RECOVERED, **notes)
+        self._run.log.write(events.Recovered, **notes)
         for name in notes["missing"]:
-            self._run.log.write(Event.DEVIATION, what=f"{name} was missing when the run was resumed.")
+            self._run.log.write(events.Deviation, what=f"{name} was missing when the run was resumed.")
         for name in notes["changed"]:
             self._run.log.write(
-                Event.DEVIATION,
+                events.Deviation,
                 what=f"{name} was changed before the run was resumed; it was moved to quarantine.",
             )
 
     def preflight(self, *_: Any, **__: Any) -> None:
         """Open the devices if they are not open; check their identity and faults."""
-        self._run.log.write(Event.DEVICES, **preflight(self._run.devices.open(), self._run.job))
+        self._run.log.write(events.Devices, **preflight(self._run.devices.open(), self._run.job))
 
     def home(self, *_: Any, **__: Any) -> None:
         """Home the stage, unless it is homed."""
@@ -189,7 +189,7 @@ class StateWork:
         after = self._run.devices.position_deg()
         capture = self._run.folder.commit(name, self._run.clock.monotonic)
         self._run.log.write(
-            Event.CAPTURE_STORED,
+            events.CaptureStored,
             capture=capture.name,
             size=capture.size,
             sha256=capture.sha256,
@@ -219,7 +219,7 @@ class StateWork:
         if not reasons:
             self._measured[pose.index] = found
         self._run.log.write(
-            Event.ATTEMPT_CHECKED,
+            events.AttemptChecked,
             pose=pose.index,
             attempt=attempt,
             accepted=not reasons,
@@ -235,7 +235,7 @@ class StateWork:
         if any(decided["step"] == step.number for decided in history.decisions):
             return
         decided = self._run.decisions.decide(step, history, self._measured, self._run.clock.check)
-        self._run.log.write(Event.UNTIL_DECIDED, **decided)
+        self._run.log.write(events.UntilDecided, **decided)
 
     def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
         """Wait after a rejected recording, so that its cause may pass."""
@@ -266,7 +266,7 @@ class StateWork:
     def solve(self, step: SolveStep, **_: Any) -> None:
         """Calibrate from the accepted recordings."""
         solved = self._run.results.solve(step, self._run.log.history, self._measured, self._run.clock.check)
-        self._run.log.write(Event.SOLVED, **solved)
+        self._run.log.write(events.Solved, **solved)
 
     def report(self, *_: Any, **__: Any) -> None:
         """Write results, images, exports and the report; then journal their hashes."""
@@ -275,7 +275,7 @@ class StateWork:
         outcome = self._run.results.outcome
         if outcome is not None and outcome.journal_head:  # a rehearsal writes results alone
             written = written_files(self._run.folder.path)
-            self._run.log.write(Event.WRITTEN, head=outcome.journal_head, **written)
+            self._run.log.write(events.Written, head=outcome.journal_head, **written)
 
     def make_safe(self, *_: Any, **__: Any) -> None:
         """Stop the stage, switch the light off, stop the camera. Never raises."""
@@ -297,14 +297,14 @@ class StateWork:
             self._run.devices.come_to_rest()
         held_s = self._run.interlocks.wait_until_clear(trip)
         name = interlock_text(trip.interlock.name)
-        self._run.log.write(Event.INTERLOCK_RELEASED, rule=trip.interlock.name, held_s=round(held_s, 3))
+        self._run.log.write(events.InterlockReleased, rule=trip.interlock.name, held_s=round(held_s, 3))
         what = f"The {name} interlock held for {held_s:.0f} s: {trip.why}."
-        self._run.log.write(Event.DEVIATION, what=what)
+        self._run.log.write(events.Deviation, what=what)
         self._run.say(f"{what} The run continues.")
 
     def _until_answered(self, step: PromptStep) -> None:
         self._run.log.write(
-            Event.ASKED, step=step.number, text=step.text, default=step.default, timeout_s=step.timeout_s
+            events.Asked, step=step.number, text=step.text, default=step.default, timeout_s=step.timeout_s
         )
         answer = ask(
             step.text,
@@ -317,7 +317,7 @@ class StateWork:
         # An answer from elsewhere that was accepted at the last moment counts: its sender was told so.
         with self._run.log.held():
             answer = self._answer_from_elsewhere() or answer
-            self._run.log.write(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
+            self._run.log.write(events.Answered, step=step.number, answer=answer.word, by=answer.by)
         if answer.word == "abort":
             raise Aborted(f"{step.text} was answered with abort ({answer.by})")
 

@@ -12,7 +12,8 @@ from typing import Unpack
 
 from bench.base.errors import PoseFailed
 from bench.plan.job import Job, ParkStep, ScriptStep
-from bench.records.events import Circumstances, Event
+from bench.records import events
+from bench.records.events import Circumstances
 from bench.records.history import History, count_crash
 from bench.records.journal import capture_name
 from bench.report.text import goals_text
@@ -250,7 +251,7 @@ class Steps:
         """Skip a pose, numbered from 1: its steps will not be done."""
         name = self._run.job.record_step(pose_index).pose.name
         what = f"Pose {pose_index} ({name}) was skipped: {why}."
-        self._run.log.write(Event.POSE_SKIPPED, pose=pose_index, pose_name=name, what=what)
+        self._run.log.write(events.PoseSkipped, pose=pose_index, pose_name=name, what=what)
         self._run.say(what)
 
     def is_skipped(self, step: ScriptStep) -> bool:
@@ -268,7 +269,7 @@ class Steps:
         held_s = self._run.clock.monotonic() - begin_s
         before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"
         self._run.log.write(
-            Event.DEVIATION, what=f"Held by {by} for {held_s:.0f} s before {before}.", hold=True
+            events.Deviation, what=f"Held by {by} for {held_s:.0f} s before {before}.", hold=True
         )
 
     # ------------------------------------------------------------------ attempts at a recording
@@ -286,7 +287,7 @@ class Steps:
                 )
             if step.on_failure == "skip":
                 self._run.log.write(
-                    Event.DEVIATION, what=f"{what} It was skipped, as the sequence specifies."
+                    events.Deviation, what=f"{what} It was skipped, as the sequence specifies."
                 )
                 self._run.say(f"{what} Skipped.")
                 return
@@ -306,7 +307,7 @@ class Steps:
         name = capture_name(pose.index, attempt, self._run.job.camera_kind.ending)
         kept = self._run.folder.quarantine_part(name)
         self._run.log.write(
-            Event.ATTEMPT_LOST, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
+            events.AttemptLost, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
         )
 
     def _try_attempts(self, step: RecordStep) -> list[str] | None:

@@ -15,6 +15,7 @@ from pages import served
 from bench.base.clock import Aborted
 from bench.panel.panel_app import Panel, panel_app
 from bench.panel.run_model import JournalTail
+from bench.records.events import Asked
 from bench.records.journal import read_journal
 from bench.web.guard import PageToken
 
@@ -266,7 +267,7 @@ def test_an_abort_needs_two_steps(run, server):
 
 def test_a_question_is_answered(run, server):
     with at_work(run) as (log, _):
-        log.write("asked", step=1, text="Is it dark?", default="abort", timeout_s=60.0)
+        log.write(Asked, step=1, text="Is it dark?", default="abort", timeout_s=60.0)
         with streamed(server, "api/run/run7/events") as stream:
             asked = stream.until(lambda m: m["head"]["question"])[-1]["head"]
             assert asked["question"]["text"] == "Is it dark?"

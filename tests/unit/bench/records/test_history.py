@@ -6,7 +6,21 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.base.errors import JournalBroken
-from bench.records.events import Event
+from bench.records import events
+from bench.records.events import (
+    AttemptChecked,
+    CaptureStored,
+    Deviation,
+    Devices,
+    Entering,
+    Event,
+    LeftOff,
+    PoseSkipped,
+    RunEnded,
+    RunStarted,
+    Solved,
+    StepDone,
+)
 from bench.records.history import RunLog, replay
 from bench.records.journal import Journal
 from bench.views.views_file import KeptEntries
@@ -82,23 +96,28 @@ POSE = {"pose": 1, "pose_name": "p"}
 STORED = {**POSE, "attempt": 1, "capture": "c", "size": 1, "sha256": "0"}
 
 LAST = [
-    (Event.RUN_STARTED, {"id": "r"}),
-    (Event.DEVICES, {"camera": {}}),
-    *((Event.ENTERING, {"state": s, **POSE}) for s in ("homing", "lighting", "slewing", "recording", "holding", "parking")),
-    (Event.CAPTURE_STORED, STORED),
-    (Event.LEFT_OFF, {"state": "slewing", "error": "stalled"}),
-    (Event.DEVIATION, {"what": "so"}),
-    (Event.POSE_SKIPPED, {**POSE, "what": "so"}),
-    (Event.SOLVED, {"model": "spherical"}),
-    (Event.RUN_ENDED, {"how": "finished", "why": ""}),
+    (RunStarted, {"id": "r"}),
+    (Devices, {"camera": {}}),
+    *((Entering, {"state": s, **POSE}) for s in ("homing", "lighting", "slewing", "recording", "holding", "parking")),
+    (CaptureStored, STORED),
+    (LeftOff, {"state": "slewing", "error": "stalled"}),
+    (Deviation, {"what": "so"}),
+    (PoseSkipped, {**POSE, "what": "so"}),
+    (Solved, {"model": "spherical"}),
+    (RunEnded, {"how": "finished", "why": ""}),
 ]  # fmt: skip
 
 ON_THE_WAY = [
-    *((Event.ENTERING, {"state": state, **POSE}) for state in ("settling", "checking")),
-    (Event.LEFT_OFF, {"state": "slewing"}),
-    (Event.STEP_DONE, {"step": 3}),
-    (Event.ATTEMPT_CHECKED, {"pose": 1, "attempt": 1, "accepted": True, "reasons": []}),
+    *((Entering, {"state": state, **POSE}) for state in ("settling", "checking")),
+    (LeftOff, {"state": "slewing"}),
+    (StepDone, {"step": 3}),
+    (AttemptChecked, {"pose": 1, "attempt": 1, "accepted": True, "reasons": []}),
 ]
+
+
+def test_each_event_has_a_payload_of_its_name():
+    for event in Event:
+        assert events.event_name(getattr(events, event.name.title().replace("_", ""))) == event
 
 
 @pytest.fixture
@@ -106,30 +125,32 @@ def log(tmp_path):
     path = tmp_path / "journal.jsonl"
     with Journal.create(path, utc_now=lambda: datetime.now(UTC), monotonic=lambda: 0.0) as journal:
         log = RunLog(journal)
-        log.write(Event.CAPTURE_STORED, **STORED)
+        with pytest.raises(ValueError, match="gate_data"):
+            log.write(events.GateData)
+        log.write(CaptureStored, **STORED)
         yield log
 
 
-def syncs(log, monkeypatch, event, data):
+def syncs(log, monkeypatch, payload, data):
     synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
-    log.write(event, **data)
+    log.write(payload, **data)
     return len(synced)
 
 
 @pytest.mark.parametrize(
-    ("event", "data"), LAST, ids=lambda x: x if isinstance(x, str) else x.get("state", "")
+    ("payload", "data"), LAST, ids=lambda x: x.__name__ if isinstance(x, type) else x.get("state", "")
 )
-def test_what_counts_lasts_when_it_is_told(log, monkeypatch, event, data):
-    assert syncs(log, monkeypatch, event, data) == 1
+def test_what_counts_lasts_when_it_is_told(log, monkeypatch, payload, data):
+    assert syncs(log, monkeypatch, payload, data) == 1
 
 
 @pytest.mark.parametrize(
-    ("event", "data"), ON_THE_WAY, ids=lambda x: x if isinstance(x, str) else x.get("state", "")
+    ("payload", "data"), ON_THE_WAY, ids=lambda x: x.__name__ if isinstance(x, type) else x.get("state", "")
 )
-def test_what_only_tells_of_the_way_lasts_with_the_next_line(log, monkeypatch, event, data):
-    assert syncs(log, monkeypatch, event, data) == 0
-    assert syncs(log, monkeypatch, Event.ENTERING, {"state": "slewing", **POSE}) == 1
+def test_what_only_tells_of_the_way_lasts_with_the_next_line(log, monkeypatch, payload, data):
+    assert syncs(log, monkeypatch, payload, data) == 0
+    assert syncs(log, monkeypatch, Entering, {"state": "slewing", **POSE}) == 1
 
 
 # ---------------------------------------------------------------- replaced entries

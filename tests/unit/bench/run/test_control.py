@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.records import inbox as inbox_module
-from bench.records.events import Event
+from bench.records.events import Entering, Event
 from bench.records.history import Attempt, History, RunLog, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
@@ -142,7 +142,7 @@ def test_an_abort_ends_the_wait_of_the_run_at_once(run):
 def test_skip_applies_to_the_current_pose_unless_another_is_named(run):
     folder, log, clock = run
     with CommandInbox(folder, log, POSES, clock):
-        log.write(Event.ENTERING, state="recording", pose=2)
+        log.write(Entering, state="recording", pose=2)
         assert send(folder, command("skip"))["pose"] == 2
         assert send(folder, command("skip", pose=3))["pose"] == 3
     assert set(log.history.to_skip) == {2, 3}

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.records.events import Event
+from bench.records.events import ComputerBusy, Event
 from bench.records.journal import Entry
 from bench.run import heartbeat
 from bench.run.heartbeat import (
@@ -197,7 +197,7 @@ def lines_of(share, seconds):
 
 def test_a_computer_that_is_late_for_half_of_the_time_is_too_busy():
     lines = lines_of(0.5, REPEAT_S + WINDOW_S - 1.0)
-    assert [event for event, _ in lines] == [Event.COMPUTER_BUSY]
+    assert [event for event, _ in lines] == [ComputerBusy]
     data = lines[0][1]
     assert (data["late_s"], data["window_s"]) == (5.0, 10.0)
     text = line_text(Entry(1, "2026-03-01T12:02:06.000000Z", 1.0, Event.COMPUTER_BUSY, data, "", ""))

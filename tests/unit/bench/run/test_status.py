@@ -11,7 +11,7 @@ from rehearsed import Scene, with_runner
 from bench.base.errors import RunFolderError
 from bench.commands.status import follow
 from bench.plan.plan import load_documents, make_plan
-from bench.records.events import Event
+from bench.records.events import Commanded, Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.run.control import inbox_of
@@ -268,7 +268,7 @@ def scene(tmp_path, monkeypatch):
 
 
 def commanded(scene, word, **more):
-    scene.runner.context.log.write(Event.COMMANDED, id="x", word=word, by="ada", taken=True, why="", **more)
+    scene.runner.context.log.write(Commanded, id="x", word=word, by="ada", taken=True, why="", **more)
 
 
 def test_an_answer_accepted_at_the_last_moment_counts(scene, monkeypatch):
