@@ -28,7 +28,7 @@ from pathlib import Path
 if sys.argv[2] == "careless":
     os.fsync = lambda descriptor: None
 from bench.records.journal import Journal
-from bench.records.journal import CAPTURE_STORED
+from bench.records.journal import CAPTURE_STORED, capture_name
 from bench.records.run_folder import recover
 from bench.records.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
@@ -43,8 +43,8 @@ pose = sum(e.event == CAPTURE_STORED for e in journal.entries)
 print("ready", flush=True)
 while True:
     pose += 1
-    folder.capture_part_path(pose, 1).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
-    capture = folder.commit_capture(pose, 1)
+    folder.part_path(capture_name(pose, 1)).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
+    capture = folder.commit(capture_name(pose, 1))
     for number in range(NOTES):  # lines that last with the next one that counts
         journal.append_unsynced("on_the_way", number=number, text="x" * 900)
     journal.append(CAPTURE_STORED, pose=pose, attempt=1, **capture.as_data())
@@ -96,8 +96,8 @@ def poses_on_disk(path):
         Journal.open(folder.journal_path, utc_now=lambda: None, monotonic=lambda: 0.0) as journal,
     ):
         notes = recover(folder, journal)
-    assert (notes.missing, notes.changed) == ((), ())
-    assert len(notes.intact) == len(captures)
+    assert (notes["missing"], notes["changed"]) == ([], [])
+    assert len(notes["intact"]) == len(captures)
     assert sorted(p.name for p in (path / "captures").iterdir()) == sorted(
         Path(name).name for name in captures
     )
