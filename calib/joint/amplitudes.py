@@ -71,7 +71,7 @@ FAMILIES = (
     Family(TURN, _smooth(3e-6, TURN_DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN_2, _smooth(1e-6, TURN_2_DEGREE + 1), 1.0, 0.5, 0.0, 0.9),
     Family(
-        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 0.5, 1e-3, 4e-4, 4e-6), 1.3, 0.7
+        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 0.5, 1e-3, 4e-4, 4e-6), 1.3, 0.5
     ),
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 0.3, 0.0),

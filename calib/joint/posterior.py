@@ -22,8 +22,8 @@ from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.pupil_spread import spread_of_pupils
-from calib.joint.samples import HOLDS, Mode, Node, nodes_about
-from calib.joint.solve import Optimum, relative_step
+from calib.joint.samples import Mode, Node, log_odds, nodes_about
+from calib.joint.solve import Optimum
 from calib.model.result_parts import GIMBAL_SCALE
 
 Array = NDArray[np.float64]
@@ -38,6 +38,8 @@ _SMALL_SHARE = 0.01
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
 _FAULT_STEPS = 20
+#: No odds are larger than those of this logarithm: their sum stays a number.
+_LARGEST_LOG = 500.0
 #: Start of the search of another mode: logarithms of the own fields lower, of what moves with the turn higher.
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas.
@@ -197,11 +199,10 @@ def _others(optimum: Optimum, curvature: Array) -> list[Mode]:
     away = eta - optimum.eta
     if float(away @ curvature @ away) < _APART:
         return []
-    beyond = relative_step(marginal, found.step - optimum.solution.step) / HOLDS
     other = 0.5 * expected_curvature(marginal, eta, found)
     wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(other)[1])
-    odds = float(np.exp(min(0.5 * (optimum.solution.value - found.value + wider), 500.0)))
-    return [Mode(NO_FAULT, eta, found, odds / (1.0 + beyond**4))]
+    log = log_odds(marginal, found, optimum.solution, 0.5 * wider)
+    return [Mode(NO_FAULT, eta, found, float(np.exp(min(log, _LARGEST_LOG))))]
 
 
 def _faults(optimum: Optimum, curvature: Array) -> list[Mode]:
@@ -210,7 +211,8 @@ def _faults(optimum: Optimum, curvature: Array) -> list[Mode]:
     starts = _starts(optimum)
     possible = _possible(optimum, starts)
     # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
-    none = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS)[1].value if possible else 0.0
+    behind = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS)[1] if possible else optimum.solution
+    none = max(0.0, log_odds(marginal, behind, optimum.solution))
     for names in possible:
         for fault, probability in FAULTS.items():
             faults: Faults = tuple((name, fault) for name in names)
@@ -220,14 +222,13 @@ def _faults(optimum: Optimum, curvature: Array) -> list[Mode]:
             )
             start = marginal.with_gradient(start, eta, faults)
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
-            if 0.5 * (start.value - none) - gain > _FOLLOWED:
+            if 0.5 * (start.value - optimum.solution.value) + none - gain > _FOLLOWED:
                 continue
             known = 2.0 * curvature if eta is optimum.eta else None
             eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, curvature=known)
-            beyond = relative_step(marginal, ended.step - optimum.solution.step) / HOLDS
-            evidence = float(np.exp(min(0.5 * (none - ended.value), 500.0))) / (1.0 + beyond**4)
-            if evidence > 1.0:
-                found.append(Mode(faults, eta, ended, probability * (evidence - 1.0)))
+            log = log_odds(marginal, ended, optimum.solution) - none
+            if log > 0.0:
+                found.append(Mode(faults, eta, ended, probability * math.expm1(min(log, _LARGEST_LOG))))
     return found
 
 

@@ -30,7 +30,7 @@ _STRETCH = 1.2
 #: No sample counts more than this many times the median one.
 _LARGEST_WEIGHT = 10.0
 #: The linear equations hold for steps of this share of focal length and radius; samples beyond lose their weight.
-HOLDS = 0.02
+_HOLDS = 0.02
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,22 @@ def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share:
         except np.linalg.LinAlgError:
             continue
         found.append((at, one))
-        beyond = relative_step(marginal, one.step - solution.step) / HOLDS
         away = float(along @ along) + float(beside @ beside)
-        logs.append(0.5 * (solution.value - one.value) + 0.5 * away - np.log1p(beyond**4))
+        logs.append(log_odds(marginal, one, solution, 0.5 * away))
     weights = np.exp(np.array(logs) - max(logs))
     weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
     return [Node(float(w), at, mode.faults, one) for w, (at, one) in zip(weights, found, strict=True)]
+
+
+def log_odds(marginal: Marginal, one: Solution, other: Solution, more: float = 0.0) -> float:
+    """Return the logarithm of the odds of a solution against another, and ``more``, as far as the equations hold.
+
+    Where they do not, they may promise any gain, so what speaks for the solution counts the less the farther it goes.
+    """
+    trusted = 1.0 / (1.0 + (relative_step(marginal, one.step - other.step) / _HOLDS) ** 4)
+    log = 0.5 * (other.value - one.value) + more
+    return float(log * (trusted if log > 0.0 else 1.0) + np.log(trusted))
 
 
 def _main_directions(marginal: Marginal, eta: Array, found: Solution, lower: Array) -> Array:

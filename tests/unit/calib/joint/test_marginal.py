@@ -14,6 +14,7 @@ from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
 from calib.joint.posterior import posterior
 from calib.joint.pupils import rims_and_pupils
+from calib.joint.samples import log_odds
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 
@@ -197,3 +198,19 @@ def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere
     found = drawn_result("polynomial", 3, 2, "passport")
     over = [abs(found["error"][name]) / found["U"][name] for name in ("fx", "cx", "cy", "corner")]
     assert max(over) < 1.3
+
+
+def test_a_gain_that_equations_promise_beyond_where_they_hold_does_not_count(optimum):
+    marginal, solution = optimum.marginal, optimum.solution
+    near, far = (
+        replace(solution, value=solution.value - 200.0, step=share * optimum.state.shared)
+        for share in (1e-3, 0.3)
+    )
+    assert log_odds(marginal, near, solution) == pytest.approx(100.0, rel=1e-3)
+    assert log_odds(marginal, far, solution) < -5.0
+
+
+def test_a_wave_in_the_glass_that_no_field_holds_does_not_move_the_foot_of_the_axis():
+    """25 poses show it so well that amplitudes ten times as large would imitate it, with fx 193 px wrong."""
+    line = drawn_result("polynomial", 25, 7, "c", "shipped")
+    assert abs(line["error"]["fx"]) < line["U"]["fx"] < 5.0
