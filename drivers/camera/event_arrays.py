@@ -36,6 +36,11 @@ class Triggers(NamedTuple):
     value: NDArray[np.uint8]  # (N,) uint8: 1 = rising edge, 0 = falling edge
     id: NDArray[np.uint8]  # (N,) uint8: channel
 
+    def part(self, begin: int, end: int) -> Triggers:
+        """Return views, not copies, of the edges from ``begin`` to before ``end``."""
+        place = slice(begin, end)
+        return Triggers(self.t[place], self.value[place], self.id[place])
+
 
 def empty_events(n: int) -> Events:
     """Allocate arrays for n events, not initialised."""

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import MARGIN, max_event_count
-from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
-from drivers.camera.raw_writer import require_regular, require_whole
+from drivers.camera.raw_header import RawHeader, parse_header
+from drivers.camera.raw_writer import read_start, require_whole
 from drivers.errors import NotARecording, RecordingFileError
 
 
@@ -60,10 +60,8 @@ class RawFile:
                 "This is a folder.", where=str(path), remedy="Give a RAW file in this folder."
             )
         try:
-            require_regular(path)
+            start = read_start(path)
             require_whole(path)
-            with path.open("rb") as file:
-                start = file.read(MAX_HEADER_BYTES)
         except OSError as error:
             raise _unreadable(path, error) from error
         return cls(path, parse_header(start, where=str(path)))

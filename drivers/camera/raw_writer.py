@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+from drivers.camera.raw_header import MAX_HEADER_BYTES
 from drivers.errors import DriverError, NotARecording, RecordingCorrupt, RecordingFailed, RecordingFileError
 
 # Check a file of a recording before it is read: an ordinary file, without parts that were never written.
@@ -44,6 +45,13 @@ def require_regular(path: Path) -> None:
         return
     what = next((name for is_one, name in _KINDS if is_one(mode)), "no ordinary file")
     raise NotARecording(f"This is {what}, not a file.", where=str(path), remedy="Give a file.")
+
+
+def read_start(path: Path) -> bytes:
+    """Read what may be the header of a file; refuse (`NotARecording`) a folder, a pipe, a socket or a device."""
+    require_regular(path)
+    with path.open("rb") as file:
+        return file.read(MAX_HEADER_BYTES)
 
 
 def require_whole(path: Path) -> None:

@@ -10,14 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from drivers.clock import Clock
 from drivers.errors import OutsideLimits
-from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity
 from drivers.stage.motion import Axis
 from drivers.stage.thorlabs_controller import Status, ThorlabsController
 from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage, no_reference, not_movable
-from drivers.wire_log import WireLog
 
 _BEGIN_S: Final = 0.3
 """A command has no reply, and the status shows the motion a little later; in seconds."""
@@ -58,28 +55,15 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     """
 
     PORT: ClassVar = {"baudrate": 115200, "rtscts": True}
+    CONTROLLER = ThorlabsController
 
-    def __init__(
-        self,
-        ports: Sequence[Port],
-        axes: Sequence[ThorlabsAxis],
-        *,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> None:
-        super().__init__(axes, clock=clock, where=", ".join(port.name for port in ports))
+    def _set_up(self) -> None:
         self._begun: dict[str, _Begun] = {}
-        with closed_on_error(*ports):
-            self._lines = {
-                axis.name: ThorlabsController(port, clock=clock, wire_log=wire_log)
-                for axis, port in zip(axes, ports, strict=True)
-            }
-            self.identify()
-            for axis in axes:
-                self._check_scale(axis)
-            self._bring_to_rest()
-            for axis in axes:
-                self._program_speed(axis)
+        for axis in self._axes.values():
+            self._check_scale(axis)
+        self._bring_to_rest()
+        for axis in self._axes.values():
+            self._program_speed(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""

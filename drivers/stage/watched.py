@@ -24,7 +24,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.link import Link, Reading, read_position_until_agreed
-from drivers.serial_port import Port, SerialPort
+from drivers.serial_port import Port, SerialPort, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.motion import Axis
 from drivers.wire_log import WireLog
@@ -467,6 +467,24 @@ class LinePerAxisStage(WatchedStage[A], Generic[A, L]):
     _lines: Mapping[str, L]
     PORT: ClassVar[Mapping[str, Any]]
     """Settings of the ports, for ``SerialPort``."""
+    CONTROLLER: ClassVar[Callable[..., Any]]
+    """Makes the line of a controller on an open port."""
+
+    def __init__(
+        self, ports: Sequence[Port], axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        super().__init__(axes, clock=clock, where=", ".join(port.name for port in ports))
+        with closed_on_error(*ports):
+            self._lines = {
+                axis.name: self.CONTROLLER(port, clock=clock, wire_log=wire_log)
+                for axis, port in zip(axes, ports, strict=True)
+            }
+            self.identify()
+            self._set_up()
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Bring the axes to rest, and set what the station file states, after the serial numbers were compared."""
 
     @classmethod
     def open(cls, axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None) -> Self:
@@ -475,15 +493,13 @@ class LinePerAxisStage(WatchedStage[A], Generic[A, L]):
         The ports raise the errors of ``drivers.serial_port.SerialPort``.
         """
         ports: list[Port] = []
-        construct: Any = cls
         with ExitStack() as opened:
             for axis in axes:
                 address: Any = axis
                 ports.append(SerialPort(address.port, **cls.PORT))
                 opened.callback(ports[-1].close)
             opened.pop_all()
-        stage: Self = construct(ports, axes, clock=clock, wire_log=wire_log)
-        return stage
+        return cls(ports, axes, clock=clock, wire_log=wire_log)
 
     @abstractmethod
     def _stop_one(self, name: str) -> None:

@@ -15,7 +15,7 @@ from typing import ClassVar, TypeVar
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
 from drivers.link import Link, ReplyReader, repeat
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, ximc_protocol
 from drivers.stage.motion import Axis
 from drivers.stage.watched import (
@@ -187,26 +187,13 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     """
 
     PORT: ClassVar = {"baudrate": 115200, "stopbits": 2}
+    CONTROLLER = XimcController
 
-    def __init__(
-        self,
-        ports: Sequence[Port],
-        axes: Sequence[XimcAxis],
-        *,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> None:
-        super().__init__(axes, clock=clock, where=", ".join(port.name for port in ports))
-        with closed_on_error(*ports):
-            self._lines = {
-                axis.name: XimcController(port, clock=clock, wire_log=wire_log)
-                for axis, port in zip(axes, ports, strict=True)
-            }
-            self.identify()
-            self._bring_to_rest()
-            for axis in axes:
-                self._program_speed(axis)
-                self._program_borders(axis)
+    def _set_up(self) -> None:
+        self._bring_to_rest()
+        for axis in self._axes.values():
+            self._program_speed(axis)
+            self._program_borders(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""

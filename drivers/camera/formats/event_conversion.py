@@ -37,8 +37,8 @@ from drivers.camera.formats.event_files import (
 )
 from drivers.camera.formats.prophesee_words import header_fields, is_dat, is_evt2
 from drivers.camera.raw_file import RawFile
-from drivers.camera.raw_header import MAX_HEADER_BYTES, MAX_SIDE_PX, render_header
-from drivers.camera.raw_writer import new_file, require_regular, write_error
+from drivers.camera.raw_header import MAX_SIDE_PX, render_header
+from drivers.camera.raw_writer import new_file, read_start, write_error
 from drivers.errors import NotARecording, RecordingFileError
 
 Kind = Literal["raw", "metavision", "hdf5", "numpy"]
@@ -113,9 +113,9 @@ def write_raw(
                 count += len(piece.t)
                 latest = max(latest, int(piece.t.max()))
                 until = int(np.searchsorted(triggers.t, latest, "right"))
-                file.write(encoder.words(piece, _edges(triggers, done, until)).tobytes())
+                file.write(encoder.words(piece, triggers.part(done, until)).tobytes())
                 done = max(done, until)
-            file.write(encoder.words(empty_events(0), _edges(triggers, done, len(triggers.t))).tobytes())
+            file.write(encoder.words(empty_events(0), triggers.part(done, len(triggers.t))).tobytes())
         except ValueError as error:
             raise RecordingFileError(
                 f"EVT3 cannot represent the file: {error}.",
@@ -139,17 +139,11 @@ def _folder_beside(target: Path) -> TemporaryDirectory[str]:
 def is_evt3(path: Path) -> bool:
     """Return whether a file is a RAW recording with EVT3 words, or pretends to be one; False if it cannot be read."""
     try:
-        require_regular(path)
-        with path.open("rb") as file:
-            start = file.read(MAX_HEADER_BYTES)
+        start = read_start(path)
         fields = header_fields(start)[0]
     except (OSError, ValueError):
         return False  # open_events reports the reason
     return start.startswith(b"% ") and not is_dat(start) and not is_evt2(fields)
-
-
-def _edges(triggers: Triggers, begin: int, end: int) -> Triggers:
-    return Triggers(triggers.t[begin:end], triggers.value[begin:end], triggers.id[begin:end])
 
 
 def _header(found: EventSource, source: Path, utc_now: Callable[[], datetime]) -> bytes:

@@ -55,8 +55,7 @@ from drivers.camera.formats.hdf5_reading import (
 from drivers.camera.formats.library_process import source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.raw_file import RawFile
-from drivers.camera.raw_header import MAX_HEADER_BYTES
-from drivers.camera.raw_writer import new_file, require_regular, require_whole
+from drivers.camera.raw_writer import new_file, read_start, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 CHUNK_EVENTS: Final = 16384
@@ -254,8 +253,6 @@ def _new_hdf5(path: Path) -> Iterator[Any]:
 _AGAIN: Final = "Export it again from the RAW recording."
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
 PIECE_EVENTS: Final = 500_000
-_NAMES: Final = ("t", "x", "y", "p")
-_TRIGGER_NAMES: Final = ("t", "value", "id")
 
 _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError, NotImplementedError),
@@ -324,9 +321,7 @@ def _start(path: Path) -> bytes:
     """Return the first bytes of a file that is whole; nothing for the folder of a ROS 2 bag."""
     if is_bag(path, b""):
         return b""
-    require_regular(path)
-    with path.open("rb") as file:
-        start = file.read(MAX_HEADER_BYTES)
+    start = read_start(path)
     require_whole(path)
     return start
 
@@ -351,10 +346,10 @@ def _not_events(path: Path, why: str) -> NotARecording:
 
 
 def _from_hdf5(file: Any) -> EventSource:
-    columns = {name: dataset(file, f"events/{name}") for name in _NAMES}
+    columns = {name: dataset(file, f"events/{name}") for name in Events._fields}
     require_one_length({name: _length(column, f"events/{name}") for name, column in columns.items()})
     require_ratio(sum(column.nbytes for column in columns.values()), int(file.id.get_filesize()), "events")
-    edges = {name: dataset(file, f"triggers/{name}") for name in _TRIGGER_NAMES}
+    edges = {name: dataset(file, f"triggers/{name}") for name in Triggers._fields}
     header = texts(member(file, "header"))
     sides = texts(file)
     missing = [name for name in ("width", "height") if name not in sides]
@@ -383,7 +378,7 @@ def _from_metavision(file: Any) -> EventSource:
 
     def pieces() -> Iterator[Events]:
         for part in rows(events, _decoded_ecf if is_ecf else None):
-            yield as_events(*(part[name] for name in _NAMES))
+            yield as_events(*(part[name] for name in Events._fields))
 
     return EventSource(len(events), triggers, width, height, header, pieces)
 

@@ -48,8 +48,6 @@ from drivers.camera.raw_header import MAX_SIDE_PX
 from drivers.errors import CameraSoftwareMissing, DriverError, RecordingCorrupt
 
 _PIECE: Final = 500_000
-_NAMES: Final = ("t", "x", "y", "p")
-_EDGE_NAMES: Final = ("t", "value", "id")
 _NAMED: Final = {"npz": "NumPy file", "aedat4": "AEDAT4 file", "bag": "ROS bag"}
 
 
@@ -59,9 +57,7 @@ def main(kind: str, path: Path) -> None:
     try:
         source = _open(kind, path)
         for begin in range(0, len(source.triggers.t), _PIECE):
-            place = slice(begin, begin + _PIECE)
-            t, value, channel = source.triggers
-            _write({}, triggers=Triggers(t[place], value[place], channel[place]))
+            _write({}, triggers=source.triggers.part(begin, begin + _PIECE))
         size = {"count": source.count, "width": source.width, "height": source.height}
         _write({**size, "header": dict(source.header)})
         for events in source.pieces():
@@ -119,10 +115,10 @@ def _from_npz(path: Path) -> EventSource:
         require_ratio(sum(one.file_size for one in archive.infolist()), path.stat().st_size, "it")
     with np.load(path, allow_pickle=False) as file:
         width, height = (int(side) for side in _array(file, "size"))
-        columns = {name: _array(file, name) for name in _NAMES}
+        columns = {name: _array(file, name) for name in Events._fields}
         require_one_length({name: len(column) for name, column in columns.items()})
         events = as_events(**columns)
-        triggers = as_triggers({name: _array(file, f"trigger_{name}") for name in _EDGE_NAMES})
+        triggers = as_triggers({name: _array(file, f"trigger_{name}") for name in Triggers._fields})
 
     def stream() -> Iterator[Piece]:
         yield events, triggers

@@ -19,15 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import raw_header
-from drivers.camera.event_arrays import Events, EventSource, Piece, Triggers, source_of_stream
+from drivers.camera.event_arrays import Events, EventSource, Piece, Triggers, empty_triggers, source_of_stream
 from drivers.camera.raw_header import MAX_HEADER_BYTES
-from drivers.camera.raw_writer import require_regular
+from drivers.camera.raw_writer import read_start
 
 _PIECE_BYTES: Final = 1 << 21
 _CD_TYPES: Final = (0x00, 0x0C)
 _DAT_EVENT_BYTES: Final = 8
 _HEAD_BYTES: Final = 4096
-_NONE: Final = Triggers(np.zeros(0, np.int64), np.zeros(0, np.uint8), np.zeros(0, np.uint8))
 _KEPT: Final = ("serial_number", "date", "integrator_name", "sensor_name")
 _SIZES: Final = {"49": (1280, 720), "48": (1280, 720), "42": (1280, 720), "21": (640, 480), "28": (640, 480)}
 """Size of the sensor by ``system_ID``, px, for files that do not state it."""
@@ -50,9 +49,7 @@ def is_evt2(fields: Mapping[str, str]) -> bool:
 def is_evt2_file(path: Path) -> bool:
     """Return whether a file is RAW with EVT2 words; False where it cannot be read: what reads it then says why."""
     try:
-        require_regular(path)
-        with path.open("rb") as file:
-            return is_evt2(header_fields(file.read(MAX_HEADER_BYTES))[0])
+        return is_evt2(header_fields(read_start(path))[0])
     except (OSError, ValueError):
         return False
 
@@ -165,4 +162,4 @@ def _dat_pieces(path: Path, begin: int) -> Iterator[Piece]:
         if len(low):
             last, loops = int(low[-1]), loops + int(turned[-1])
         x, y = (data & 0x3FFF).astype(np.uint16), ((data >> 14) & 0x3FFF).astype(np.uint16)
-        yield Events(t, x, y, (data >> 28).astype(np.uint8)), _NONE
+        yield Events(t, x, y, (data >> 28).astype(np.uint8)), empty_triggers(0)
