@@ -24,12 +24,6 @@ RUN = "the sealed run"
 FIXED = "fixed text"
 
 
-def _always_answered(lab: LabConfig, results: Results) -> Sequence[Path]:
-    """Return nothing: no key of lab.yaml is needed."""
-    del lab, results
-    return ()
-
-
 @dataclass(frozen=True)
 class Clause:
     """A clause, and what answers it."""
@@ -38,7 +32,8 @@ class Clause:
     item: str
     field: str
     origin: str  # The key of lab.yaml that gives them, ``the sealed run``, ``fixed text`` or both
-    missing: Callable[[LabConfig, Results], Sequence[Path]] = _always_answered
+    # Returns the keys of lab.yaml that are not stated; None if no key is needed.
+    missing: Callable[[LabConfig, Results], Sequence[Path]] | None = None
 
 
 @dataclass(frozen=True)
@@ -261,7 +256,8 @@ CLAUSES = (
 
 def unanswered(lab: LabConfig, results: Results) -> list[Unanswered]:
     """Return the clauses that lab.yaml and the run leave open, in order, one for each missing key."""
-    return [Unanswered(clause, path) for clause in CLAUSES for path in clause.missing(lab, results)]
+    asked = [(clause, clause.missing(lab, results)) for clause in CLAUSES if clause.missing is not None]
+    return [Unanswered(clause, path) for clause, paths in asked for path in paths]
 
 
 def table() -> str:

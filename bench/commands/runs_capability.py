@@ -28,7 +28,6 @@ from bench.history.merged_runs import (
 from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
 from bench.history.table import (
     SCHEMA,
-    kind_of,
     parameter_unit,
     require_writable_table,
     table_row,
@@ -206,7 +205,7 @@ class _Run:
         """What all runs of a study share."""
         names = sorted(name for name in self.run.parameters if name in _OF_THE_CAMERA)
         camera = str(self.details.get("camera_type") or "camera type not known")
-        return kind_of(self.run), camera, f"model {self.run.model}", ", ".join(names)
+        return self.run.kind, camera, f"model {self.run.model}", ", ".join(names)
 
 
 _FACTORS: Mapping[str, Callable[[_Run], str]] = {

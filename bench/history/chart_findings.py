@@ -17,7 +17,7 @@ from scipy import stats
 
 from bench.history.merged_runs import RunPlace
 from bench.history.statistics import LEVEL, SHEWHART_CHANCE, Drift, Ewma, ewma, find_drift, holm, individuals
-from bench.history.table import kind_of, parameter_unit
+from bench.history.table import parameter_unit
 from bench.records.ledger import bench_ledger
 from bench.records.run_facts import Estimate
 from bench.records.run_folder import JOURNAL
@@ -104,7 +104,7 @@ def _key(run: IndexedRun, details: Mapping[str, Any], place: RunPlace) -> ChartK
     bench = f"{place.bench}, ledger {place.ledger}" if place.ledger else ""
     return ChartKey(
         "camera",
-        kind_of(run),
+        run.kind,
         bench,
         run.station,
         str(details.get("camera_type") or "camera type not known"),

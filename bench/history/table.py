@@ -185,11 +185,6 @@ COLUMNS: Sequence[Column] = (
 _COPIED = frozenset(column.name for column in COLUMNS)
 
 
-def kind_of(run: IndexedRun) -> str:
-    """Return what a run is: ``measured``, ``simulated`` or ``rehearsed``."""
-    return "rehearsed" if run.rehearsal else "simulated" if run.simulated else "measured"
-
-
 def table_row(
     run: IndexedRun, details: Mapping[str, Any], place: RunPlace, state: ShownState
 ) -> dict[str, Any]:
@@ -201,7 +196,7 @@ def table_row(
     row |= {
         "schema": SCHEMA,
         "run": run.id,
-        "kind": kind_of(run),
+        "kind": run.kind,
         "outcome": run.how,
         "bench": place.bench or None,
         "ledger": place.ledger or None,

@@ -63,6 +63,11 @@ class IndexedRun:
     ledger_number: int | None = None
     ledger_head: str | None = None
 
+    @property
+    def kind(self) -> str:
+        """What it is: ``measured``, ``simulated`` or ``rehearsed``."""
+        return "rehearsed" if self.rehearsal else "simulated" if self.simulated else "measured"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the run as JSON carries it."""
         return {**asdict(self), "parameters": parameters_data(self.parameters)}

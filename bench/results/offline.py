@@ -17,7 +17,7 @@ from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
 from bench.results.solution import calibrated
 from bench.results.solve_options import readings_result
-from bench.results.view_sources import ViewSource, view_sources
+from bench.results.view_sources import ViewSource, jobs_of, view_sources
 from bench.stations.station_budget import CollimatorConfig
 from bench.views.views_file import KeptViews, StoredView
 from calib.boards.board import Board
@@ -60,8 +60,8 @@ class OfflineResult:
     @property
     def job(self) -> Job | None:
         """The run of which all views are; None if they are not of one run."""
-        jobs = {id(source.job): source.job for source in self.sources}
-        return next(iter(jobs.values())) if len(jobs) == 1 else None
+        jobs = jobs_of(self.sources)
+        return jobs[0] if len(jobs) == 1 else None
 
     @property
     def conformity(self) -> ConformityData | None:
@@ -183,10 +183,10 @@ def _engine_options(
 
     One run is calibrated as it was; several share a passport at most, since the camera may have been mounted anew.
     """
-    jobs = {id(source.job): source.job for source in sources}
-    job = next(iter(jobs.values())) if len(jobs) == 1 else None
+    jobs = jobs_of(sources)
+    job = jobs[0] if len(jobs) == 1 else None
     steps = [step for step in job.steps if isinstance(step, SolveStep)] if job is not None else []
-    found = [None if one is None else one.plan.passport.in_use for one in jobs.values()]
+    found = [None if one is None else one.plan.passport.in_use for one in jobs]
     passports = {one.data: one for one in found if one is not None}
     cautions: list[str] = []
     if job is not None and steps:

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from bench.base.bounded_json import mapped
+from bench.base.bounded_json import canonical_json, mapped
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
@@ -25,9 +25,9 @@ from bench.records.storage import make_folder, sha256_of, storage_errors, write_
 from bench.results import results_content
 from bench.results.offline import OfflineResult
 from bench.results.offline_options import options_data
-from bench.results.result import json_bytes, shown_files
+from bench.results.result import shown_files
 from bench.results.results_content import calculated, collimator_data, files_software, target_data
-from bench.results.view_sources import PHOTOGRAPHS, ViewSource
+from bench.results.view_sources import PHOTOGRAPHS, ViewSource, jobs_of
 from bench.views.views_file import VIEWS, views_file
 
 SOURCES = "sources.json"
@@ -109,12 +109,12 @@ def offline_files(
     }
     in_place = partial(_read_from, places=read_from or {})
     results, described = (mapped(content, in_place) for content in (results, described))
-    files = {SOURCES: json_bytes(described), VIEWS: views_file(result.stored_views)}
+    files = {SOURCES: canonical_json(described), VIEWS: views_file(result.stored_views)}
     if result.passport is not None:
         files[PASSPORT_COPY] = result.passport.data
     target = result.board or result.target
     files |= shown_files(results, result.calibration, camera_name, target, result.stored_views)
-    files[RESULTS] = json_bytes(results)
+    files[RESULTS] = canonical_json(results)
     return files
 
 
@@ -194,7 +194,7 @@ def _pose_rows(result: OfflineResult) -> list[dict[str, Any]]:
 
 def _jobs(result: OfflineResult) -> list[Job]:
     """Return the tasks of the runs that the views are from, each once."""
-    return list({id(source.job): source.job for source in result.sources if source.job}.values())
+    return [job for job in jobs_of(result.sources) if job is not None]
 
 
 def _started(source: ViewSource) -> dict[str, Any]:

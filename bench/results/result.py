@@ -112,7 +112,7 @@ class ResultWriter:
             ledger = history.ledger
         if previous := previous_calibration(bench_ledger(), ledger, results):
             results["previous"] = previous
-        self._folder.write_atomic(RESULTS, json_bytes(results))
+        self._folder.write_atomic(RESULTS, canonical_json(results))
         self._folder.write_atomic(VIEWS, views_file(solution.views))
         target = self._job.board or self._job.target
         shown = shown_files(
@@ -140,11 +140,6 @@ def shown_files(
     pictured = pictured_poses(results).names
     pictures = [one.shown(pictured=one.view.name in pictured) for one in views]
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
-
-
-def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """Return JSON as results.json and the other files of results hold it."""
-    return canonical_json(content)
 
 
 # The last calibration of the same camera, found by the bench's ledger, and the change since then.

@@ -35,12 +35,19 @@ if TYPE_CHECKING:
 # A calibration made again from the numbers of results.json, without its residuals; nothing is calculated.
 
 
+_SAME = (
+    *("model", "rms_px", "mean_px", "variance_factor", "degrees_of_freedom", "converged", "iterations"),
+    *("coverage_factor", "left_out_rms_px", "budget"),
+)
+"""What results.json states of a calibration as `Calibration` holds it."""
+
+
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
     """Return the calibration of results.json, without residuals, weights and candidates."""
     names = tuple(stored["covariance"]["names"])
     values = {**stored["camera"], **(stored["collimator"] or {})}
     return Calibration(
-        model=stored["model"],
+        **{name: stored[name] for name in _SAME},
         camera=stored_camera(stored),
         collimator=stored_collimator(stored["collimator"]),
         rotations=np.array([view["rotation"] for view in stored["views"]], np.float64),
@@ -50,19 +57,10 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
         covariance=np.array(stored["covariance"]["matrix"], np.float64),
         residuals_px=[],
         weights=[],
-        rms_px=stored["rms_px"],
-        mean_px=stored["mean_px"],
-        variance_factor=stored["variance_factor"],
-        degrees_of_freedom=stored["degrees_of_freedom"],
         views=tuple(
             ViewSummary(view["name"], view["n"], view["rms_px"], view["mean_px"]) for view in stored["views"]
         ),
-        converged=stored["converged"],
-        iterations=stored["iterations"],
         birge_ratio=stored["disagreement"],
-        coverage_factor=stored["coverage_factor"],
-        left_out_rms_px=stored["left_out_rms_px"],
-        budget=stored["budget"],
         notes=tuple(stored["notes"]),
         gimbal=GimbalEstimate(**stored["gimbal"]) if stored.get("gimbal") else None,
         boresight=Boresight.from_dict(stored["boresight"]) if stored.get("boresight") else None,

@@ -71,7 +71,7 @@ def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
     differing = (
         ("cameras", {r.camera for r in runs}),
         ("models", {str(r.model) for r in runs}),
-        ("kinds", {_kind(r) for r in runs}),
+        ("kinds", {r.kind for r in runs}),
     )
     for what, kinds in differing:
         if len(kinds) > 1:
@@ -85,10 +85,6 @@ def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
         if all(name in r.parameters and r.parameters[name].sigma > 0 for r in runs)
     ]
     return [agreement(name, [run.parameters[name] for run in runs]) for name in shared]
-
-
-def _kind(run: IndexedRun) -> str:
-    return "rehearsed" if run.rehearsal else "simulated" if run.simulated else "measured"
 
 
 def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -65,6 +65,11 @@ class ViewSource:
     def name(self) -> str:
         """Name of its view: that of the pose, or of the file without its ending."""
         return self.view_name or (self.attempt.pose_name if self.attempt else self.path.stem)
+
+
+def jobs_of(sources: Iterable[ViewSource]) -> list[Job | None]:
+    """Return the tasks of the runs that views are from, each once; None stands for files that are of no run."""
+    return list({id(source.job): source.job for source in sources}.values())
 
 
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:

@@ -5,6 +5,7 @@ import json
 import shutil
 from datetime import datetime
 
+from bench.base.bounded_json import canonical_json
 from bench.evidence.seal import make_manifest
 from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import sign
@@ -13,7 +14,6 @@ from bench.records.run_folder import written_files
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import pictured_poses
 from bench.results.exports import exports
-from bench.results.result import json_bytes
 from bench.results.run_reader import stored_calibration
 from bench.views.views_file import read_views, views_file
 
@@ -65,7 +65,7 @@ class Forger:
     def edit_results(self, change):
         results = self.results
         change(results)
-        (self.folder / "results.json").write_bytes(json_bytes(results))
+        (self.folder / "results.json").write_bytes(canonical_json(results))
 
     # ------------------------------------------------------------------ journal
 

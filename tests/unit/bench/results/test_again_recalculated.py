@@ -8,12 +8,12 @@ from unittest import mock
 
 import pytest
 
+from bench.base.bounded_json import canonical_json
 from bench.evidence.verify import verify_folder
 from bench.results.again_recalculated import check_recalculated
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import write_offline_results
 from bench.results.offline_options import OfflineOptions, options_data, options_of_data
-from bench.results.result import json_bytes
 from calib.boards.board import Board
 from calib.engine import calibrate
 from tests.unit.bench.evidence.resealed import Forger, copied, kinds
@@ -123,7 +123,7 @@ def in_json(name, change):
     def attack(f):
         content = json.loads((f / name).read_bytes())
         change(content)
-        (f / name).write_bytes(json_bytes(content))
+        (f / name).write_bytes(canonical_json(content))
 
     return attack
 

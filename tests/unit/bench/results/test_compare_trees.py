@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from report_sample import sample
 
+from bench.base.bounded_json import canonical_json
 from bench.evidence.findings import Findings
 from bench.report import plots
 from bench.results.compare_trees import MadeAgain, compare_trees
-from bench.results.result import json_bytes, shown_files
+from bench.results.result import shown_files
 from bench.results.results_content import software
 from bench.results.run_reader import stored_calibration
 from bench.views.views_file import StoredView, views_file
@@ -39,7 +40,11 @@ def write(folder, results, held):
     """Write results and what follows from them."""
     calibration = stored_calibration(results["calibration"])
     shown = shown_files(results, calibration, "camera", TARGET, held, HEAD)
-    for name, data in {"results.json": json_bytes(results), "views.h5": views_file(held), **shown}.items():
+    for name, data in {
+        "results.json": canonical_json(results),
+        "views.h5": views_file(held),
+        **shown,
+    }.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
 
@@ -146,5 +151,5 @@ def test_views_that_hold_more_than_their_content_are_a_fault(folder, made):
 def test_if_results_are_wrong_nothing_is_said_of_what_follows_from_them(folder, made):
     results = copy.deepcopy(made[1])
     results["calibration"]["covariance"]["names"] = []
-    (folder / "results.json").write_bytes(json_bytes(results))
+    (folder / "results.json").write_bytes(canonical_json(results))
     assert {fault.kind for fault in compared(folder, made).faults} == {"results"}
