@@ -24,7 +24,6 @@ from bench.cluster.tasks import (
     FoundView,
     Listed,
     Place,
-    SealedBy,
     Task,
     calibrate_found,
     find_view,
@@ -49,7 +48,7 @@ from bench.plan.plan import load_documents, make_plan
 from bench.records.run_folder import RESULTS
 from bench.records.storage import sha256_of, storage_errors, sync_folder, write_atomic
 from bench.results.forecasts import expected_bench
-from bench.results.offline_folder import write_files
+from bench.results.offline_folder import SealedBy, write_files
 from bench.stations.station import Station
 from calib.calibration import CalibrationOptions
 from calib.studies.monte_carlo import MonteCarloStudy, Repetition, calibrate_once, study_of
@@ -297,8 +296,7 @@ class Recalculation:
         if len(run.found) < len(run.captures):
             return
         views = [run.found[at] for at in range(len(run.captures))]
-        key = self._folders.key if self._folders is not None else None
-        sealed_by = SealedBy(key.principal, key.fingerprint) if key is not None else None
+        sealed_by = SealedBy.of(self._folders.key if self._folders is not None else None)
         arguments = (run.place, views, run.name, sealed_by, self._task, self._folders is not None)
         self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
         run.found = {}

@@ -23,7 +23,7 @@ from bench.cluster.work import require_program_of
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.records.storage import read_json, sha256_of, storage_errors
 from bench.results.offline import OfflineResult, calibrate_sources, with_kept_views
-from bench.results.offline_folder import offline_files
+from bench.results.offline_folder import SealedBy, offline_files
 from bench.results.offline_options import OfflineOptions, options_data
 from bench.results.view_sources import ViewSource, view_sources
 from bench.views.views_file import VIEWS, KeptViews
@@ -218,14 +218,6 @@ class Task:
         if self.kept is None:
             return KeptViews.of_bench()
         return KeptViews(Path(self.kept)) if self.kept else None
-
-
-@dataclass(frozen=True)
-class SealedBy:
-    """The public part of the bench's key, which results state."""
-
-    principal: str
-    fingerprint: str
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,7 @@ from bench.history.merged_runs import (
     read_source,
 )
 from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
-from bench.history.table import (
-    SCHEMA,
-    parameter_unit,
-    require_writable_table,
-    table_row,
-    write_table,
-)
+from bench.history.table import SCHEMA, parameter_unit, require_writable_table, table_row, write_table
 from bench.records.ledger import Ledger
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.records.storage import write_atomic

@@ -18,13 +18,7 @@ from bench.evidence.sshsig import read_signature
 from bench.records.events import Event
 from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_marks import (
-    EXPLAIN,
-    STILL_OPEN,
-    KnownRun,
-    LedgerRun,
-    Strangers,
-)
+from bench.records.ledger_marks import EXPLAIN, STILL_OPEN, KnownRun, LedgerRun, Strangers
 from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, is_sealed
 from bench.records.run_index import RunIndex
 from bench.records.storage import sha256_of

@@ -6,7 +6,7 @@ Where a source has gone, or is another file now, it says that the numbers were n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,9 @@ from bench.plan.passports import PassportInUse, read_passport_file
 from bench.records.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE
 from bench.records.storage import read_json, sha256_of
 from bench.results.compare_numbers import differences
-from bench.results.compare_trees import (
-    MadeAgain,
-    compare_file,
-    compare_instructions,
-    compare_trees,
-)
+from bench.results.compare_trees import MadeAgain, compare_file, compare_instructions, compare_trees
 from bench.results.offline import OfflineResult, calibrate_paths
-from bench.results.offline_folder import SOURCES, offline_files, source_data
+from bench.results.offline_folder import SOURCES, SealedBy, offline_files, source_data
 from bench.results.offline_options import StationFile, options_of_data
 from bench.results.results_content import other_engine, other_software
 from bench.stations.station import load_station
@@ -34,14 +29,6 @@ from calib.errors import CalibrationError
 from calib.target import StarTarget
 from drivers.errors import DriverError
 from sequences.errors import SequencesError
-
-
-@dataclass(frozen=True)
-class _Sealer:
-    """Who sealed the folder: the name that the results state, and the key of the signature."""
-
-    principal: str
-    fingerprint: str
 
 
 def check_recalculated(folder: Path) -> Findings:
@@ -114,13 +101,13 @@ def _check_station(described: Mapping[str, Any], found: Findings) -> None:
         found.fault("results", SOURCES, f"option_target: {one}, by the station file {path}")
 
 
-def _sealer(folder: Path, stored: Mapping[str, Any]) -> _Sealer | None:
-    """Return who seals the results made again; None if the stored ones name nobody. Raises one of ``UNREADABLE``."""
+def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:
+    """Return who sealed the results, by the key of their signature; None if they name nobody. Raises ``UNREADABLE``."""
     stated = stored["run"].get("sealed_by")
     if stated is None:
         return None
     key = read_signature((folder / SIGNATURE).read_bytes()).public_key
-    return _Sealer(str(stated["principal"]), fingerprint(key))
+    return SealedBy(str(stated["principal"]), fingerprint(key))
 
 
 def _cannot(described: Mapping[str, Any]) -> str:

@@ -33,12 +33,7 @@ from bench.records.run_folder import (
 )
 from bench.records.storage import read_bounded, read_json
 from bench.results.compare_numbers import MOST_SHOWN, add_faults, differences, is_excused, tolerance
-from bench.results.compare_trees import (
-    MadeAgain,
-    compare_instructions,
-    compare_plan,
-    compare_trees,
-)
+from bench.results.compare_trees import MadeAgain, compare_instructions, compare_plan, compare_trees
 from bench.results.result import change_since
 from bench.results.results_content import (
     other_engine,

@@ -7,11 +7,11 @@ their runs; without a key the folder is a draft.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Self
 
 from bench.base.bounded_json import canonical_json, mapped
 from bench.base.errors import UsageError
@@ -39,16 +39,17 @@ RECALCULATION = (
 """What results.json states about results that were not calculated by a run."""
 
 
-class Sealer(Protocol):
-    """Who seals a folder, as its results state it: a `bench.evidence.keys.BenchKey`, or its public part."""
+@dataclass(frozen=True)
+class SealedBy:
+    """Who seals a folder, as its results state it."""
 
-    @property
-    def principal(self) -> str:
-        """Name of the signer, as ``name@place``."""
+    principal: str  # Name of the signer, as ``name@place``
+    fingerprint: str  # Of the public key
 
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the public key."""
+    @classmethod
+    def of(cls, key: BenchKey | None) -> Self | None:
+        """Return who seals with a key; None without one."""
+        return None if key is None else cls(key.principal, key.fingerprint)
 
 
 def require_new(folder: Path) -> None:
@@ -66,7 +67,7 @@ def require_new(folder: Path) -> None:
 def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | None = None) -> None:
     """Write an offline calibration to a new folder, ``results.json`` last, then seal it, or leave it a draft."""
     require_new(folder)
-    write_files(folder, offline_files(result, folder.resolve().name, key))
+    write_files(folder, offline_files(result, folder.resolve().name, SealedBy.of(key)))
     if key is not None:
         seal_folder(folder, key)
 
@@ -81,20 +82,20 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 def offline_files(
     result: OfflineResult,
     name: str,
-    key: Sealer | None = None,
+    sealed_by: SealedBy | None = None,
     *,
     sources: Sequence[dict[str, Any]] | None = None,
     read_from: Mapping[str, str] | None = None,
 ) -> dict[str, bytes]:
     """Return the files of an offline calibration by name, before its seal; ``results.json`` is the last one.
 
-    ``key`` None leaves a draft. ``sources`` is what `source_data` returns for each view; None reads and hashes the
-    files now. ``read_from`` gives the place that a folder was copied from.
+    ``sealed_by`` None leaves a draft. ``sources`` is what `source_data` returns for each view; None reads and hashes
+    the files now. ``read_from`` gives the place that a folder was copied from.
     """
     if sources is None:
         pairs = zip(result.sources, result.views, strict=True)
         sources = [source_data(source, view.name) for source, view in pairs]
-    results = offline_results(result, name, sources, key)
+    results = offline_results(result, name, sources, sealed_by)
     camera_name = _camera_name(result)
     described = {
         "schema": SCHEMA,
@@ -127,12 +128,12 @@ def _read_from(value: Any, places: Mapping[str, str]) -> Any:
 
 
 def offline_results(
-    result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: Sealer | None = None
+    result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], sealed_by: SealedBy | None
 ) -> dict[str, Any]:
     """Return results.json of an offline calibration: as a run's, but without devices, gates and states."""
     return {
         "schema": results_content.SCHEMA,
-        "run": _run_facts(result, name, key),
+        "run": _run_facts(result, name, sealed_by),
         "devices": {},
         **calculated(result.calibration, result.planar, result.passport, result.readings, result.views),
         "poses": _pose_rows(result),
@@ -145,7 +146,7 @@ def offline_results(
     }
 
 
-def _run_facts(result: OfflineResult, name: str, key: Sealer | None) -> dict[str, Any]:
+def _run_facts(result: OfflineResult, name: str, sealed_by: SealedBy | None) -> dict[str, Any]:
     """Return section ``run`` of results.json: which runs were calculated again, when, and who seals the result."""
     jobs = _jobs(result)
     job = jobs[0] if len(jobs) == 1 else None
@@ -159,7 +160,7 @@ def _run_facts(result: OfflineResult, name: str, key: Sealer | None) -> dict[str
         "id": name,
         "offline": True,
         "statement": RECALCULATION,
-        "sealed_by": {"principal": key.principal, "fingerprint": key.fingerprint} if key else None,
+        "sealed_by": asdict(sealed_by) if sealed_by else None,
         "of_runs": _runs(result),
         "calibrated_utc": now,
         "of_run": started.get("id"),
