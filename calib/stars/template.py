@@ -27,6 +27,8 @@ MIN_LIKENESS = 0.2
 #: Standard deviation, as a share of the brightness, up to which an image counts as flat: it is interpolated in single
 #: precision, which is right to 6e-8.
 FLAT = 2e-6
+#: Number of rows of points that OpenCV interpolates at once: it takes fewer than 32,767.
+ROWS = 1 << 14
 
 
 class StarTemplate(NamedTuple):
@@ -100,13 +102,13 @@ def values_at(
     image: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating]
 ) -> NDArray[np.float32]:
     """Return the bilinear values of an image at points, of the shape of ``x`` and ``y``, px; nan outside."""
-    if not x.size:
-        return np.zeros(x.shape, np.float32)
     across, down = (np.asarray(each, np.float32).reshape(-1, x.shape[-1]) for each in (x, y))
-    found = cv2.remap(
-        image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
-    )
-    return np.asarray(found, np.float32).reshape(x.shape)
+    found = np.empty(across.shape, np.float32)
+    border = cv2.BORDER_CONSTANT
+    for first in range(0, len(found), ROWS):
+        part = slice(first, first + ROWS)
+        cv2.remap(image, across[part], down[part], cv2.INTER_LINEAR, found[part], border, np.nan)
+    return found.reshape(x.shape)
 
 
 def correlations(seen: NDArray[np.float32], template: StarTemplate) -> NDArray[np.float64]:
@@ -114,11 +116,16 @@ def correlations(seen: NDArray[np.float32], template: StarTemplate) -> NDArray[n
 
     It is 0 if the image is flat there.
     """
-    known = ~np.isnan(seen)
-    count = known.sum(axis=-1, dtype=np.float32)
+    count = np.full(seen.shape[:-1], seen.shape[-1], np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.where(known, seen, 0.0).sum(axis=-1) / count
-        off = np.where(known, seen - mean[..., None], 0.0)
+        mean = seen.sum(axis=-1) / count
+        off = seen - mean[..., None]
+        partly = np.isnan(mean)
+        if partly.any():
+            known = ~np.isnan(seen[partly])
+            count[partly] = known.sum(axis=-1, dtype=np.float32)
+            mean[partly] = np.where(known, seen[partly], 0.0).sum(axis=-1) / count[partly]
+            off[partly] = np.where(known, seen[partly] - mean[partly, None], 0.0)
         variance = np.einsum("...s,...s->...", off, off) / count
         found = off @ template.expected.astype(np.float32) / count / np.sqrt(variance)
     found = np.where(variance > (FLAT * mean) ** 2, found, 0.0)
