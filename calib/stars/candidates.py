@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import StarsUnnamed, TargetNotFound
+from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import StarLabels, label_by_pose, label_by_tag
@@ -50,12 +51,13 @@ def find_candidates(
     Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
     Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
     """
-    tag = find_tag(image, target, name=name, reduced_only=True)
+    picture = to_uint8(image)
+    tag = find_tag(picture, target, name=name, reduced_only=True)
     if tag is None:
         # The pictures of full size take long, and never show a tag that the border of the image cuts.
         found = find_without_tag(smoothed, target, expected, name)
         if not _is_tag_cut(smoothed, found, target):
-            tag = find_tag(image, target, name=name)
+            tag = find_tag(picture, target, name=name)
     if tag is None:
         return _label_without_tag(found, target, expected, name)
     grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, lambda n: printed(target, n))

@@ -142,12 +142,18 @@ def normal_equations(
         far_x += (abs(b[0, 0]) + abs(b[0, 1]) + abs(b[0, 2])) * reach * reach
         far_y = (abs(a[1, 0]) + abs(a[1, 1])) * reach
         far_y += (abs(b[1, 0]) + abs(b[1, 1]) + abs(b[1, 2])) * reach * reach
-        n, used = _copy_inside(width, height, centres[star], a, b, samples, used_to[star], space)
+        x, y = centres[star]
+        n, used, places = samples.shape[1], samples.shape[1], samples
+        rim = max(far_x, far_y) + 1.01
+        inside = rim <= x <= width - 1 - rim and rim <= y <= height - 1 - rim  # not if the centre is nan
+        if not inside or min(used_to[star, 0], used_to[star, 1]) < reach:
+            n, used = _copy_inside(width, height, centres[star], a, b, samples, used_to[star], space)
+            places = space
         mean_square[star] = np.nan
         if n > 0 and n >= MIN_COVERED * used:
             far = int(max(far_x, far_y)) + 2
             squares = _sums_inside(
-                pixels, width, centres[star], far, a, b, space, n, slopes[star], normal[star], right[star]
+                pixels, width, centres[star], far, a, b, places, n, slopes[star], normal[star], right[star]
             )
             mean_square[star] = squares / n
 

@@ -62,7 +62,7 @@ LEARNING_ROUNDS = 3
 MAX_TRIES = 3
 #: Least number of points for a homography; from half of it on, an affine map is fitted.
 PERSPECTIVE_FROM = 16
-_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
+_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
 @dataclass
@@ -198,11 +198,10 @@ def _neighbours(
     nodes: NDArray[np.int64], grown: StarGrid, exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 ) -> NDArray[np.int64]:
     """Return the (M, 2) nodes next to some stars that have no star yet and may be searched again."""
-    next_to = np.unique((nodes[:, None, :] + _AROUND[None]).reshape(-1, 2), axis=0)
-    next_to = next_to[exists(next_to)]
-    keys = [(int(c), int(r)) for c, r in next_to]
-    open_ = [key not in grown.points and grown.tries.get(key, 0) < MAX_TRIES for key in keys]
-    return next_to[np.array(open_, bool)]
+    around = {(c + i, r + j) for c, r in nodes.tolist() for i, j in _AROUND}
+    open_ = [key for key in around if key not in grown.points and grown.tries.get(key, 0) < MAX_TRIES]
+    next_to = np.array(sorted(open_), np.int64).reshape(-1, 2)
+    return next_to[exists(next_to)]
 
 
 def _inside(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -72,10 +72,8 @@ def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float,
     """
     # Half of the star is blurred and computed; the other half is the same, turned.
     half, sigma = len(sharp) // 2, blur_px * OVERSAMPLING
-    reach = 2 * round(4.0 * sigma) + 1
-    blurred = cv2.GaussianBlur(sharp[: half + 1 + reach], (2 * round(4.0 * sigma) + 1,) * 2, sigma)[
-        : half + 1
-    ]
+    reach = round(4.0 * sigma)
+    blurred = cv2.GaussianBlur(sharp[: half + 1 + reach], (2 * reach + 1,) * 2, sigma)[: half + 1]
     places = np.clip(blurred, _LEAST_SHARE, 1.0 - _LEAST_SHARE) * np.float32(_QUANTILES)
     below = places.astype(np.int32)
     quantiles, steps = _normal_quantiles()

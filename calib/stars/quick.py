@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.events.grey_image import to_uint8
 from calib.stars.candidates import MIN_STARS, Candidates, find_without_tag, printed
 from calib.stars.centring import smooth
 from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, refine_candidates
@@ -50,7 +51,7 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
     `MIN_STARS` are seen, or if they are out of focus and nothing identifies them.
     Raises TargetNotFound: If the image shows another tag, or the tag more than once.
     """
-    tag = find_tag(image, target, name="live")
+    tag = find_tag(to_uint8(image), target, name="live")
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
     named_by: Literal["tag", "part of the tag", ""] = "tag"
     if tag is not None:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import TargetNotFound
-from calib.events.grey_image import to_uint8
 from calib.stars.beam import Beam
 from calib.target import StarTarget
 
@@ -43,18 +42,19 @@ class TagDetection:
 
 
 def find_tag(
-    image: NDArray[np.generic], target: StarTarget, *, name: str, reduced_only: bool = False
+    picture: NDArray[np.uint8], target: StarTarget, *, name: str, reduced_only: bool = False
 ) -> TagDetection | None:
-    """Find the target's tag, at any roll and with either contrast; None if the image shows no tag.
+    """Find the target's tag, at any roll and with either contrast; None if the picture shows no tag.
 
-    The detector (Garrido-Jurado et al., 2014; tags: Olson, 2011) gets the image reduced, blurred, unchanged and median
-    filtered, until it finds the tag. With ``reduced_only`` it gets only the reduced pictures, which takes a fifth of
-    the time, if the image is large enough for any; other tags in them are then no reason to refuse the image.
+    The picture is one of `calib.events.grey_image.to_uint8`. The detector (Garrido-Jurado et al., 2014; tags: Olson,
+    2011) gets it reduced, blurred, unchanged and median filtered, until it finds the tag. With ``reduced_only`` it gets
+    only the reduced pictures, which takes a fifth of the time, if the image is large enough for any; other tags in them
+    are then no reason to refuse the image.
     Raises TargetNotFound: If the image shows the tag more than once, or only another tag.
     """
     others: set[int] = set()
     reduced = False
-    for variant, scale in _variants(to_uint8(image)):
+    for variant, scale in _variants(picture):
         if reduced_only and reduced and scale == 1.0:
             return None
         reduced |= scale < 1.0

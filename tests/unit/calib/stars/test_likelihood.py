@@ -115,3 +115,9 @@ def test_the_edge_map_of_a_star_is_point_symmetric():
     assert drawn.tau.min() < -1.0
     assert drawn.tau.max() > 1.0
     assert drawn.edge.max() == TARGET.segments - 1
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.float16, np.int32])
+def test_each_level_of_an_image_of_many_values_holds_an_equal_share_of_it(kind: type) -> None:
+    image = np.random.default_rng(4).permutation(64 * 90).reshape(64, 90).astype(kind)
+    assert abs(np.bincount(quantise(image).ravel()) - 90).max() <= 4
