@@ -22,7 +22,7 @@ from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.pupil_spread import spread_of_pupils
-from calib.joint.samples import Mode, Node, log_odds, nodes_about
+from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum
 from calib.model.result_parts import GIMBAL_SCALE
 
@@ -226,7 +226,8 @@ def _faults(optimum: Optimum, curvature: Array) -> list[Mode]:
                 continue
             known = 2.0 * curvature if eta is optimum.eta else None
             eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, curvature=known)
-            log = log_odds(marginal, ended, optimum.solution) - none
+            log = 0.5 * (optimum.solution.value - ended.value) - none
+            log += math.log(trusted(marginal, ended, optimum.solution))
             if log > 0.0:
                 found.append(Mode(faults, eta, ended, probability * math.expm1(min(log, _LARGEST_LOG))))
     return found

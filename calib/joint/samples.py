@@ -79,11 +79,16 @@ def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share:
 def log_odds(marginal: Marginal, one: Solution, other: Solution, more: float = 0.0) -> float:
     """Return the logarithm of the odds of a solution against another, and ``more``, as far as the equations hold.
 
-    Where they do not, they may promise any gain, so what speaks for the solution counts the less the farther it goes.
+    Where they do not, other amplitudes may promise any gain, so that it counts the less the farther the solution is.
     """
-    trusted = 1.0 / (1.0 + (relative_step(marginal, one.step - other.step) / _HOLDS) ** 4)
+    share = trusted(marginal, one, other)
     log = 0.5 * (other.value - one.value) + more
-    return float(log * (trusted if log > 0.0 else 1.0) + np.log(trusted))
+    return log * (share if log > 0.0 else 1.0) + float(np.log(share))
+
+
+def trusted(marginal: Marginal, one: Solution, other: Solution) -> float:
+    """Return the weight, 0 to 1, that a solution keeps so far from another."""
+    return float(1.0 / (1.0 + (relative_step(marginal, one.step - other.step) / _HOLDS) ** 4))
 
 
 def _main_directions(marginal: Marginal, eta: Array, found: Solution, lower: Array) -> Array:
