@@ -7,10 +7,9 @@ smooth map of the others is left out, because no star is better than a wrong one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from calib.stars.centring import (
 )
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap, fit_grid_map
-from calib.stars.likelihood import edge_width_px, refine_by_likelihood
+from calib.stars.likelihood import edge_width_px, refine_by_likelihood, typical_pitch_px
 from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, star_contrasts
 from calib.target import StarTarget
@@ -64,7 +63,7 @@ MAX_APART_SIGMAS = 6.0
 
 @dataclass(frozen=True)
 class Detection:
-    """Stars detected in an image; it can be unpacked as view, what named it, and edge width."""
+    """Stars detected in an image."""
 
     view: View
     named_by: NamedBy  # What identified the stars: the whole tag, a part of it, or only the expected pose
@@ -74,10 +73,6 @@ class Detection:
     def edge_width_px(self) -> float:
         """Standard deviation, px, of the blur of the stars' edges by lens and pixel, measured when asked for."""
         return self._measure_width()
-
-    def __iter__(self) -> Iterator[Any]:
-        """Yield view, what named it, and edge width."""
-        yield from (self.view, self.named_by, self.edge_width_px)
 
 
 def detect_view(
@@ -212,7 +207,7 @@ def refine_candidates(
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)
     local_map = grid_map.local_map(grid)
-    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+    pitch = typical_pitch_px(local_map)
     samples = symmetry_samples(pitch / step_px)
     used_to = cell_reach(open_sides(target, candidates.nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
     fit = refine_by_symmetry(image, candidates.points, local_map, samples, used_to, MAX_MOVE_PITCHES * pitch)

@@ -86,7 +86,8 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
     size = truth.camera.width, truth.camera.height
     try:
         images = make_images(*events, size, flicker, window_us=(0.0, length_us), periods=periods)
-        view, _, width_px = detect_stars(images.best().image, TARGET)
+        found = detect_stars(images.best().image, TARGET)
+        view, width_px = found.view, found.edge_width_px
     except CalibrationError:
         return figures
     errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)

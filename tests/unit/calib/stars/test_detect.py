@@ -116,11 +116,11 @@ def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
 @pytest.mark.parametrize("bright", [True, False])
 def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
     scene, image = drawn(roll=roll)
-    view, named_by, _ = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
-    assert_found_where_drawn(view, scene, rms_px=0.008)
-    assert named_by == "tag"
-    assert view.image_size == SIZE
-    assert (np.diff(view.ids) > 0).all()
+    found = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
+    assert_found_where_drawn(found.view, scene, rms_px=0.008)
+    assert found.named_by == "tag"
+    assert found.view.image_size == SIZE
+    assert (np.diff(found.view.ids) > 0).all()
 
 
 @pytest.mark.parametrize("pitch", [20, 28, 55, 80])
