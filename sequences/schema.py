@@ -175,9 +175,11 @@ class Grid(StrictModel):
 
 
 def _pose_set_kind(value: Any) -> str:
-    if isinstance(value, str):
-        return "name"
     return "grid" if isinstance(value, Mapping | Grid) else "list"
+
+
+def _pose_set_or_name_kind(value: Any) -> str:
+    return "name" if isinstance(value, str) else _pose_set_kind(value)
 
 
 PoseList = Annotated[list[PoseConfig], Field(min_length=1, max_length=10_000)]
@@ -186,7 +188,7 @@ PoseSet = Annotated[
 ]
 PoseSetOrName = Annotated[
     Annotated[Name, Tag("name")] | Annotated[PoseList, Tag("list")] | Annotated[Grid, Tag("grid")],
-    Discriminator(_pose_set_kind),
+    Discriminator(_pose_set_or_name_kind),
 ]
 
 

@@ -73,6 +73,7 @@ def read(text: str) -> Sequence:
             "defaults.light: must be a mapping (key: value) (got 'off').",
         ),
         ("defaults: {move: {pan_deg: 1}}\nsteps: [light]", "defaults.move: unknown key."),
+        ("poses: {a: b}\nsteps: [light]", "poses.a: must be a list (got 'b')."),
         ("poses: {a: []}\nsteps: [light]", "poses.a: must have 1 or more entries."),
         (
             "poses: {a: [{name: x}]}\nsteps: [light]",
