@@ -153,10 +153,10 @@ class CommandInbox:
             if command.word == "skip" and command.pose is None:
                 command = command.model_copy(update={"pose": history.at_pose})
             why_not = why_not or refusal(command, history, self._poses)
+            if command.word == "abort" and not why_not:  # a stop does not wait for the disk
+                self._clock.request_stop(f"abort by {command.by}")
             fields = command.model_dump(exclude={"format"})
             self._log.write(events.Commanded, **fields, taken=not why_not, why=why_not)
-        if command.word == "abort" and not why_not:
-            self._clock.request_stop(f"abort by {command.by}")
 
 
 def inbox_of(folder: Path) -> Inbox[Command]:
