@@ -18,7 +18,8 @@ INNER: Final[dict[str, Any]] = {
     "_nrt": False,
 }
 """Compiler options of a function that only loops call, and that makes no arrays: references to its arguments are not
-counted. Without an entry for Python, less is compiled; a call from Python would crash the process."""
+counted. Without an entry for Python, less is compiled; a call from Python would crash the process. A loop whose sums
+may be reordered is inlined by force: compiled alone as well, it gave the compiling process other last bits."""
 
 
 # Linear algebra on one thread: the engine's matrices are small, and a second thread waits longer than it works.

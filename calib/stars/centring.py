@@ -190,7 +190,7 @@ def _copy_inside(
     return n, used
 
 
-@njit(**INNER, fastmath=_IN_PARALLEL)
+@njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _sums_inside(
     pixels: Any,
     width: int,

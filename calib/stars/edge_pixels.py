@@ -263,7 +263,7 @@ def edge_scores(
     return score, fisher
 
 
-@njit(**INNER, fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"})
+@njit(**INNER, fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"}, forceinline=True)
 def _add_edge(
     pixels: EdgePixels,
     begin: int,
