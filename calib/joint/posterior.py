@@ -38,8 +38,8 @@ _SMALL_SHARE = 0.01
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
 _FAULT_STEPS = 20
-#: No odds are larger than those of this logarithm: their sum stays a number.
-_LARGEST_LOG = 500.0
+#: No evidence is larger than this logarithm, so that the odds of several faults stay numbers.
+_LARGEST_LOG = 100.0
 #: Start of the search of another mode: logarithms of the own fields lower, of what moves with the turn higher.
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas.
@@ -168,7 +168,7 @@ def posterior(optimum: Optimum) -> Posterior:
     curvature = 0.5 * expected_curvature(marginal, optimum.eta, optimum.solution)
     lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
     first = Mode(NO_FAULT, optimum.eta, optimum.solution, 1.0)
-    modes = [first, *_others(optimum, curvature), *_faults(optimum, curvature)]
+    modes = [first, *_others(optimum, curvature), *_faults(optimum, curvature, first)]
     whole = sum(mode.odds for mode in modes)
     nodes: list[Node] = []
     probabilities: dict[str, float] = {}
@@ -205,42 +205,48 @@ def _others(optimum: Optimum, curvature: Array) -> list[Mode]:
     return [Mode(NO_FAULT, eta, found, float(np.exp(min(log, _LARGEST_LOG))))]
 
 
-def _faults(optimum: Optimum, curvature: Array) -> list[Mode]:
-    """Return the faults that the views make more probable than they were: amplitudes, solution, odds against none."""
+def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
+    """Return the faults beside those of a mode that the views make more probable than they were.
+
+    If one is more probable than none, it may not be the only one: others are looked for beside it.
+    """
     marginal, found = optimum.marginal, []
-    starts = _starts(optimum)
-    possible = _possible(optimum, starts)
+    starts = _starts(optimum, base)
+    possible = _possible(optimum, starts, base)
     # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
-    behind = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS)[1] if possible else optimum.solution
-    none = max(0.0, log_odds(marginal, behind, optimum.solution))
+    behind = best_amplitudes(marginal, base.eta, _FAULT_STEPS, base.faults)[1] if possible else base.solution
+    none = max(0.0, log_odds(marginal, behind, base.solution))
     for names in possible:
         for fault, probability in FAULTS.items():
-            faults: Faults = tuple((name, fault) for name in names)
+            faults: Faults = (*base.faults, *((name, fault) for name in names))
             start, eta = min(
                 ((marginal.solve(eta, faults, slope=False), eta) for eta in starts),
                 key=lambda one: one[0].value,
             )
             start = marginal.with_gradient(start, eta, faults)
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
-            if 0.5 * (start.value - optimum.solution.value) + none - gain > _FOLLOWED:
+            if 0.5 * (start.value - base.solution.value) + none - gain > _FOLLOWED:
                 continue
             known = 2.0 * curvature if eta is optimum.eta else None
             eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, curvature=known)
-            log = 0.5 * (optimum.solution.value - ended.value) - none
-            log += math.log(trusted(marginal, ended, optimum.solution))
+            log = 0.5 * (base.solution.value - ended.value) - none
+            log += math.log(trusted(marginal, ended, base.solution))
             if log > 0.0:
-                found.append(Mode(faults, eta, ended, probability * math.expm1(min(log, _LARGEST_LOG))))
-    return found
+                odds = base.odds * probability * math.expm1(min(log, _LARGEST_LOG))
+                found.append(Mode(faults, eta, ended, odds))
+    likeliest = max(found, key=lambda one: one.odds, default=base)
+    beside = _faults(optimum, curvature, likeliest) if likeliest.odds > base.odds else []
+    return [*found, *beside]
 
 
-def _starts(optimum: Optimum) -> tuple[Array, ...]:
+def _starts(optimum: Optimum, base: Mode) -> tuple[Array, ...]:
     """Return the amplitudes at which faults are looked for: the best, and the expected ones if they determine all."""
     usual = _usual(optimum)
     try:
-        optimum.marginal.solve(usual, slope=False)
+        optimum.marginal.solve(usual, base.faults, slope=False)
     except np.linalg.LinAlgError:
-        return (optimum.eta,)
-    return optimum.eta, usual
+        return (base.eta,)
+    return base.eta, usual
 
 
 def _usual(optimum: Optimum) -> Array:
@@ -255,7 +261,7 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(optimum: Optimum, starts: Sequence[Array]) -> list[tuple[str, ...]]:
+def _possible(optimum: Optimum, starts: Sequence[Array], base: Mode) -> list[tuple[str, ...]]:
     """Return the statements that contradict the others, at (A,) amplitudes of a start, so that a fault can be likelier.
 
     One source states the scales of all axes, so they can be wrong together.
@@ -263,8 +269,9 @@ def _possible(optimum: Optimum, starts: Sequence[Array]) -> list[tuple[str, ...]
     doubted: dict[str, None] = {}
     scales: tuple[str, ...] = ()
     for eta in starts:
-        solution = optimum.marginal.solve(eta, slope=False)
-        said = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, eta, NO_FAULT, solution)).innovations()
+        solution = optimum.marginal.solve(eta, base.faults, slope=False)
+        said = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, eta, base.faults, solution)).innovations()
+        said = [one for one in said if one.name not in dict(base.faults)]
         doubted |= dict.fromkeys(one.name for one in said if abs(one.normalised) > _AGREES)
         scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)
     together = [scales] if len(scales) > 1 and doubted else []

@@ -16,6 +16,7 @@ from calib.joint.posterior import posterior
 from calib.joint.pupils import rims_and_pupils
 from calib.joint.samples import log_odds
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from tests.benchmarks.worlds.attacks import attacked
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 
 POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
@@ -214,3 +215,10 @@ def test_a_wave_in_the_glass_that_no_field_holds_does_not_move_the_foot_of_the_a
     """25 poses show it so well that amplitudes ten times as large would imitate it, with fx 193 px wrong."""
     line = drawn_result("polynomial", 25, 7, "c", "shipped")
     assert abs(line["error"]["fx"]) < line["U"]["fx"] < 5.0
+
+
+def test_two_statements_that_fail_at_once_are_both_named():
+    """The focal length drifts; the scale of tilt alone would explain most of it, with cy 38 px wrong at U 5 px."""
+    line = attacked("radius and defocus drift", 7)
+    assert any("steady focal length" in note for note in line["notes"])
+    assert abs(line["error"]["cy"]) < line["U"]["cy"]
