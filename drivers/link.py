@@ -362,9 +362,9 @@ class Link:
         ``exchange_marker`` returns False when its answer is not the expected one, and raises `ReplyError` for no valid
         answer within ``marker_s`` (None: ``reply_s``). ``clear_device`` makes the device forget the beginning of a
         command; it is called after the line was silent. ``inspect_old`` gets the old bytes before they are lost, for
-        unsolicited messages in them. ``once_if_silent`` ends the attempts at a marker without an answer, unless the
-        computer is too busy: for a caller that repeats the request, and with it this, by itself, so that a device
-        without power is told sooner.
+        unsolicited messages in them. With ``once_if_silent`` there is no second attempt after
+        a marker without an answer, unless the computer was late: the caller repeats its request, which comes here
+        again, and a device without power is reported sooner.
         """
         for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
             inspect_old(self.drain())

@@ -150,7 +150,7 @@ class PageRequests:
         numbers = {name: _number(body, name) for name in names}
         found = self._session.bench.hands.do(action, numbers)
         by = ", ".join([action, *(f"{name} {value:g}" for name, value in numbers.items())])
-        self._told(page, f"used the hands of the simulated bench: {by}", action)
+        self._told(page, f"changed the simulated bench by hand: {by}", action)
         return found
 
     # ------------------------------------------------------------ checks and files

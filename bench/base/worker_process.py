@@ -75,7 +75,7 @@ class WorkerProcess:
 
 
 def answer_questions(answer: Callable[[Any], Any]) -> None:
-    """Answer the process that has started this one, until it asks no more."""
+    """Answer the questions of the process that started this one, until it closes the line."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not come between the answers
     with suppress(EOFError, OSError):

@@ -326,7 +326,7 @@ class BreakFindings:
     what: list[str] = field(default_factory=list)  # The findings, as sentences; empty if there is no break
     # What other places know, as a line ``ledger_broken`` holds it.
     known: list[Mapping[str, Any]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)  # Places that could not be asked
+    warnings: list[str] = field(default_factory=list)  # One sentence for each place that could not be read
 
     def knows(self, place: str, mark: LedgerMark) -> None:
         """Add what a place knows."""

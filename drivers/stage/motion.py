@@ -14,6 +14,8 @@ DEADLINE_MARGIN_S = 3.0
 """Added to every expected time, in seconds: for a busy computer, a slow line, a controller that settles."""
 PATIENCE_S = 1.5
 """A busy axis whose position has not changed for this long makes no progress; in seconds."""
+HOMING_PATIENCE_S = 10.0
+"""An axis creeps at its home sensor, and its counter may stand still for a while; in seconds."""
 LONGEST_HOMING_S = 180.0
 """A home-built stage may search its reference for minutes; in seconds."""
 POLL_S = 0.02
@@ -206,3 +208,21 @@ class Axis(ABC):
     def to_angle_deg(self, counts: float) -> float:
         """Return the angle of a count, in degrees."""
         return self.zero_deg + counts / self.scale
+
+
+def move_watch(axis: Axis, goal_deg: float, now_s: float, allowed_s: float) -> MoveWatch:
+    """Return the watch of a move of an axis."""
+    return MoveWatch(axis.name, goal_deg, tolerance_deg=axis.tolerance_deg, now_s=now_s, allowed_s=allowed_s)
+
+
+def homing_watch(axis: Axis, now_s: float) -> MoveWatch:
+    """Return the watch of a search of the reference, which may cross the whole travel several times."""
+    span_deg = axis.limits.highest_deg - axis.limits.lowest_deg
+    return MoveWatch(
+        axis.name,
+        None,
+        tolerance_deg=axis.tolerance_deg,
+        now_s=now_s,
+        allowed_s=30.0 + 5.0 * span_deg / axis.limits.speed_deg_s,
+        patience_s=HOMING_PATIENCE_S,
+    )

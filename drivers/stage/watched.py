@@ -29,8 +29,6 @@ from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.motion import Axis
 from drivers.wire_log import WireLog
 
-_HOMING_PATIENCE_S = 10.0
-"""An axis creeps at its home sensor, and its counter may stand still for a while; in seconds."""
 _STOP_POLL_S = 0.02
 _CLEAR_AND_HOME = "Clear the cause, then home the stage and resume."
 HOME_FIRST = "Home the stage first."
@@ -195,7 +193,7 @@ class WatchedStage(ABC, Generic[A]):
         try:
             self._start_homing(check_not_stopped)
             now_s = self._clock.monotonic()
-            watches = [(axis, _homing_watch(axis, now_s)) for axis in self._axes.values()]
+            watches = [(axis, motion.homing_watch(axis, now_s)) for axis in self._axes.values()]
             self._wait(watches, check_not_stopped)
             for axis in self._axes.values():
                 self._check_end(axis, None)
@@ -220,7 +218,9 @@ class WatchedStage(ABC, Generic[A]):
             allowed_s = max(
                 motion.deadline_s(axis.limits, start_deg[axis.name], goal_deg[axis.name]) for axis in moving
             )
-            watches = [(axis, _watch(axis, goal_deg[axis.name], now_s, allowed_s)) for axis in moving]
+            watches = [
+                (axis, motion.move_watch(axis, goal_deg[axis.name], now_s, allowed_s)) for axis in moving
+            ]
             self._wait(watches, check_not_stopped)
             for axis in moving:
                 self._check_end(axis, goal_deg[axis.name])
@@ -384,24 +384,6 @@ class WatchedStage(ABC, Generic[A]):
                 remedy=f"Cut the stage's power. {error.remedy}",
             )
         return error
-
-
-def _watch(axis: Axis, goal_deg: float, now_s: float, allowed_s: float) -> motion.MoveWatch:
-    return motion.MoveWatch(
-        axis.name, goal_deg, tolerance_deg=axis.tolerance_deg, now_s=now_s, allowed_s=allowed_s
-    )
-
-
-def _homing_watch(axis: Axis, now_s: float) -> motion.MoveWatch:
-    span_deg = axis.limits.highest_deg - axis.limits.lowest_deg
-    return motion.MoveWatch(
-        axis.name,
-        None,
-        tolerance_deg=axis.tolerance_deg,
-        now_s=now_s,
-        allowed_s=30.0 + 5.0 * span_deg / axis.limits.speed_deg_s,
-        patience_s=_HOMING_PATIENCE_S,
-    )
 
 
 def no_reference(axis: Axis, what: str = "the axis has no reference", remedy: str = HOME_FIRST) -> NotHomed:

@@ -147,7 +147,7 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
 
 
 def is_unsolicited(line: bytes, where: str = "") -> bool:
-    """Return whether a line is an alert or an information line, which answers no request and has a checksum too."""
+    """Return whether a line is an alert or an information line: no answer to a request. Its checksum is checked."""
     match = _UNSOLICITED.fullmatch(line)
     if match is not None:
         _check_sum(line, match, where)

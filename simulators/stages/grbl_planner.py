@@ -141,7 +141,7 @@ def must_be_positive(number: int) -> bool:
 
 
 def factory_settings(models: Mapping[str, AxisModel], pull_off_deg: float) -> dict[int, float]:
-    """Return factory settings by number, rising, for X, Y and Z.
+    """Return the factory settings of X, Y and Z by their numbers, the lowest number first.
 
     Homing ends at the upper limit, ``pull_off_deg`` from the switch; the travel is from there to the lower limit.
     """
