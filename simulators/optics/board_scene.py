@@ -36,7 +36,6 @@ from simulators.optics.lens_focus import (
     Spectrum,
     blurred_spectrum,
     camera_of,
-    lens_of,
     ray_grid,
     reach_px,
     signed_blur_px,
@@ -152,7 +151,7 @@ class PlacedBoard(NamedTuple):
     def projection(self, truth: Truth) -> Projection:
         """Return the projection of the board's plane."""
         r = np.ascontiguousarray(self.rotation)
-        return Projection(lens_of(camera_of(truth)), r, -r.T @ self.position, NO_ABERRATIONS)
+        return Projection(camera_of(truth), r, -r.T @ self.position, NO_ABERRATIONS)
 
 
 def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[PlacedBoard, ...]:

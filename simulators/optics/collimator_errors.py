@@ -194,40 +194,23 @@ EDGE_TERMS: Final = 8
 
 
 class Aberrations(NamedTuple):
-    """Errors of the collimator in one pose, as the compiled functions take them."""
+    """Errors of the collimator and of the reticle in one pose."""
 
-    # x, y, r: The camera's centre is (x, y, -r), mm of the target plane.
-    x: float
-    y: float
-    r: float
-    # b_x, b_y: Centre of the disc relative to (x, y), in units of r.
-    b_x: float
-    b_y: float
-    # defocus, spherical, coma, astigmatism, field_curvature, distortion: Third-order coefficients,
-    # dimensionless; the reticle's bow is part of the distortion.
-    defocus: float
-    spherical: float
-    coma: float
-    astigmatism: float
-    field_curvature: float
-    distortion: float
-    print_scale: float  # Relative error of the printed lengths
-    roll_mm: float  # Outward displacement at the disc's edge
-    # disc_x, disc_y, disc_radius: Disc of light, mm.
-    disc_x: float
-    disc_y: float
-    disc_radius: float
-    # (K, 2) float64, mm: coefficients of ``irregularity.displacement_field``; (0, 2) for none.
-    irregular: FloatArray
+    collimator: CollimatorTruth
+    reticle: ReticleTruth
+    disc: Disc
+    irregular: FloatArray  # (K, 2) mm, coefficients of `displacement_field`; (0, 2) for none
+
+    @property
+    def distortion(self) -> float:
+        """Coefficient of the third order, dimensionless; the reticle's bow is part of it."""
+        c, reticle = self.collimator, self.reticle
+        return c.distortion + reticle.bow_mm * c.r / reticle.bow_radius_mm**2
 
 
 PERFECT_PRINT: Final = ReticleTruth()
 
 _NOTHING: Final = np.zeros((0, 2))
-NO_ABERRATIONS: Final = Aberrations(
-    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 1.0), _NOTHING
-)
-"""No collimator, or an ideal one: nothing is displaced."""
 
 
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
@@ -297,27 +280,8 @@ def _axis(rotation: FloatArray) -> tuple[float, float]:
 def aberrations_of(
     collimator: CollimatorTruth, rotation: FloatArray, reticle: ReticleTruth = PERFECT_PRINT
 ) -> Aberrations:
-    """Return a pose's errors of collimator and reticle, with b = (disc centre - (x, y)) / r, as in the head."""
-    disc = disc_of(collimator, rotation)
-    return Aberrations(
-        collimator.x,
-        collimator.y,
-        collimator.r,
-        (disc.x - collimator.x) / collimator.r,
-        (disc.y - collimator.y) / collimator.r,
-        collimator.defocus,
-        collimator.spherical,
-        collimator.coma,
-        collimator.astigmatism,
-        collimator.field_curvature,
-        collimator.distortion + reticle.bow_mm * collimator.r / reticle.bow_radius_mm**2,
-        reticle.print_scale,
-        collimator.rim_roll_mm,
-        disc.x,
-        disc.y,
-        disc.radius,
-        _irregular(collimator, rotation),
-    )
+    """Return a pose's errors of collimator and reticle."""
+    return Aberrations(collimator, reticle, disc_of(collimator, rotation), _irregular(collimator, rotation))
 
 
 def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
@@ -331,19 +295,21 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
 
 def displacement(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[FloatArray, FloatArray]:
     """Return displacements of reticle points, (...,) mm; third order, equation in the head (Born and Wolf, 5.3)."""
-    larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
+    c, disc = e.collimator, e.disc
+    larger_x, larger_y = e.reticle.print_scale * (x_mm - c.x), e.reticle.print_scale * (y_mm - c.y)
     x_mm, y_mm = x_mm + larger_x, y_mm + larger_y
-    h_x, h_y = (x_mm - e.x) / e.r, (y_mm - e.y) / e.r
-    hh, bb, hb = h_x * h_x + h_y * h_y, e.b_x * e.b_x + e.b_y * e.b_y, h_x * e.b_x + h_y * e.b_y
-    along_b = e.defocus + e.spherical * bb + 2.0 * e.coma * hb + 2.0 * e.field_curvature * hh
-    along_h = e.coma * bb + 2.0 * e.astigmatism * hb + e.distortion * hh
-    dx, dy = e.r * (along_b * e.b_x + along_h * h_x), e.r * (along_b * e.b_y + along_h * h_y)
-    from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
-    own_x, own_y = displacement_field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
+    h_x, h_y = (x_mm - c.x) / c.r, (y_mm - c.y) / c.r
+    b_x, b_y = (disc.x - c.x) / c.r, (disc.y - c.y) / c.r
+    hh, bb, hb = h_x * h_x + h_y * h_y, b_x * b_x + b_y * b_y, h_x * b_x + h_y * b_y
+    along_b = c.defocus + c.spherical * bb + 2.0 * c.coma * hb + 2.0 * c.field_curvature * hh
+    along_h = c.coma * bb + 2.0 * c.astigmatism * hb + e.distortion * hh
+    dx, dy = c.r * (along_b * b_x + along_h * h_x), c.r * (along_b * b_y + along_h * h_y)
+    from_x, from_y = x_mm - disc.x, y_mm - disc.y
+    own_x, own_y = displacement_field(from_x / disc.radius, from_y / disc.radius, e.irregular)
     dx, dy = dx + own_x + larger_x, dy + own_y + larger_y
     rho = np.sqrt(from_x * from_x + from_y * from_y)
-    near = np.minimum(rho / e.disc_radius, ROLL_TO)
-    roll = e.roll_mm * (near * near * near) / e.disc_radius
+    near = np.minimum(rho / disc.radius, ROLL_TO)
+    roll = c.rim_roll_mm * (near * near * near) / disc.radius
     return dx + roll * from_x, dy + roll * from_y
 
 
@@ -358,14 +324,10 @@ def reticle_point(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[F
 
 def is_ideal(e: Aberrations) -> bool:
     """Return whether the collimator displaces no point."""
-    return (
-        e.defocus == 0.0
-        and e.spherical == 0.0
-        and e.coma == 0.0
-        and e.astigmatism == 0.0
-        and e.field_curvature == 0.0
-        and e.distortion == 0.0
-        and e.print_scale == 0.0
-        and e.roll_mm == 0.0
-        and e.irregular.shape[0] == 0
-    )
+    c = e.collimator
+    third_order = (c.defocus, c.spherical, c.coma, c.astigmatism, c.field_curvature, e.distortion)
+    return not (any(third_order) or e.reticle.print_scale or c.rim_roll_mm or len(e.irregular))
+
+
+NO_ABERRATIONS: Final = aberrations_of(CollimatorTruth(), np.eye(3))
+"""No collimator, or an ideal one: nothing is displaced."""

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from simulators.compiled import INNER, LOOP
 from simulators.optics.collimator_errors import Aberrations, displacement, is_ideal, reticle_point
-from simulators.optics.lens_focus import Lens, image_point
+from simulators.optics.lens_focus import image_point
+from simulators.world.truth import CameraTruth
 
 FloatArray = NDArray[np.float64]
 
@@ -165,7 +166,7 @@ CHORD_PX: Final = 1e-3
 class Projection(NamedTuple):
     """Projection by a camera in one pose."""
 
-    lens: Lens
+    lens: CameraTruth
     rotation: FloatArray  # (3, 3) float64, rotation R
     centre: FloatArray  # (3,) float64, camera centre c, mm
     aberrations: Aberrations

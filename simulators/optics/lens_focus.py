@@ -57,32 +57,7 @@ GRID_PX: Final = 8
 """Spacing of the points at which rays are computed; between them rays are interpolated."""
 
 
-class Lens(NamedTuple):
-    """Parameters of a lens."""
-
-    # fx, fy, cx, cy: Focal lengths and principal point, px.
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    # k1, k2, k3, k4: Radial coefficients; k4 of a fisheye only.
-    k1: float
-    k2: float
-    k3: float
-    k4: float
-    # p1, p2: Tangential coefficients; of a pinhole only.
-    p1: float
-    p2: float
-    fisheye: bool  # Whether the model is the fisheye; else the pinhole
-
-
-def lens_of(camera: CameraTruth) -> Lens:
-    """Return the lens of a camera."""
-    c = camera
-    return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
-
-
-def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+def distort(xn: FloatArray, yn: FloatArray, lens: CameraTruth) -> tuple[FloatArray, FloatArray]:
     """Return distorted normalised coordinates of undistorted ones x/z and y/z, two arrays of one shape (...,).
 
     Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
@@ -90,7 +65,7 @@ def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, Flo
     theta^4 + k3 theta^6 + k4 theta^8).
     """
     r2 = xn * xn + yn * yn
-    if lens.fisheye:
+    if lens.projection == "fisheye":
         r = np.sqrt(np.maximum(r2, 1e-16))
         theta = np.arctan(r)
         t2 = theta * theta
@@ -102,21 +77,22 @@ def distort(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, Flo
     return xd, yd
 
 
-def image_point(x: FloatArray, y: FloatArray, z: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+def image_point(
+    x: FloatArray, y: FloatArray, z: FloatArray, lens: CameraTruth
+) -> tuple[FloatArray, FloatArray]:
     """Return image points u and v, px, of points in the camera's frame, (...,); NaN behind it (as `distort`)."""
     z = np.where(z > 0.0, z, np.nan)
     xd, yd = distort(x / z, y / z, lens)
     return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy
 
 
-def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[FloatArray, FloatArray]:
+def undistort(xd: FloatArray, yd: FloatArray, lens: CameraTruth) -> tuple[FloatArray, FloatArray]:
     """Return undistorted normalised coordinates of distorted ones, two arrays of one shape (...,), to 1e-13.
 
     The pinhole model is inverted by fixed-point iteration, x <- x + (x_d - distort(x)) (own derivation), the fisheye by
     Newton's method. Where the radial polynomial decreases inside the image, `ConfigError` is raised.
     """
-    lens = lens_of(camera)
-    if lens.fisheye:
+    if lens.projection == "fisheye":
         return _undistort_fisheye(xd, yd, lens)
     xn, yn = xd.copy(), yd.copy()
     for _ in range(200):
@@ -132,7 +108,7 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
     raise _not_invertible()
 
 
-def _undistort_fisheye(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+def _undistort_fisheye(xd: FloatArray, yd: FloatArray, lens: CameraTruth) -> tuple[FloatArray, FloatArray]:
     """Solve theta (1 + k1 theta^2 + ...) = |xd, yd| by Newton's method, starting at |xd, yd| but at most 1.5."""
     wanted = np.hypot(xd, yd)
     theta = np.minimum(wanted, 1.5)

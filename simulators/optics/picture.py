@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ from simulators.optics.drawing import (
     plane_points,
     spread_kernel,
 )
-from simulators.optics.lens_focus import blur_px, camera_of, lens_of, ray_grid, reach_px, spread_over_disc
+from simulators.optics.lens_focus import blur_px, camera_of, ray_grid, reach_px, spread_over_disc
 from simulators.optics.outlines import black_polygons
 from simulators.world.gimbal import GimbalTruth, gimbal_rotation, rotation_matrix
 from simulators.world.truth import CollimatorTruth, OpticsTruth, Truth
@@ -95,7 +95,7 @@ def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
     """Return the projection of a pose."""
     c = beam_of(truth)
     return Projection(
-        lens_of(camera_of(truth)),
+        camera_of(truth),
         np.ascontiguousarray(rotation, np.float64),
         np.array([c.x, c.y, -c.r]),
         aberrations_of(c, rotation, truth.reticle),
@@ -130,16 +130,6 @@ def star_centres(
     return ids[seen], points[seen]
 
 
-class Light(NamedTuple):
-    """Illumination of the target."""
-
-    disc: Disc
-    rim: float  # Width of the rim over which brightness falls to zero, as a share of the disc's radius
-    # gradient_x, gradient_y: Relative change of illumination over the disc's radius.
-    gradient_x: float
-    gradient_y: float
-
-
 def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArray[np.float32]:
     """Return the share of the full light, about 0 to 1, that reaches each pixel in a pose.
 
@@ -164,7 +154,8 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     shades = (white, dark - white)
     light, rho = _light(
         plane_points(rays, projection),
-        Light(disc, truth.collimator.rim, optics.gradient_x, optics.gradient_y),
+        truth,
+        disc,
         0.0 if optics.psf_rim_px > 0.0 else even_radius(disc, truth.collimator.rim),
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
@@ -185,7 +176,7 @@ def even_radius(disc: Disc, rim: float) -> float:
 
 
 def _light(
-    plane: FloatArray, light: Light, even: float, height: int, width: int
+    plane: FloatArray, truth: Truth, disc: Disc, even: float, height: int, width: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
@@ -203,19 +194,19 @@ def _light(
         x, y = (
             (1 - u) * each[:, columns] + u * each[:, columns + 1] for each in (down[..., 0], down[..., 1])
         )
-        brightness[block], distance[block] = _disc_light(x, y, light, even)
+        brightness[block], distance[block] = _disc_light(x, y, truth, disc, even)
     return brightness, distance
 
 
 def _disc_light(
-    x_mm: FloatArray, y_mm: FloatArray, light: Light, even: float
+    x_mm: FloatArray, y_mm: FloatArray, truth: Truth, disc: Disc, even: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the disc's brightness at target points, and distances; own model: a gradient times cos^2 at the rim."""
-    disc, rim = light.disc, light.rim
+    rim, optics = truth.collimator.rim, truth.optics
     x, y = x_mm - disc.x, y_mm - disc.y
     outer = ~(x * x + y * y < even * even)
     rho = radius_fraction(x_mm[outer], y_mm[outer], disc)
-    brightness = 1.0 + light.gradient_x * (x / disc.radius) + light.gradient_y * (y / disc.radius)
+    brightness = 1.0 + optics.gradient_x * (x / disc.radius) + optics.gradient_y * (y / disc.radius)
     c = np.cos(0.5 * math.pi * np.clip(rho - 1.0 + rim, 0.0, rim) / (rim or 1.0))
     brightness[outer] = np.where(rho < 1.0, brightness[outer] * (c * c), 0.0)
     distance = np.ones_like(brightness)

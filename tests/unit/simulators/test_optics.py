@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
 from simulators.optics import picture as optics
-from simulators.optics.lens_focus import distort, image_point, lens_of, ray_grid, undistort
+from simulators.optics.lens_focus import distort, image_point, ray_grid, undistort
 from simulators.world.truth import CAMERAS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
 
@@ -155,7 +155,7 @@ FISHEYE = CameraTruth(
 def test_undistortion_inverts_distortion(camera):
     xd, yd = np.meshgrid(np.linspace(-0.2, 0.2, 9), np.linspace(-0.12, 0.12, 7))
     xn, yn = undistort(xd, yd, camera)
-    back_x, back_y = distort(xn, yn, lens_of(camera))
+    back_x, back_y = distort(xn, yn, camera)
     np.testing.assert_allclose(back_x, xd, atol=1e-12)
     np.testing.assert_allclose(back_y, yd, atol=1e-12)
     assert np.abs(xn - xd).max() > 1e-4
@@ -169,18 +169,18 @@ def test_the_fisheye_model_agrees_with_opencv(x, y, k):
     matrix = np.array([[612.0, 0.0, 643.0], [0.0, 610.0, 358.0], [0.0, 0.0, 1.0]])
     nothing = np.zeros(3)
     expected, _ = cv2.fisheye.projectPoints(np.array([[[x, y, 1.0]]]), nothing, nothing, matrix, np.array(k))
-    np.testing.assert_allclose(image_point(3 * x, 3 * y, 3.0, lens_of(camera)), expected.ravel(), atol=1e-9)
+    np.testing.assert_allclose(image_point(3 * x, 3 * y, 3.0, camera), expected.ravel(), atol=1e-9)
 
 
 def test_points_behind_the_camera_have_no_image():
-    assert np.isnan(image_point(0.1, 0.2, -1.0, lens_of(CameraTruth()))).all()
+    assert np.isnan(image_point(0.1, 0.2, -1.0, CameraTruth())).all()
 
 
 @pytest.mark.parametrize("camera", [CameraTruth(), FISHEYE], ids=["pinhole", "fisheye"])
 def test_rays_of_the_grid_project_to_its_image_points(camera):
     rays = ray_grid(camera, 4)
     u, v = np.linspace(-4.5, 1283.5, rays.shape[1]), np.linspace(-4.5, 723.5, rays.shape[0])
-    seen = image_point(*rays[7, 11], 1.0, lens_of(camera))
+    seen = image_point(*rays[7, 11], 1.0, camera)
     np.testing.assert_allclose(seen, [u[11], v[7]], atol=1e-9)
 
 
