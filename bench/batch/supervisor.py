@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.device_ends import DeviceEnd, all_ends, lost_ends, unsafe_devices
@@ -138,28 +138,10 @@ def make_safe_after(folder: Path, clock: BenchClock) -> list[DeviceEnd]:
 # ---------------------------------------------------------------- a worker, our own or another's
 
 
-class _Worker(Protocol):
-    """A process that works on a run."""
-
-    def gone(self) -> bool:
-        """Whether it has ended."""
-        ...
-
-    def send(self, number: signal.Signals) -> None:
-        """Send it a signal if it is still there."""
-        ...
-
-    def wait(self, seconds: float) -> bool:
-        """Wait for its end; return whether it has ended."""
-        ...
-
-    def killed(self) -> bool:
-        """Whether it ended by a signal, or may have: then nobody has made its devices safe."""
-        ...
-
-
 @dataclass
 class _Child:
+    """A worker of our own."""
+
     process: subprocess.Popen[bytes]
 
     def gone(self) -> bool:
@@ -174,6 +156,7 @@ class _Child:
         return self.gone()
 
     def killed(self) -> bool:
+        """Whether it ended by a signal, or may have: then nobody has made its devices safe."""
         return self.process.returncode < 0
 
 
@@ -211,7 +194,7 @@ class _Orphan:
 
 
 def _supervise_worker(
-    worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
+    worker: _Child | _Orphan, folder: Path, clock: BenchClock, say: Callable[[str], None]
 ) -> tuple[float, list[DeviceEnd]]:
     """Supervise a worker to its end; return its silence, s, if it hung, and what the devices of a dead one say."""
     silent_s, devices = 0.0, []
@@ -231,7 +214,7 @@ def _supervise_worker(
     return silent_s, devices
 
 
-def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
+def _watch(worker: _Child | _Orphan, folder: Path, clock: BenchClock) -> float:
     """Wait for the worker's end; return how long it has been silent if it hangs, otherwise 0 s."""
     left_over = last = read_heartbeat(folder)
     if isinstance(worker, _Orphan):
@@ -263,7 +246,7 @@ def _is_due(sign: Heartbeat | None, left_over: Heartbeat | None) -> bool:
     return sign is not None and sign != left_over and not waits_for_disk(sign.pid)
 
 
-def _end_now(worker: _Worker) -> None:
+def _end_now(worker: _Child | _Orphan) -> None:
     """End a worker that does not respond, after it had a chance to write its position to a file."""
     worker.send(signal.SIGABRT)
     worker.send(signal.SIGCONT)

@@ -60,7 +60,7 @@ class RehearsedKind(EventKind):
         *,
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
-        """See `CameraKind.measure`. Reads the stars of a rehearsed recording."""
+        """See `EventKind.measure`. Reads the stars of a rehearsed recording."""
         self._clock.sleep(CHECK_S)
         try:
             view, edges = read_view(path, step.pose.name, target)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
@@ -53,64 +53,14 @@ StoredFacts = Mapping[str, Any]
 """Facts that a driver states about a recording, by field, as the journal holds them."""
 
 
-class CameraKind(Protocol):
-    """What a run does with its camera."""
-
-    name: str
-    """Name in results: ``event`` or ``frame``."""
-    ending: str
-    """File name ending of its recordings."""
-
-    def light_for(self, flicker: Flicker) -> Flicker:
-        """Return what the light does if a sequence asks for a flicker."""
-        ...
-
-    def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """Set the camera, and return every reason against a run."""
-        ...
-
-    def record(
-        self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float
-    ) -> RecordingFacts | FrameFacts:
-        """Record into a new file, at the flicker's frequency, Hz."""
-        ...
-
-    def measure(
-        self,
-        path: Path,
-        step: RecordStep,
-        frequency_hz: float,
-        target: StarTarget,
-        expected_grid: ExpectedGrid | None,
-        *,
-        motion: bool = True,
-    ) -> Measurement:
-        """Find the stars of a recording; ``expected_grid`` is for where the tag does not label them."""
-        ...
-
-    def judge(
-        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
-    ) -> tuple[list[Gate], list[str]]:
-        """Judge a recording, made at the flicker's frequency in Hz, by its numbers."""
-        ...
-
-    def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """Return what results state about a recording."""
-        ...
-
-    def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """Return what results state about the camera's state during the accepted recordings, at least one."""
-        ...
-
-
 class EventKind:
     """An event camera under a flickering light; without a region of interest, the whole sensor sends events.
 
     ``board`` is at finite distance in place of the collimator.
     """
 
-    name = "event"
-    ending = ".raw"
+    name = "event"  # In results
+    ending = ".raw"  # Of the file name of a recording
 
     def __init__(
         self,
@@ -122,11 +72,11 @@ class EventKind:
         self._board = board
 
     def light_for(self, flicker: Flicker) -> Flicker:
-        """See `CameraKind.light_for`. Returns the flicker itself."""
+        """Return what the light does if a sequence asks for a flicker: the flicker itself."""
         return flicker
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """See `CameraKind.prepare`. Requires that every filter that removes flicker is off."""
+        """Set the camera, and return every reason against a run, such as a filter that stays on and removes flicker."""
         from drivers.camera.recording import compile_decoder
 
         compile_decoder()
@@ -143,7 +93,7 @@ class EventKind:
         return asdict(settings), reasons
 
     def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> RecordingFacts:
-        """See `CameraKind.record`. Records long enough for the window's whole periods."""
+        """Record into a new file, long enough for the window's whole periods at the flicker's frequency."""
         duration_s = recording_duration_s(step.window_ms, frequency_hz)
         return cast("EventCamera", camera).record(path, duration_s)
 
@@ -157,7 +107,7 @@ class EventKind:
         *,
         motion: bool = True,
     ) -> Measurement:
-        """See `CameraKind.measure`. Uses the event image of whole flicker periods."""
+        """Find the stars in the image of whole periods; ``expected_grid`` is for where the tag does not label them."""
         name, periods = step.pose.name, periods_in_window(step.window_ms, frequency_hz)
         if self._board is not None:
             from bench.views.measure_board import measure_board
@@ -186,13 +136,13 @@ class EventKind:
     def judge(
         self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
-        """See `CameraKind.judge`. Judges stars or points, event rate, triggers, flicker and motion."""
+        """Judge a recording by its numbers: stars or points, event rate, triggers, flicker and motion."""
         recorded = RecordingFacts(**facts)
         gates = recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars)
         return _about_points(gates, self._board, step, found), rejection_reasons(recorded, step.gates, ())
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """See `CameraKind.counts`. Events, triggers, duration and event rate."""
+        """Return what results state about a recording: events, triggers, duration and event rate."""
         recorded = RecordingFacts(**facts)
         events, duration_s = recorded.events, recorded.duration_s
         return {
@@ -204,7 +154,7 @@ class EventKind:
         }
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """See `CameraKind.conditions`. State at the last recording; mean temperature."""
+        """Return the camera's state at the last of the accepted recordings, at least one; and the mean temperature."""
         recorded = [RecordingFacts(**facts) for facts in accepted]
         last = recorded[-1]
         temperatures = [one.temperature_c for one in recorded if one.temperature_c is not None]
@@ -228,15 +178,15 @@ class FrameKind:
         self._board = board
 
     def light_for(self, flicker: Flicker) -> Flicker:
-        """See `CameraKind.light_for`. Steady light at the flicker's high level."""
+        """See `EventKind.light_for`. Steady light at the flicker's high level."""
         return replace(flicker, waveform="steady")
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """See `CameraKind.prepare`. Sets exposure and gain."""
+        """See `EventKind.prepare`. Sets exposure and gain."""
         return asdict(cast("FrameCamera", camera).apply(self._settings)), []
 
     def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> FrameFacts:  # noqa: ARG002
-        """See `CameraKind.record`. Takes the frames."""
+        """See `EventKind.record`. Takes the frames."""
         return cast("FrameCamera", camera).capture(path, self._frames)
 
     def measure(
@@ -249,7 +199,7 @@ class FrameKind:
         *,
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
-        """See `CameraKind.measure`. Uses the mean of the frames."""
+        """See `EventKind.measure`. Uses the mean of the frames."""
         if self._board is not None:
             from bench.views.measure_board import measure_board_frames
 
@@ -265,7 +215,7 @@ class FrameKind:
         frequency_hz: float,  # noqa: ARG002
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
-        """See `CameraKind.judge`. Judges stars or points, saturation and motion."""
+        """See `EventKind.judge`. Judges stars or points, saturation and motion."""
         from bench.views.measure import frame_gates, frame_rejection_reasons
 
         recorded = FrameFacts(**facts)
@@ -273,7 +223,7 @@ class FrameKind:
         return _about_points(gates, self._board, step, found), frame_rejection_reasons(recorded)
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """See `CameraKind.counts`. Number of frames, and percentage of saturated pixels."""
+        """See `EventKind.counts`. Number of frames, and percentage of saturated pixels."""
         recorded = FrameFacts(**facts)
         return {
             "pictures": recorded.frames,
@@ -282,12 +232,14 @@ class FrameKind:
         }
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """See `CameraKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
+        """See `EventKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
         last = FrameFacts(**accepted[-1])
         asked = {name: value for name, value in asdict(self._settings).items() if value is not None}
         return {"pictures": last.frames, "bits": last.bits, **asked}
 
 
+CameraKind = EventKind | FrameKind
+"""What a run does with its camera."""
 _LEAST_SHARE = 0.5
 """A recording needs this share of a board's points, at most; the detectors of printed boards need more."""
 

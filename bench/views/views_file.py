@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import h5py
 import numpy as np
@@ -166,63 +166,108 @@ def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | N
 
 
 # Views kept from earlier calculations, so that the stars of a recording are found once only.
-# Entries kept from earlier calculations: a file each, named by the hash of all that decides its content.
+# A file each, named by the hash of all that decides its content.
 #
 # Entries are no evidence, and their folder may be deleted at any time. It belongs to one user, and has a
 # largest size. An entry that cannot be read or written is told, and never an error.
 
 _BUCKETS = 256
 _STALE_S = 3600.0
+_KEPT_FORMAT = "starbench/kept-view/1"
+FOLDER = "kept-views"
+MOST_BYTES = 1 << 30
+"""Size of all entries together. The views of about 30,000 recordings have room."""
+
+DETECTOR_SOURCES = (
+    "calib/compiled.py",
+    "calib/errors.py",
+    "calib/target.py",
+    "calib/view.py",
+    "calib/model/homography.py",
+    "calib/model/local_consistency.py",
+    "calib/model/median.py",
+    "calib/boards",
+    "calib/events",
+    "calib/stars",
+    "drivers/camera",
+    "drivers/clock.py",
+    "drivers/errors.py",
+    "bench/results/view_sources.py",
+    "bench/views",
+)
+"""Files and folders of the program that decide which view a recording gives. A change of any makes a new version."""
+_LIBRARIES = ("numpy", "opencv-python-headless", "numba", "scipy", "h5py")
+
+_ARRAYS = ("ids", "points_px", "target_mm", "covariances_px2")
+_RIM = ("points_mm", "sigmas_mm", "lit_mm")
 
 
 @dataclass
-class KeptEntries:
-    """A folder of entries; several processes may use it at once."""
+class KeptViews:
+    """A folder of views; several processes may use it at once."""
 
     folder: Path  # The folder; it is made at the first entry, readable for its owner only
     # Size of all entries together. The entries that were used least recently are deleted first.
-    most_bytes: int
+    most_bytes: int = MOST_BYTES
     # Sentences for the user: which entries were broken, and why none can be kept.
     remarks: list[str] = field(default_factory=list)
+    found: int = 0
+    used: int = 0
     _usable: bool | None = field(default=None, init=False, repr=False)
 
-    # ending, thing, otherwise: Ending of the files; what an entry is called, and what is done without it, in
-    # messages.
-    ending: ClassVar[str] = ".entry"
-    thing: ClassVar[str] = "entry"
-    otherwise: ClassVar[str] = "it is calculated"
+    @classmethod
+    def of_bench(cls) -> KeptViews:
+        """Return the folder of this user's bench."""
+        return cls(home_folder() / FOLDER)
 
-    def read_entry(self, key: str) -> bytes | None:
-        """Return an entry, by its key of 64 hexadecimal digits, as it was written; None if that is not possible."""
+    def view(self, path: Path, options: Mapping[str, Any], find: Callable[[], View]) -> View:
+        """Return the view of a recording, as ``find`` returns it. One in which no stars are found is not kept."""
+        if not self.is_usable():
+            return find()
+        try:
+            require_regular(path)
+            require_whole(path)  # its missing parts would be read as gigabytes of zeros
+            recording = sha256_of(path)
+        except (OSError, DriverError):
+            return find()  # it states what is wrong with the file
+        key = view_key(recording, options)
+        if (kept := self.read(key)) is not None:
+            self.used += 1
+            return kept
+        view = find()
+        self.found += 1
+        with suppress(OSError):
+            if sha256_of(path) == recording:  # else the file was replaced meanwhile
+                self.write(key, view)
+        return view
+
+    def read(self, key: str) -> View | None:
+        """Return the view of a `view_key`; None if there is none, or it is broken: then it is deleted and told."""
         path = self._path(key)
         try:
             if path.stat().st_size > self.most_bytes // _BUCKETS:
-                self.drop_entry(key, "it is larger than any entry")
-                return None
+                raise ValueError("it is larger than any entry")  # noqa: TRY301 - as any other broken entry
             data = path.read_bytes()
             with suppress(OSError):
                 os.utime(path)
+            return unpack_view(data, key)
         except FileNotFoundError:
             return None
         except OSError as error:
             self.remarks.append(
-                f"{path}: a kept {self.thing} cannot be read ({error.strerror}); {self.otherwise} again."
+                f"{path}: a kept view cannot be read ({error.strerror}); the stars are found again."
             )
-            return None
-        return data
+        except (ValueError, KeyError, TypeError, EOFError, InputMismatch, zipfile.BadZipFile) as error:
+            self.remarks.append(f"{path}: a kept view is broken ({error}); the stars are found again.")
+            with suppress(OSError):
+                path.unlink()
+        return None
 
-    def drop_entry(self, key: str, why: str) -> None:
-        """Delete an entry that is broken, and tell it."""
-        path = self._path(key)
-        self.remarks.append(f"{path}: a kept {self.thing} is broken ({why}); {self.otherwise} again.")
-        with suppress(OSError):
-            path.unlink()
-
-    def write_entry(self, key: str, data: bytes) -> None:
-        """Keep an entry, by a key of 64 hexadecimal digits. If this is not possible, say so and go on."""
+    def write(self, key: str, view: View) -> None:
+        """Keep a view under a `view_key`. If this is not possible, say so and go on."""
         if not self.is_usable():
             return
-        path = self._path(key)
+        path, data = self._path(key), pack_view(view, key)
         if len(data) > self.most_bytes // _BUCKETS:
             return
         try:
@@ -241,7 +286,7 @@ class KeptEntries:
             self._refuse(f"{error.strerror or error}")
 
     def _path(self, key: str) -> Path:
-        return self.folder / key[:2] / f"{key}{self.ending}"
+        return self.folder / key[:2] / f"{key}.view"
 
     def _make_room(self, bucket: Path, size: int) -> None:
         """Delete the entries of a bucket that were used least recently, and parts that dead processes left."""
@@ -282,92 +327,9 @@ class KeptEntries:
     def _refuse(self, why: str) -> None:
         if self._usable is not False:
             self.remarks.append(
-                f"{self.folder}: {self.thing}s cannot be kept ({why}); {self.otherwise} each time."
+                f"{self.folder}: views cannot be kept ({why}); the stars are found each time."
             )
         self._usable = False
-
-
-_KEPT_FORMAT = "starbench/kept-view/1"
-FOLDER = "kept-views"
-MOST_BYTES = 1 << 30
-"""Size of all entries together. The views of about 30,000 recordings have room."""
-
-DETECTOR_SOURCES = (
-    "calib/compiled.py",
-    "calib/errors.py",
-    "calib/target.py",
-    "calib/view.py",
-    "calib/model/homography.py",
-    "calib/model/local_consistency.py",
-    "calib/model/median.py",
-    "calib/boards",
-    "calib/events",
-    "calib/stars",
-    "drivers/camera",
-    "drivers/clock.py",
-    "drivers/errors.py",
-    "bench/results/view_sources.py",
-    "bench/views",
-)
-"""Files and folders of the program that decide which view a recording gives. A change of any makes a new version."""
-_LIBRARIES = ("numpy", "opencv-python-headless", "numba", "scipy", "h5py")
-
-_ARRAYS = ("ids", "points_px", "target_mm", "covariances_px2")
-_RIM = ("points_mm", "sigmas_mm", "lit_mm")
-
-
-@dataclass
-class KeptViews(KeptEntries):
-    """A folder of views; several processes may use it at once."""
-
-    most_bytes: int = MOST_BYTES
-    found: int = 0
-    used: int = 0
-
-    ending: ClassVar[str] = ".view"
-    thing: ClassVar[str] = "view"
-    otherwise: ClassVar[str] = "the stars are found"
-
-    @classmethod
-    def of_bench(cls) -> KeptViews:
-        """Return the folder of this user's bench."""
-        return cls(home_folder() / FOLDER)
-
-    def view(self, path: Path, options: Mapping[str, Any], find: Callable[[], View]) -> View:
-        """Return the view of a recording, as ``find`` returns it. One in which no stars are found is not kept."""
-        if not self.is_usable():
-            return find()
-        try:
-            require_regular(path)
-            require_whole(path)  # its missing parts would be read as gigabytes of zeros
-            recording = sha256_of(path)
-        except (OSError, DriverError):
-            return find()  # it states what is wrong with the file
-        key = view_key(recording, options)
-        if (kept := self.read(key)) is not None:
-            self.used += 1
-            return kept
-        view = find()
-        self.found += 1
-        with suppress(OSError):
-            if sha256_of(path) == recording:  # else the file was replaced meanwhile
-                self.write(key, view)
-        return view
-
-    def read(self, key: str) -> View | None:
-        """Return the view of a `view_key`; None if there is none, or it is broken: then it is deleted and told."""
-        data = self.read_entry(key)
-        if data is None:
-            return None
-        try:
-            return unpack_view(data, key)
-        except (ValueError, KeyError, TypeError, EOFError, InputMismatch, zipfile.BadZipFile) as error:
-            self.drop_entry(key, str(error))
-            return None
-
-    def write(self, key: str, view: View) -> None:
-        """Keep a view under a `view_key`. If this is not possible, say so and go on."""
-        self.write_entry(key, pack_view(view, key))
 
 
 def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
