@@ -28,8 +28,7 @@ ROWS, COLUMNS = 7, 5
 
 _LETTERS = Path(__file__).with_name("reticle_letters.txt").read_text(encoding="ascii")
 GLYPHS = {
-    line[0]: [[cell == "#" for cell in row] for row in line[2:].split(" ")]
-    for line in _LETTERS.splitlines()
+    line[0]: [[cell == "#" for cell in row] for row in line[2:].split(" ")] for line in _LETTERS.splitlines()
 } | {" ": [[False] * COLUMNS] * ROWS}
 """Cells of each letter, row by row from the top; capital letters, and the m of the unit."""
 

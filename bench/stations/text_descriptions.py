@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Final, Literal
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -12,6 +13,9 @@ from drivers.described import description as of
 from drivers.described.description import Template, TemplateFault, parse_template
 from sequences.strict_model import StrictModel, Within, is_plain_number
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 # What all descriptions of devices share: requests and replies, the line, refusals, notices, states.
 #
 # The module checks templates; it reads no file and opens no device.
@@ -19,6 +23,23 @@ from sequences.strict_model import StrictModel, Within, is_plain_number
 ADDRESS = frozenset({"address"})
 NOTHING: frozenset[str] = frozenset()
 _ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
+_D = TypeVar("_D", bound="DataclassInstance")
+
+
+def made_of(kind: type[_D], *sections: StrictModel, **others: Any) -> _D:
+    """Return a driver's object: a field that is not given is the key of its name in the first section that has it."""
+    found = {
+        one.name: _for_driver(next(getattr(part, one.name) for part in sections if hasattr(part, one.name)))
+        for one in fields(kind)
+        if one.name not in others
+    }
+    return kind(**found, **others)
+
+
+def _for_driver(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return tuple(map(_for_driver, value))
+    return value.for_driver() if hasattr(value, "for_driver") else value
 
 
 def template(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
@@ -88,8 +109,8 @@ class _Exchange(StrictModel):
         _reply(text, cls.known, cls.tells)
         return text
 
-    def exchange(self) -> of.Exchange:
-        """Return the exchange for the driver."""
+    def for_driver(self) -> Any:
+        """Return the exchange for the driver; of a query of a state its `of.Switch`."""
         return of.Exchange(_request(self.send, self.known, self.carries), _reply(self.reply, self.known))
 
 
@@ -118,9 +139,9 @@ class StateQuery(_Exchange):
             raise PydanticCustomError("when_number", "when must list numbers, as the reply has one.")
         return self
 
-    def switch(self) -> of.Switch:
+    def for_driver(self) -> of.Switch:
         """Return the query for the driver."""
-        return of.Switch(self.exchange(), tuple(self.when))
+        return of.Switch(super().for_driver(), tuple(self.when))
 
 
 Tolerance = Annotated[float, Within(0, 50, "%")]
@@ -194,20 +215,14 @@ class Described(StrictModel):
 
     def of_line(self) -> of.LineDescription:
         """Return the line for the driver."""
-        return of.LineDescription(
-            maker=self.maker,
-            model=self.model,
-            baudrate=self.line.baudrate,
+        return made_of(
+            of.LineDescription,
+            self,
+            self.line,
             request_end=_ENDS[self.line.request_end],
             reply_end=_ENDS[self.line.reply_end],
-            reply_s=self.line.reply_s,
-            quiet_s=self.line.quiet_s,
-            start_s=self.line.start_s,
-            checksum=self.line.checksum,
             clear=self.line.clear.encode("ascii"),
             setup=tuple(map(_request, self.line.setup)),
-            identity=self.identity.exchange(),
-            serial=None if self.serial is None else self.serial.exchange(),
             refusals=tuple(
                 of.Refusal(_reply(one.reply), one.means or "", dict(one.codes)) for one in self.refusals
             ),
@@ -267,20 +282,16 @@ class LightSettingConfig(StrictModel):
             raise PydanticCustomError("range_order", "range must be [lowest, highest].")
         return self
 
-    def setting(self) -> of.LightSetting:
+    def for_driver(self) -> of.LightSetting:
         """Return the setting for the driver."""
         lowest, highest = self.range or (float("-inf"), float("inf"))
-        return of.LightSetting(
-            quantity=self.quantity,
-            set=self.set.exchange(),
-            query=self.query.exchange(),
-            factor=self.factor,
+        return made_of(
+            of.LightSetting,
+            self,
             inverse=self.takes == "reciprocal",
-            words=dict(self.words),
             constant=self.value or 0.0,
             lowest=lowest,
             highest=highest,
-            tolerance_percent=self.tolerance_percent,
         )
 
 
@@ -317,14 +328,7 @@ class LightProtocol(Described):
 
     def for_driver(self) -> of.LightDescription:
         """Return the description for the driver."""
-        return of.LightDescription(
-            line=self.of_line(),
-            on=self.on.exchange(),
-            off=self.off.exchange(),
-            is_on=self.output.switch(),
-            faults=None if self.faults is None else self.faults.switch(),
-            settings=tuple(one.setting() for one in self.settings),
-        )
+        return made_of(of.LightDescription, self, line=self.of_line(), is_on=self.output.for_driver())
 
 
 class _AxisQuery(_Exchange):
@@ -389,15 +393,9 @@ class AxisSettingConfig(StrictModel):
             raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
         return self
 
-    def setting(self) -> of.AxisSetting:
+    def for_driver(self) -> of.AxisSetting:
         """Return the setting for the driver."""
-        return of.AxisSetting(
-            quantity=self.quantity,
-            set=self.set.exchange(),
-            query=self.query.exchange(),
-            constant=self.value or 0.0,
-            tolerance_percent=self.tolerance_percent,
-        )
+        return made_of(of.AxisSetting, self, constant=self.value or 0.0)
 
 
 class AxisProtocol(StrictModel):
@@ -432,21 +430,11 @@ class StageProtocol(Described):
     def for_driver(self) -> of.StageDescription:
         """Return the description for the driver."""
         axis = self.axis
-        return of.StageDescription(
+        return made_of(
+            of.StageDescription,
+            axis,
+            self,
             line=self.of_line(),
-            move=axis.move.exchange(),
-            stop=self.stop.exchange(),
-            position=axis.position.exchange(),
-            idle=axis.idle.switch(),
-            home=axis.home.exchange(),
             home_replies_at_end=axis.home.reply_comes == "at_end",
-            encoder=None if axis.encoder is None else axis.encoder.exchange(),
-            reference=None if axis.reference is None else axis.reference.switch(),
-            faults=None if axis.faults is None else axis.faults.switch(),
-            scale=None if axis.scale is None else axis.scale.exchange(),
             scale_unit=axis.scale.unit if axis.scale else "counts_per_deg",
-            lowest=None if axis.lowest is None else axis.lowest.exchange(),
-            highest=None if axis.highest is None else axis.highest.exchange(),
-            settings=tuple(one.setting() for one in axis.settings),
-            setup=tuple(one.exchange() for one in axis.setup),
         )
