@@ -13,10 +13,11 @@ import shutil
 import stat
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, ClassVar
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
@@ -24,12 +25,14 @@ from bench.records.storage import storage_errors
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:  # the model of the station file loads NumPy, which `status` does not need
+    from bench.run.run_devices import RunDevices
     from bench.stations.station_fields import (
         CameraTemperatureConfig,
         DeviceLostConfig,
         DiskSpaceConfig,
         DoorConfig,
         EventRateConfig,
+        InterlockConfig,
         InterlockName,
         InterlocksConfig,
     )
@@ -42,27 +45,21 @@ GUARDED = frozenset(
 """States in which the stage moves, the light is on, or the camera records."""
 
 
-class Interlock(Protocol):
-    """A condition that makes a run hold."""
+class Interlock(ABC):
+    """A condition that makes a run hold; ``config`` is its section of the station file."""
 
-    @property
-    def name(self) -> InterlockName:
-        """Name in the station file."""
-        ...
+    name: ClassVar[InterlockName]
+    poll_s: float = 1.0  # Time between two checks whether the run may continue, s
+    config: InterlockConfig
 
     @property
     def max_hold_s(self) -> float:
         """Longest total time for which it may hold a run, s."""
-        ...
+        return self.config.max_hold_s
 
-    @property
-    def poll_s(self) -> float:
-        """Time between two checks whether the run may continue, s."""
-        ...
-
+    @abstractmethod
     def why(self, *, held: bool) -> str:
         """Return why the interlock holds, or an empty text; while held, the stricter limit for continuing applies."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -175,39 +172,14 @@ def interlock_text(name: str) -> str:
 _MOST_BYTES = 64
 
 
-class Sensors(Protocol):
-    """Readings of the run's devices that interlocks need (`bench.run.run_devices.RunDevices`)."""
-
-    def camera_c(self) -> float | None:
-        """Read the temperature of the camera, degrees Celsius; None if it does not measure it."""
-        ...
-
-    def last_mev_s(self) -> float:
-        """Return the event rate of the last recording, millions of events per second."""
-        ...
-
-    def dark_mev_s(self, duration_s: float) -> float:
-        """Record in the dark for ``duration_s``; return the event rate, millions of events per second."""
-        ...
-
-    def reopen(self) -> str:
-        """Open the devices again, and return why that failed; empty if all devices are open."""
-        ...
-
-
 @dataclass(frozen=True)
-class Door:
+class Door(Interlock):
     """A file that states whether the enclosure is closed. If it cannot be read, the door counts as open."""
 
-    config: DoorConfig  # Section ``door`` of the station file
-    name: InterlockName = field(default=DOOR, init=False)
-    poll_s: float = field(default=0.1, init=False)  # Time between two checks, s
+    name = DOOR
+    poll_s = 0.1
+    config: DoorConfig
     utc_s: Callable[[], float] = time.time  # Returns the system time, s since 1970
-
-    @property
-    def max_hold_s(self) -> float:
-        """See `Interlock.max_hold_s`."""
-        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:  # noqa: ARG002 - a door is open or closed
         """See `Interlock.why`."""
@@ -239,18 +211,12 @@ def _read_sensor(path: str) -> tuple[str, float]:
 
 
 @dataclass(frozen=True)
-class DiskSpace:
+class DiskSpace(Interlock):
     """Free space on the disk of the run folder."""
 
-    config: DiskSpaceConfig  # Section ``disk_space`` of the station file
+    name = "disk_space"
+    config: DiskSpaceConfig
     folder: Path
-    name: InterlockName = field(default="disk_space", init=False)
-    poll_s: float = field(default=1.0, init=False)  # Time between two checks, s
-
-    @property
-    def max_hold_s(self) -> float:
-        """See `Interlock.max_hold_s`."""
-        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`."""
@@ -263,18 +229,13 @@ class DiskSpace:
 
 
 @dataclass(frozen=True)
-class CameraTemperature:
+class CameraTemperature(Interlock):
     """Temperature of the sensor; a camera that does not measure it never holds the run."""
 
-    config: CameraTemperatureConfig  # Section ``camera_temperature`` of the station file
+    name = "camera_temperature"
+    poll_s = 5.0
+    config: CameraTemperatureConfig
     read_c: Callable[[], float | None]  # Reads the temperature, degrees Celsius
-    name: InterlockName = field(default="camera_temperature", init=False)
-    poll_s: float = field(default=5.0, init=False)  # Time between two checks, s
-
-    @property
-    def max_hold_s(self) -> float:
-        """See `Interlock.max_hold_s`."""
-        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`."""
@@ -286,19 +247,14 @@ class CameraTemperature:
 
 
 @dataclass(frozen=True)
-class EventRate:
+class EventRate(Interlock):
     """Event rate of the last recording; while it holds, that of a short recording in the dark."""
 
-    config: EventRateConfig  # Section ``event_rate`` of the station file
+    name = "event_rate"
+    poll_s = 2.0
+    config: EventRateConfig
     last_mev_s: Callable[[], float]  # Returns the event rate of the last recording, Mev/s
     dark_mev_s: Callable[[float], float]  # Measures the event rate in the dark for a time in s, Mev/s
-    name: InterlockName = field(default="event_rate", init=False)
-    poll_s: float = field(default=2.0, init=False)  # Time between two checks, s
-
-    @property
-    def max_hold_s(self) -> float:
-        """See `Interlock.max_hold_s`."""
-        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`."""
@@ -312,21 +268,16 @@ class EventRate:
 
 
 @dataclass(frozen=True)
-class DeviceLost:
+class DeviceLost(Interlock):
     """A lost device: holds until all devices can be opened again, each with the serial number it had."""
 
-    config: DeviceLostConfig  # Section ``device_lost`` of the station file
+    name = DEVICE_LOST
+    config: DeviceLostConfig
     reopen: Callable[[], str]  # Opens the devices again; returns why that failed, or an empty text
-    name: InterlockName = field(default=DEVICE_LOST, init=False)
 
     @property
-    def max_hold_s(self) -> float:
-        """See `Interlock.max_hold_s`."""
-        return self.config.max_hold_s
-
-    @property
-    def poll_s(self) -> float:
-        """See `Interlock.poll_s`."""
+    def poll_s(self) -> float:  # type: ignore[override]
+        """Time between two attempts to open the devices, s."""
         return self.config.retry_s
 
     def why(self, *, held: bool) -> str:
@@ -334,7 +285,7 @@ class DeviceLost:
         return self.reopen() if held else ""
 
 
-def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> list[Interlock]:
+def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -> list[Interlock]:
     """Create the interlocks of a station's section ``interlocks``, in a fixed order."""
     found: list[Interlock] = []
     if config.door is not None:
@@ -342,9 +293,9 @@ def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> l
     if config.disk_space is not None:
         found.append(DiskSpace(config.disk_space, folder))
     if config.camera_temperature is not None:
-        found.append(CameraTemperature(config.camera_temperature, sensors.camera_c))
+        found.append(CameraTemperature(config.camera_temperature, devices.camera_c))
     if config.event_rate is not None:
-        found.append(EventRate(config.event_rate, sensors.last_mev_s, sensors.dark_mev_s))
+        found.append(EventRate(config.event_rate, devices.last_mev_s, devices.dark_mev_s))
     if config.device_lost is not None:
-        found.append(DeviceLost(config.device_lost, sensors.reopen))
+        found.append(DeviceLost(config.device_lost, devices.reopen))
     return found

@@ -215,11 +215,13 @@ Hold = Annotated[
 ]
 
 
-class _InterlockConfig(StrictModel):
+class InterlockConfig(StrictModel):
+    """What every interlock states."""
+
     max_hold_s: Hold = 1800.0
 
 
-class DoorConfig(_InterlockConfig):
+class DoorConfig(InterlockConfig):
     """A sensor of the enclosure: a file with one word, such as a GPIO file of the kernel. Any other word means open."""
 
     path: Text
@@ -227,7 +229,7 @@ class DoorConfig(_InterlockConfig):
     max_age_s: Annotated[Positive | None, Field(description="A file older than this means open, s.")] = None
 
 
-class CameraTemperatureConfig(_InterlockConfig):
+class CameraTemperatureConfig(InterlockConfig):
     """The image sensor is too warm."""
 
     max_c: Annotated[float, Field(ge=-50, le=150)]
@@ -242,7 +244,7 @@ class CameraTemperatureConfig(_InterlockConfig):
         return self
 
 
-class EventRateConfig(_InterlockConfig):
+class EventRateConfig(InterlockConfig):
     """Ambient light: after a recording with too high an event rate, the rate in the dark must become low again."""
 
     max_mev_s: Positive
@@ -261,7 +263,7 @@ class EventRateConfig(_InterlockConfig):
         return self
 
 
-class DiskSpaceConfig(_InterlockConfig):
+class DiskSpaceConfig(InterlockConfig):
     """Free space on the disk of the run folder."""
 
     min_free_gb: Positive
@@ -274,7 +276,7 @@ class DiskSpaceConfig(_InterlockConfig):
         return self
 
 
-class DeviceLostConfig(_InterlockConfig):
+class DeviceLostConfig(InterlockConfig):
     """A device was disconnected: the run waits, opens it again, checks its identity, and homes it if needed."""
 
     retry_s: Annotated[float, Field(ge=0.1, le=600)] = 5.0
