@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -216,6 +215,11 @@ class _StatedConfig(StrictModel):
             )
         return self
 
+    def stated(self, name: str, kind: TermKind, value: float, **more: float) -> TypeBTerm:
+        """Return a term with its distribution and source; ``more`` are further fields of `TypeBTerm`."""
+        freedom = self.degrees_of_freedom or float("inf")
+        return TypeBTerm(name, kind, value, self.source, self.distribution, self.k, freedom, **more)
+
 
 class PrintScaleConfig(_StatedConfig):
     """Relative error of the scale of the printed target."""
@@ -224,6 +228,10 @@ class PrintScaleConfig(_StatedConfig):
     correction: Annotated[
         float, Field(ge=-0.1, le=0.1, description="Known relative error: true over nominal size, minus 1.")
     ] = 0.0
+
+    def term(self, *_: object) -> TypeBTerm:
+        """Return the term of the budget."""
+        return self.stated("scale of the print", "print_scale", self.value, correction=self.correction)
 
 
 class PrintBowConfig(_StatedConfig):
@@ -234,11 +242,19 @@ class PrintBowConfig(_StatedConfig):
         Positive, Field(description="Distance from the axis at which the target is so high.")
     ]
 
+    def term(self, *_: object) -> TypeBTerm:
+        """Return the term of the budget."""
+        return self.stated("bow of the print", "print_bow", self.value_mm, radius_mm=self.radius_mm)
+
 
 class EffectiveRadiusConfig(_StatedConfig):
     """Difference between the focal length of a certificate, on the axis, and the effective one over the beam."""
 
     relative: Annotated[_Share, Field(description="Relative uncertainty.")]
+
+    def term(self, *_: object) -> TypeBTerm:
+        """Return the term of the budget."""
+        return self.stated("effective radius", "effective_radius", self.relative)
 
 
 class CollimatorDistortionConfig(_StatedConfig):
@@ -259,6 +275,11 @@ class WavefrontConfig(StrictModel):
     ] = None
     source: _Source
 
+    def term(self, *_: object) -> TypeBTerm:
+        """Return the term of the budget."""
+        name, correlation_mm = "slopes of the wavefront", self.correlation_mm
+        return TypeBTerm(name, "wavefront", self.urad_rms, self.source, correlation_mm=correlation_mm)
+
 
 class ThermalConfig(StrictModel):
     """Thermal expansion between the reference temperature and that of the bench."""
@@ -278,6 +299,28 @@ class ThermalConfig(StrictModel):
     ]
     source: _Source
 
+    def term(self, kind: Literal["thermal", "collimator_thermal"], collimator: CollimatorConfig) -> TypeBTerm:
+        """Return the term; the temperature is the section's, else the ``collimator``'s, else that of reference."""
+        of_glass, certificate = kind == "collimator_thermal", collimator.certificate
+        certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
+        references = (self.reference_c, certificate_c if of_glass else None, _REFERENCE_C)
+        reference = next(one for one in references if one is not None)
+        temperatures = (self.temperature_c, collimator.temperature_c)
+        measured = next((one for one in temperatures if one is not None), reference)
+        return TypeBTerm.thermal(
+            kind,
+            f"thermal expansion of the {'collimator' if of_glass else 'print'}",
+            self.source,
+            expansion_per_c=self.expansion_per_c,
+            expansion_sigma_per_c=self.expansion_sigma_per_c,
+            difference_c=measured - reference,
+            difference_sigma_c=self.sigma_c,
+        )
+
+
+_TERMS = ("print_scale", "print_bow", "thermal", "collimator_thermal", "effective_radius", "wavefront")
+"""Keys of the budget that are terms of the same kind, in their order."""
+
 
 class BudgetConfig(StrictModel):
     """Uncertainties that no view can show. What is not stated is listed in the results as not included."""
@@ -291,25 +334,9 @@ class BudgetConfig(StrictModel):
     wavefront: WavefrontConfig | None = None
 
     def terms(self, collimator: CollimatorConfig) -> tuple[TypeBTerm, ...]:
-        """Return the terms; the temperature is the section's, else the ``collimator``'s, else that of reference."""
-        certificate = collimator.certificate
-        certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
-        temperature_c = collimator.temperature_c
-        parts = (
-            _print_scale(self.print_scale),
-            _print_bow(self.print_bow),
-            _thermal("thermal", "thermal expansion of the print", self.thermal, temperature_c, None),
-            _thermal(
-                "collimator_thermal",
-                "thermal expansion of the collimator",
-                self.collimator_thermal,
-                temperature_c,
-                certificate_c,
-            ),
-            _effective_radius(self.effective_radius),
-            _wavefront(self.wavefront),
-        )
-        return tuple(term for term in parts if term is not None)
+        """Return the terms, each of the kind that its key names."""
+        stated = ((kind, getattr(self, kind)) for kind in _TERMS)
+        return tuple(section.term(kind, collimator) for kind, section in stated if section is not None)
 
     def radial_sigma(self, r_mm: float) -> float | None:
         """Return the prior of the radial term k of the target's map, k |h|^2 h at the tangents h, in radii.
@@ -321,89 +348,9 @@ class BudgetConfig(StrictModel):
         bow, distortion = self.print_bow, self.collimator_distortion
         if bow is None or distortion is None:
             return None
-        by_bow = _standard_uncertainty(bow, bow.value_mm) * r_mm / bow.radius_mm**2
-        by_distortion = _standard_uncertainty(distortion, distortion.relative)
+        by_bow = bow.term().standard_uncertainty * r_mm / bow.radius_mm**2
+        by_distortion = distortion.stated(
+            "value", "effective_radius", distortion.relative
+        ).standard_uncertainty
         by_distortion /= math.tan(math.radians(distortion.at_deg)) ** 2
         return math.hypot(by_bow, by_distortion) or None
-
-
-def _standard_uncertainty(stated: _StatedConfig, value: float) -> float:
-    """Return the standard uncertainty of a stated value."""
-    return TypeBTerm(
-        "value", "print_bow", value, stated.source, stated.distribution, stated.k, radius_mm=1.0
-    ).standard_uncertainty
-
-
-def _print_scale(stated: PrintScaleConfig | None) -> TypeBTerm | None:
-    """Return the term of a scale; None if it is not stated."""
-    if stated is None:
-        return None
-    term = _stated_term(stated, "scale of the print", "print_scale", stated.value)
-    return replace(term, correction=stated.correction)
-
-
-def _print_bow(stated: PrintBowConfig | None) -> TypeBTerm | None:
-    """Return the term of a bow; None if it is not stated."""
-    if stated is None:
-        return None
-    return _stated_term(stated, "bow of the print", "print_bow", stated.value_mm, stated.radius_mm)
-
-
-def _effective_radius(stated: EffectiveRadiusConfig | None) -> TypeBTerm | None:
-    """Return the term of the effective radius; None if it is not stated."""
-    if stated is None:
-        return None
-    return _stated_term(stated, "effective radius", "effective_radius", stated.relative)
-
-
-def _wavefront(stated: WavefrontConfig | None) -> TypeBTerm | None:
-    """Return the term of the wavefront; None if it is not stated."""
-    if stated is None:
-        return None
-    return TypeBTerm(
-        "slopes of the wavefront",
-        "wavefront",
-        stated.urad_rms,
-        stated.source,
-        correlation_mm=stated.correlation_mm,
-    )
-
-
-def _stated_term(
-    stated: _StatedConfig, name: str, kind: TermKind, value: float, radius_mm: float | None = None
-) -> TypeBTerm:
-    """Return a term with its distribution and source."""
-    return TypeBTerm(
-        name,
-        kind,
-        value,
-        stated.source,
-        stated.distribution,
-        stated.k,
-        stated.degrees_of_freedom or float("inf"),
-        radius_mm=radius_mm,
-    )
-
-
-def _thermal(
-    kind: Literal["thermal", "collimator_thermal"],
-    name: str,
-    stated: ThermalConfig | None,
-    temperature_c: float | None,
-    reference_c: float | None,
-) -> TypeBTerm | None:
-    """Return the term of an expansion, by the section's own temperatures first; None if it is not stated."""
-    if stated is None:
-        return None
-    references = (stated.reference_c, reference_c, _REFERENCE_C)
-    reference = next(one for one in references if one is not None)
-    measured = next((one for one in (stated.temperature_c, temperature_c) if one is not None), reference)
-    return TypeBTerm.thermal(
-        kind,
-        name,
-        stated.source,
-        expansion_per_c=stated.expansion_per_c,
-        expansion_sigma_per_c=stated.expansion_sigma_per_c,
-        difference_c=measured - reference,
-        difference_sigma_c=stated.sigma_c,
-    )
