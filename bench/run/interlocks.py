@@ -25,7 +25,6 @@ from bench.records.storage import storage_errors
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:  # the model of the station file loads NumPy, which `status` does not need
-    from bench.run.run_devices import RunDevices
     from bench.stations.station_fields import (
         CameraTemperatureConfig,
         DeviceLostConfig,
@@ -34,7 +33,6 @@ if TYPE_CHECKING:  # the model of the station file loads NumPy, which `status` d
         EventRateConfig,
         InterlockConfig,
         InterlockName,
-        InterlocksConfig,
     )
 
 DOOR: InterlockName = "door"
@@ -283,19 +281,3 @@ class DeviceLost(Interlock):
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`. It never begins to hold by itself."""
         return self.reopen() if held else ""
-
-
-def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -> list[Interlock]:
-    """Create the interlocks of a station's section ``interlocks``, in a fixed order."""
-    found: list[Interlock] = []
-    if config.door is not None:
-        found.append(Door(config.door))
-    if config.disk_space is not None:
-        found.append(DiskSpace(config.disk_space, folder))
-    if config.camera_temperature is not None:
-        found.append(CameraTemperature(config.camera_temperature, devices.camera_c))
-    if config.event_rate is not None:
-        found.append(EventRate(config.event_rate, devices.last_mev_s, devices.dark_mev_s))
-    if config.device_lost is not None:
-        found.append(DeviceLost(config.device_lost, devices.reopen))
-    return found

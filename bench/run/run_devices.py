@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, cast
 
 from bench.base.clock import BenchClock
@@ -15,8 +16,18 @@ from bench.records.run_folder import RunFolder
 from bench.records.storage import storage_errors
 from bench.results.interim import Decisions
 from bench.results.result import ResultWriter
-from bench.run.interlocks import Interlocks, loss_text
+from bench.run.interlocks import (
+    CameraTemperature,
+    DeviceLost,
+    DiskSpace,
+    Door,
+    EventRate,
+    Interlock,
+    Interlocks,
+    loss_text,
+)
 from bench.stations.devices import Devices, left_devices
+from bench.stations.station_fields import InterlocksConfig
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
 
@@ -171,6 +182,22 @@ class RunDevices:
 def _rate_mev_s(facts: Mapping[str, Any]) -> float:
     duration_s = facts.get("duration_s") or 0.0
     return facts.get("events", 0) / duration_s / 1e6 if duration_s else 0.0
+
+
+def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -> list[Interlock]:
+    """Create the interlocks of a station's section ``interlocks``, in a fixed order."""
+    found: list[Interlock] = []
+    if config.door is not None:
+        found.append(Door(config.door))
+    if config.disk_space is not None:
+        found.append(DiskSpace(config.disk_space, folder))
+    if config.camera_temperature is not None:
+        found.append(CameraTemperature(config.camera_temperature, devices.camera_c))
+    if config.event_rate is not None:
+        found.append(EventRate(config.event_rate, devices.last_mev_s, devices.dark_mev_s))
+    if config.device_lost is not None:
+        found.append(DeviceLost(config.device_lost, devices.reopen))
+    return found
 
 
 # What the parts of one run share: task, folder, journal, clock, devices, interlocks. Data only.

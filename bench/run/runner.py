@@ -26,9 +26,9 @@ from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
-from bench.run.interlocks import Interlocks, Trip, interlock_text, interlocks_of, loss_text
+from bench.run.interlocks import Interlocks, Trip, interlock_text, loss_text
 from bench.run.machine import RunMachine
-from bench.run.run_devices import RunContext, RunDevices
+from bench.run.run_devices import RunContext, RunDevices, interlocks_of
 from bench.run.states import StateWork
 from bench.run.status import read_status, status_text
 from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to_do
