@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, tzinfo
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 from zoneinfo import ZoneInfo
 
 from markupsafe import Markup
@@ -16,7 +17,7 @@ from markupsafe import Markup
 from bench.records.run_facts import REPEATS_TEXT, factors_text
 from bench.report.control_chart import chart_section, choose_drawn
 from bench.report.html import environment
-from bench.report.text import NOTHING, duration, fixed, meaning_of, number, unit_of, with_uncertainty
+from bench.report.text import NOTHING, duration, fixed, number, with_uncertainty
 from bench.report.trend_plots import Series, against_temperature, bars_of, over_time, timeline
 
 _K = 2.0
@@ -25,46 +26,10 @@ _SCATTER_SIGMAS = 3.0
 """A Birge ratio is significant if it exceeds 1 by more than this number of its own standard deviations."""
 _LEAST_RANGE_C = 0.2
 """Smallest range of temperatures for which the page shows parameters against temperature, degrees Celsius."""
-_HEADLINE = "fx"
 _CONTROL_PICTURES = 3
 """Pictures of one parameter: values, moving ranges, EWMA."""
 
 Json = Mapping[str, Any]
-
-
-class RunRow(NamedTuple):
-    """A row of the table of runs, as printed."""
-
-    item: str
-    link: str
-    begun: str
-    took: str
-    camera: str
-    poses: str
-    recordings: str
-    attempts: str
-    deviations: str
-    temperature: str
-    rms: str
-    focal: str
-    how: str
-    verdict: str
-    number: str
-
-
-class TrendRow(NamedTuple):
-    """A row of a camera's table of parameters, as printed."""
-
-    name: str
-    meaning: str
-    unit: str
-    mean: str
-    expanded: str
-    birge: str
-    per_hour: str
-    per_c: str
-    verdict: str
-    label: str
 
 
 def render_batch(summary: Json) -> str:
@@ -90,7 +55,8 @@ def render_batch(summary: Json) -> str:
             not_kept=[item["item"] for item in summary["items"] if item.get("conformity") == "FAIL"],
             withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
             cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
-            rows=[_run_row(item, zone) for item in summary["items"] if item["begun_utc"]],
+            rows=[item for item in summary["items"] if item["begun_utc"]],
+            local=partial(_local, zone=zone),
             charts=_chart_sections(summary),
             requests=summary["requests"],
             ledger=_newest_line(summary["items"]),
@@ -139,29 +105,6 @@ def _key_figures(summary: Json) -> list[tuple[str, str]]:
             f"in total, {duration(3600.0 * totals['working_hours'])} in runs",
         ),
     ]
-
-
-def _run_row(item: Json, zone: tzinfo | None) -> RunRow:
-    found = item["parameters"].get(_HEADLINE)
-    focal = " ± ".join(with_uncertainty(found["value"], found["expanded"])) if found else NOTHING
-    poses = "" if item["poses"] is None else f" / {item['poses']}"
-    return RunRow(
-        item["item"],
-        item["report"] or "",
-        _local(item["begun_utc"], zone)[11:],
-        duration(item["took_s"]) if item["took_s"] is not None else NOTHING,
-        item["camera"] or NOTHING,
-        f"{item['accepted']}{poses}",
-        str(item["recordings"]),
-        str(item["attempts"]),
-        str(item["deviations"] or NOTHING),
-        fixed(item["temperature_c"], 1),
-        fixed(item["rms_px"], 4),
-        focal,
-        item["how"],
-        {"finished": "pass", "aborted": "marginal", "cut off": "marginal"}.get(item["how"], "fail"),
-        str(item.get("ledger_number") or NOTHING),
-    )
 
 
 def _newest_line(items: Sequence[Json]) -> str:
@@ -232,9 +175,8 @@ def _scatters(trend: Json, runs: int) -> bool:
     return bool(trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1)))
 
 
-def _trend_row(trend: Json, runs: int, *, warm: bool) -> TrendRow:
+def _trend_row(trend: Json, runs: int, *, warm: bool) -> dict[str, str]:
     name = trend["name"]
-    unit = "" if unit_of(name) == "1" else unit_of(name)
     mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
     moves = trend["per_hour"] is not None and trend["per_hour"]["seen"]
     follows = warm and trend["per_c"] is not None and trend["per_c"]["seen"]
@@ -247,18 +189,16 @@ def _trend_row(trend: Json, runs: int, *, warm: bool) -> TrendRow:
         verdict, label = "marginal", "repeats"
     else:
         verdict, label = "pass", "steady"
-    return TrendRow(
-        name,
-        meaning_of(name),
-        unit,
-        mean,
-        expanded,
-        fixed(trend["birge"], 2),
-        _slope_text(trend["per_hour"]),
-        _slope_text(trend["per_c"]) if warm else NOTHING,
-        verdict,
-        label,
-    )
+    return {
+        "name": name,
+        "mean": mean,
+        "expanded": expanded,
+        "birge": fixed(trend["birge"], 2),
+        "per_hour": _slope_text(trend["per_hour"]),
+        "per_c": _slope_text(trend["per_c"]) if warm else NOTHING,
+        "verdict": verdict,
+        "label": label,
+    }
 
 
 def _slope_text(found: Json | None) -> str:

@@ -6,14 +6,12 @@ Rows of printed text from a part of results.json; none if it is missing: the pag
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from bench.records.results import (
     AmplitudeData,
     BudgetRowData,
     CalibrationData,
-    ComparisonRow,
     GimbalCheckData,
     Results,
     WitnessData,
@@ -26,9 +24,7 @@ from bench.report.text import (
     TargetWords,
     angle,
     fixed,
-    meaning_of,
     number,
-    unit_of,
     with_uncertainty,
 )
 
@@ -48,28 +44,8 @@ _OF_WAVEFRONT = "urad"
 """Unit of the slopes of a wavefront, and of no other row."""
 
 
-@dataclass(frozen=True)
-class PrintedBudgetRow:
-    """A source of uncertainty, as printed."""
-
-    # name, type, source: Name of the source, ``A`` or ``B``, and where its value comes from.
-    name: str
-    type: str
-    source: str
-    # value, distribution: Stated value with its unit; distribution with its divisor.
-    value: str
-    distribution: str
-    sensitivity: str
-    # focal, corner: Contribution to the standard uncertainty of fx and of the worst corner, px.
-    focal: str
-    corner: str
-    # focal_share, corner_share: Share in the variance of fx and of the worst corner, 0 to 1.
-    focal_share: float
-    corner_share: float
-
-
-def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> list[PrintedBudgetRow]:
-    """Return the rows of the uncertainty budget."""
+def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> list[dict[str, Any]]:
+    """Return the rows of the uncertainty budget, as printed; shares are in the variance, 0 to 1."""
     return [_printed(row, words) for row in calibration.get("budget_rows") or []]
 
 
@@ -104,7 +80,7 @@ def not_included(calibration: CalibrationData) -> list[tuple[str, str]]:
     return [(name, effect) for name, _, effect in lines]
 
 
-def _printed(row: BudgetRowData, words: TargetWords) -> PrintedBudgetRow:
+def _printed(row: BudgetRowData, words: TargetWords) -> dict[str, Any]:
     """Return a row as printed."""
     own = words.fitting if row["name"] == _OF_STARS else str  # other sources may be named by the station file
     scale = 1e6 if row["unit"] == "1" else 1.0
@@ -117,18 +93,18 @@ def _printed(row: BudgetRowData, words: TargetWords) -> PrintedBudgetRow:
     elif value is None and row.get("degrees_of_freedom") is not None:
         distribution += f", \N{GREEK SMALL LETTER NU} = {row['degrees_of_freedom']:.0f}"
     contribution, share = row["contribution"], row["share"]
-    return PrintedBudgetRow(
-        name=own(str(row["name"])),
-        type=str(row["type"]),
-        source=own(str(row["source"])),
-        value=NOTHING if value is None else _stated(scale * value, unit, where),
-        distribution=distribution,
-        sensitivity=f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}" if sensitivity else NOTHING,
-        focal=_length(contribution["fx"]),
-        corner=_length(contribution["worst_corner"]),
-        focal_share=float(share["fx"]),
-        corner_share=float(share["worst_corner"]),
-    )
+    return {
+        "name": own(str(row["name"])),
+        "type": str(row["type"]),
+        "source": own(str(row["source"])),
+        "value": NOTHING if value is None else _stated(scale * value, unit, where),
+        "distribution": distribution,
+        "sensitivity": f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}"
+        if sensitivity
+        else NOTHING,
+        "lengths": [_length(contribution[name]) for name in _SHOWN],
+        "shares": [share[name] for name in _SHOWN],
+    }
 
 
 def _stated(value: float, unit: str, where: str) -> str:
@@ -155,20 +131,7 @@ _DOUBTED = 0.3
 """Probability of a fault from which on a statement is named in the notes (`calib.joint.words`)."""
 
 
-@dataclass(frozen=True)
-class WitnessRow:
-    """A statement as printed."""
-
-    name: str
-    source: str
-    stated: str
-    expected: str
-    innovation: str
-    fault: str
-    verdict: str  # ``pass``, ``marginal`` or ``fail``
-
-
-def witness_rows(calibration: CalibrationData) -> list[WitnessRow]:
+def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
     """List the statements, those that are most at odds with the others first."""
     found = sorted(
         calibration.get("witnesses") or [],
@@ -182,18 +145,18 @@ def amplitude_rows(calibration: CalibrationData) -> list[tuple[str, str]]:
     return [(one["name"], _size(one)) for one in calibration.get("amplitudes") or []]
 
 
-def _row(one: WitnessData) -> WitnessRow:
+def _row(one: WitnessData) -> dict[str, str]:
     size = abs(one["innovation"])
     doubted = one["fault_probability"] >= _DOUBTED or size >= _CONTRADICTION
-    return WitnessRow(
-        one["name"],
-        one["source"],
-        _value(one["stated"], one["sigma"], one["unit"]),
-        _value(one["expected"], one["expected_sigma"], one["unit"]),
-        fixed(one["innovation"], 1),
-        f"{100 * one['fault_probability']:.0f} %",
-        "fail" if doubted else "marginal" if size > _UNUSUAL else "pass",
-    )
+    return {
+        "name": one["name"],
+        "source": one["source"],
+        "stated": _value(one["stated"], one["sigma"], one["unit"]),
+        "expected": _value(one["expected"], one["expected_sigma"], one["unit"]),
+        "innovation": fixed(one["innovation"], 1),
+        "fault": f"{100 * one['fault_probability']:.0f} %",
+        "verdict": "fail" if doubted else "marginal" if size > _UNUSUAL else "pass",
+    }
 
 
 def _value(value: float | None, sigma: float | None, unit: str) -> str:
@@ -226,39 +189,21 @@ _VERDICTS = {
 """Heading of each verdict of the hand-eye check."""
 
 
-@dataclass(frozen=True)
-class ValueRow:
-    """A calibrated value with its expanded uncertainty, as printed."""
-
-    name: str
-    meaning: str
-    value: str
-    expanded: str
-    relative: str
-    unit: str
-    k: str
+Cell = tuple[str, float]
+"""A cell of a matrix: its text and the strength of its shading, 0 to 1."""
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A cell of a matrix: its text and the strength of its shading, 0 to 1."""
-
-    text: str
-    shade: float
-
-
-def values(calibration: CalibrationData) -> list[ValueRow]:
-    """Return values with their U = k u (JCGM 100, 6.2.1), and the relative U if it is below 100 %."""
+def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
+    """Return name, value, U = k u (JCGM 100, 6.2.1), the relative U if it is below 100 %, and k."""
     found = {**calibration["camera"], **(calibration.get("collimator") or {})}
     rows = []
     for name, sigma in calibration["sigma"].items():
         if name not in found:
             continue
         k = coverage_factor(calibration, name)
-        value, expanded = with_uncertainty(found[name], k * sigma)
         share = k * sigma / abs(found[name]) if found[name] else float("inf")
         relative = f"{number(100 * share, 2)} %" if share < 1 else NOTHING
-        rows.append(ValueRow(name, meaning_of(name), value, expanded, relative, unit_of(name), fixed(k, 2)))
+        rows.append((name, *with_uncertainty(found[name], k * sigma), relative, fixed(k, 2)))
     return rows
 
 
@@ -292,7 +237,7 @@ def budget(
         rows.append(
             (
                 words.points if source == _OF_STARS else str(source),
-                [Cell(f"{100 * share:.0f} %", round(share, 2)) for share in shares],
+                [(f"{100 * share:.0f} %", round(share, 2)) for share in shares],
             )
         )
     return (names, rows) if rows else ([], [])
@@ -306,7 +251,7 @@ def correlation(calibration: CalibrationData) -> tuple[list[str], list[list[Cell
     for i, row in enumerate(matrix):
         scales = [(row[i] * matrix[j][j]) ** 0.5 for j in range(len(row))]
         shares = [entry / scale if scale > 0 else 0.0 for entry, scale in zip(row, scales, strict=True)]
-        rows.append([Cell(fixed(share, 2), round(min(1.0, abs(share)), 2)) for share in shares])
+        rows.append([(fixed(share, 2), round(min(1.0, abs(share)), 2)) for share in shares])
     return list(covariance["names"]), rows
 
 
@@ -325,35 +270,6 @@ def planar_comparison(
             rows.append((name, *own, *with_uncertainty(planar["camera"][name], k_planar * sigma)))
     rms = (number(calibration["rms_px"], 3), "", number(planar["rms_px"], 3), "")
     return [*rows, ("RMS, px", *rms)]
-
-
-def candidates(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
-    """List models: name, parameters, RMS px, RMS of left-out views px, BIC (Schwarz, 1978)."""
-    return [
-        (
-            str(model["model"]),
-            number(model["parameters"]),
-            number(model["rms_px"], 3),
-            number(model["left_out_rms_px"], 3),
-            number(model["bic"], 6),
-        )
-        for model in calibration.get("candidates") or []
-    ]
-
-
-def comparison(
-    rows: Sequence[ComparisonRow], calibration: CalibrationData
-) -> list[tuple[str, str, str, str, str, str]]:
-    """Return name, value, U, simulated truth, difference, and difference over standard uncertainty."""
-    printed = []
-    for row in rows:
-        k = coverage_factor(calibration, row["name"])
-        value, expanded = with_uncertainty(row["value"], k * row["sigma"])
-        error, _ = with_uncertainty(row["error"], k * row["sigma"])
-        truth, _ = with_uncertainty(row["truth"], k * row["sigma"])
-        sigmas = fixed(row["error_sigmas"], 2)
-        printed.append((row["name"], value, expanded, truth, error, sigmas))
-    return printed
 
 
 def checks(results: Results) -> list[tuple[str, str]]:

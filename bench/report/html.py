@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
 
-from bench.records.history import Attempt, History
+from bench.records.history import History
 from bench.records.results import Results
 from bench.records.run_facts import coverage_factor
 from bench.report import calibration_tables, pose_tables, run_tables, text
 from bench.report.calibration_tables import amplitude_rows, witness_rows
 from bench.report.pose_tables import courses, state_diagram
-from bench.report.run_tables import left, source_rows
+from bench.report.run_tables import left
 from bench.report.text import NOTHING, TargetWords, moment, number, value_text, words_of
 from bench.report.verdict import change, verdict
 from bench.report.view_picture import PLOTS, ViewPicture, pictured_poses, thinned
+
+_PRINTED: tuple[Callable[..., Any], ...] = (
+    *(
+        text.number,
+        text.fixed,
+        text.duration,
+        text.with_uncertainty,
+        text.meaning_of,
+        text.unit_of,
+        text.unit_text,
+    ),
+    *(coverage_factor, pose_tables.status_of, pose_tables.angles, pose_tables.motion, pose_tables.image_text),
+)
+"""What prints a value of results.json, for the templates."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +81,7 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "fit_statistics": calibration_tables.fit_statistics(calibration, words),
         "correlation": calibration_tables.correlation(calibration),
         "planar": calibration_tables.planar_comparison(calibration, results.get("planar")),
-        "candidates": calibration_tables.candidates(calibration),
+        "candidates": calibration.get("candidates") or [],
         "budget": calibration_tables.budget(calibration, words),
         "budget_rows": calibration_tables.budget_rows(calibration, words),
         "combined": calibration_tables.combined(calibration),
@@ -82,7 +96,7 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
             *calibration_tables.checks(results),
         ],
         "halves": bool(halves and halves.get("cameras")),
-        "comparison": calibration_tables.comparison(results.get("comparison") or [], calibration),
+        "comparison": results.get("comparison") or [],
     }
 
 
@@ -96,12 +110,13 @@ def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "devices": run_tables.devices(devices),
         "connections": run_tables.connections(devices),
         "devices_left": run_tables.left(results.get("devices_left") or []),
-        "poses": pose_tables.poses(poses),
-        "recordings": pose_tables.recordings(poses, words),
+        "poses": poses,
+        "explained": pose_tables.explained(poses),
+        "recordings": [(pose["name"], one) for pose in poses for one in pose.get("attempts") or []],
         "gates": pose_tables.gates(results.get("gates") or [], words),
         "deviations": run_tables.deviations(results),
         "holds": [str(hold) for hold in results.get("holds") or ()],
-        "sources": source_rows(results.get("sources") or []),
+        "sources": results.get("sources") or [],
         "walk": _markup(state_diagram(results["states"])) if results.get("states") else "",
     }
 
@@ -117,13 +132,12 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
 
         plots = report_plots(data.results, data.views)
         pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)
-    found = courses(data.results.get("untils") or [], draw=draw)
     return {
         "plots": {name: _markup(svg) for name, svg in plots.items()},
         "stars": _star_counts(data.views),
         "pictured": (text.number(pictured.shown), text.number(pictured.total)),
         "pictures": [(_markup(svg), name) for svg, name in pictures],
-        "courses": [replace(course, plot=_markup(course.plot)) for course in found],
+        "courses": courses(data.results.get("untils") or [], draw=draw),
     }
 
 
@@ -138,6 +152,7 @@ def environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     made.filters["css_text"] = _css_text
+    made.globals |= {"NOTHING": NOTHING} | {printed.__name__: printed for printed in _PRINTED}
     return made
 
 
@@ -162,19 +177,6 @@ def _css_text(value: object) -> str:
 # Text from the journal alone, so that a run without results has its page too.
 
 
-class RecordedRow(NamedTuple):
-    """A recording, as printed."""
-
-    pose: str
-    attempt: int
-    verdict: str  # ``pass``, ``fail``, or ``marginal`` if it was not measured
-    label: str
-    stars: str
-    events: str
-    reasons: str
-    capture: str
-
-
 def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
     """Render the page of a run that did not finish; the hash of its last line identifies the whole journal."""
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None
@@ -189,7 +191,7 @@ def render_ended(history: History, way_on: tuple[str, str], journal_head: str, n
             remedy=failure["remedy"] if failure else "",
             way_on=way_on,
             identification=_identification(history),
-            recordings=[_row(attempt) for attempt in history.attempts],
+            recordings=history.attempts,
             accepted=len(history.accepted()),
             lost=sum(history.lost.values()),
             deviations=[*history.deviations, *history.holds],
@@ -212,22 +214,3 @@ def _identification(history: History) -> list[tuple[str, str]]:
         ("Number of the run", value_text(place.get("number"))),
         ("Times resumed", number(history.resumed)),
     ]
-
-
-def _row(attempt: Attempt) -> RecordedRow:
-    checked, facts = attempt.checked, attempt.stored["facts"]
-    verdict, label = ("marginal", "not measured") if checked is None else ("fail", "refused")
-    if attempt.accepted:
-        verdict, label = "pass", "accepted"
-    return RecordedRow(
-        attempt.pose_name or str(attempt.pose_index),
-        attempt.attempt,
-        verdict,
-        label,
-        NOTHING if checked is None else number(checked["stars"]),
-        number(facts.get("events")),
-        NOTHING
-        if checked is None or not checked["reasons"]
-        else "; ".join(why.removesuffix(".") for why in checked["reasons"]),
-        attempt.stored["capture"],
-    )

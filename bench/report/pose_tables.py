@@ -14,6 +14,8 @@ from html import escape
 from itertools import pairwise
 from typing import Any
 
+from markupsafe import Markup
+
 from bench.records.events import GateData, ImageFacts, UntilDecided
 from bench.records.results import Numbers, PoseData
 from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale, Words, axes_in
@@ -31,42 +33,6 @@ from bench.report.text import (
 
 _POSE_PREFIX = re.compile(r"pose \d+: ")
 _VERDICTS = ("pass", "marginal", "fail")
-_STATUS_VERDICTS = {"used": "pass", "not used": "marginal", "refused": "fail"}
-
-
-@dataclass(frozen=True)
-class PoseRow:
-    """One pose as printed: its angles, its stars and its image."""
-
-    name: str
-    commanded: str
-    measured: str
-    moved: str
-    stars: str
-    rms: str
-    flicker: str
-    image: str
-    reason: str
-    status: str
-    verdict: str
-
-
-@dataclass(frozen=True)
-class RecordingRow:
-    """One recording as printed, accepted or refused."""
-
-    pose: str
-    attempt: str
-    accepted: bool
-    reasons: str
-    events: str
-    rate: str
-    triggers: str
-    duration: str
-    pictures: str
-    saturated: str
-    capture: str
-    sha256: str
 
 
 @dataclass(frozen=True)
@@ -80,66 +46,18 @@ class GateRow:
     verdict: str
 
 
-def poses(found: Sequence[PoseData]) -> list[PoseRow]:
-    """List poses with commanded and measured angles and stars; a kind of image is explained where it is first."""
-    rows: list[PoseRow] = []
-    kinds: set[object] = set()
-    for pose in found:
-        image, status = pose.get("image") or {}, _status(pose)
-        rows.append(
-            PoseRow(
-                name=str(pose["name"]),
-                commanded=_angles(pose.get("commanded_deg"), 3),
-                measured=_angles(pose.get("measured_deg"), 4),
-                moved=_motion(pose.get("measured_deg") or {}, pose.get("measured_after_deg") or {}),
-                stars=_stars(pose),
-                rms=number(pose.get("rms_px"), 3),
-                flicker=number(pose.get("flicker_hz"), 6),
-                image=_image(image),
-                reason="" if image.get("kind") in kinds else str(image.get("reason") or ""),
-                status=status,
-                verdict=_STATUS_VERDICTS[status],
-            )
-        )
-        kinds.add(image.get("kind"))
-    return rows
-
-
-def _status(pose: PoseData) -> str:
-    """Return whether a pose is part of the calibration."""
+def status_of(pose: PoseData) -> str:
+    """Return whether a pose is ``used`` in the calibration, ``not used``, or ``refused``."""
     if pose.get("rms_px") is not None:
         return "used"
     accepted = any(attempt["accepted"] for attempt in pose.get("attempts") or [])
     return "not used" if accepted else "refused"
 
 
-def _stars(pose: PoseData) -> str:
-    """Return the number of stars of a pose, and what identified them if it was not the tag."""
-    return number(pose.get("stars")) + (
-        ", identified by the gimbal" if pose.get("named_by") == "gimbal" else ""
-    )
-
-
-def recordings(found: Sequence[PoseData], words: TargetWords = STARS) -> list[RecordingRow]:
-    """List every recording, including refused ones."""
-    return [
-        RecordingRow(
-            pose=str(pose["name"]),
-            attempt=str(attempt["attempt"]),
-            accepted=bool(attempt["accepted"]),
-            reasons=words.fitting("; ".join(attempt.get("reasons") or [])),
-            events=number(attempt.get("events")),
-            rate=number(attempt.get("event_rate_mev_s"), 3),
-            triggers=number(attempt.get("triggers")),
-            duration=duration(attempt["duration_s"]) if attempt.get("duration_s") else NOTHING,
-            pictures=number(attempt.get("pictures")),
-            saturated=number(attempt.get("saturated_percent"), 2),
-            capture=str(attempt.get("capture") or NOTHING),
-            sha256=str(attempt.get("sha256") or NOTHING),
-        )
-        for pose in found
-        for attempt in pose.get("attempts") or []
-    ]
+def explained(found: Sequence[PoseData]) -> set[int]:
+    """Return the indices of the poses at which a kind of image is explained: the first ones that have it."""
+    first = {(pose.get("image") or {}).get("kind"): pose["index"] for pose in reversed(found)}
+    return set(first.values())
 
 
 def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow]:
@@ -168,17 +86,21 @@ def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow
     return rows
 
 
-def _angles(found: Numbers | None, decimals: int) -> str:
+def angles(found: Numbers | None, decimals: int) -> str:
+    """Return the angle of each axis, degrees."""
     axes = {axis: angle for axis, angle in (found or {}).items() if not axis.endswith("_encoder")}
     return ", ".join(f"{axis} {fixed(angle, decimals)}" for axis, angle in axes.items()) or NOTHING
 
 
-def _motion(before: Numbers, after: Numbers) -> str:
+def motion(pose: PoseData) -> str:
+    """Return how far an axis turned at most during a recording, arc seconds."""
+    before, after = pose.get("measured_deg") or {}, pose.get("measured_after_deg") or {}
     moved = [abs(after[axis] - before[axis]) for axis in before if axis in after]
     return f"{3600 * max(moved):.1f}" if moved else NOTHING
 
 
-def _image(image: ImageFacts) -> str:
+def image_text(image: ImageFacts) -> str:
+    """Return of what the image of a pose was made."""
     details = [str(image["kind"])] if image.get("kind") else []
     if image.get("periods"):
         details.append(f"{value_text(image['periods'])} periods")
@@ -343,58 +265,27 @@ _ENDS = {
 }
 
 
-@dataclass(frozen=True)
-class CourseRow:
-    """One decision, as printed."""
-
-    poses: str
-    model: str
-    reached: tuple[str, ...]  # Expanded uncertainty for each goal, px
-    chosen: str
-    angles: str
-    expected: tuple[str, ...]  # Expanded uncertainty that the choice expected for each goal, px
-    why: str  # Why there is no calibration yet, why this pose was chosen, or how the step ended
-
-
-@dataclass(frozen=True)
-class Course:
-    """The course of one ``until``, as printed."""
-
-    goals: str
-    columns: tuple[str, ...]
-    rows: tuple[CourseRow, ...]  # The decisions, in order
-    met: bool  # Whether the goals are met
-    end: str
-    minutes: str
-    plot: str  # SVG; empty if nothing is drawn or no uncertainty was reached
-    factors: str
-
-
-def courses(decisions: Sequence[UntilDecided], *, draw: bool = True) -> list[Course]:
-    """Return the course of each ``until`` of a run, in order, from ``untils`` of results.json."""
+def courses(decisions: Sequence[UntilDecided], *, draw: bool = True) -> list[dict[str, Any]]:
+    """Return what is printed of the course of each ``until`` of a run, in order, from ``untils`` of results.json."""
     by_until: dict[int, list[UntilDecided]] = {}
     for decided in decisions:
         by_until.setdefault(decided["until"], []).append(decided)
     return [_course(own, draw=draw) for own in by_until.values()]
 
 
-def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> Course:
+def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> dict[str, Any]:
     last = decisions[-1]
     wanted = last["wanted"]
-    end = last.get("ended")
-    plot = ""
-    if draw and any(decided["now"] for decided in decisions):
-        plot = course_plot(decisions)
-    return Course(
-        goals_text(wanted),
-        tuple(meaning_of_goal(name) for name in wanted),
-        tuple(_row(decided) for decided in decisions),
-        end == "met",
-        _end_text(end, last.get("why", "")),
-        fixed(last["worked_s"] / 60.0, 1),
-        plot,
-        _factors(decisions),
-    )
+    drawn = draw and any(decided["now"] for decided in decisions)
+    return {
+        "goals": goals_text(wanted),
+        "columns": [meaning_of_goal(name) for name in wanted],
+        "rows": [_row(decided) for decided in decisions],
+        "end": _end_text(last.get("ended"), last.get("why", "")),
+        "minutes": fixed(last["worked_s"] / 60.0, 1),
+        "plot": Markup(course_plot(decisions)) if drawn else "",  # noqa: S704 - names are escaped when drawn
+        "factors": _factors(decisions),
+    }
 
 
 def _factors(decisions: Sequence[UntilDecided]) -> str:
@@ -412,17 +303,17 @@ def _end_text(end: str | None, why: str) -> str:
     return f"{_ENDS[end]}. {why}" if end in _ENDS else "The step did not end."
 
 
-def _row(decided: UntilDecided) -> CourseRow:
+def _row(decided: UntilDecided) -> dict[str, Any]:
     chosen: Mapping[str, Any] = decided.get("chosen") or {}
-    expected: Mapping[str, float] = chosen.get("expected", {})
-    goals = decided["wanted"]
-    angles = ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in chosen.get("angles_deg", {}).items())
-    return CourseRow(
-        number(decided["poses"]),
-        decided["model"] or NOTHING,
-        tuple(number(decided["now"].get(name), 3) for name in goals),
-        chosen.get("pose_name", NOTHING),
-        angles or NOTHING,
-        tuple(number(expected.get(name), 3) for name in goals),
-        decided.get("problem") or chosen.get("why") or _ENDS.get(decided.get("ended", ""), NOTHING).lower(),
-    )
+    expected, goals = chosen.get("expected", {}), decided["wanted"]
+    axes = chosen.get("angles_deg", {}).items()
+    end = _ENDS.get(decided.get("ended", ""), NOTHING).lower()
+    return {
+        "poses": number(decided["poses"]),
+        "model": decided["model"] or NOTHING,
+        "reached": [number(decided["now"].get(name), 3) for name in goals],
+        "chosen": chosen.get("pose_name", NOTHING),
+        "angles": ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in axes) or NOTHING,
+        "expected": [number(expected.get(name), 3) for name in goals],
+        "why": decided.get("problem") or chosen.get("why") or end,
+    }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from bench.base.device_ends import DeviceEnd
@@ -17,7 +16,6 @@ from bench.records.results import (
     PassportData,
     Results,
     RunData,
-    SourceData,
 )
 from bench.report.pose_tables import gates
 from bench.report.text import (
@@ -166,14 +164,6 @@ def parallax_rows(parallax: ParallaxData | None) -> Rows:
     return rows
 
 
-def source_rows(sources: Sequence[SourceData]) -> list[tuple[str, str, str, str]]:
-    """List view, size in bytes, path and SHA-256 of each input file of a calibration without devices."""
-    return [
-        (str(one["view"]), number(one["size_bytes"], 12), str(one["path"]), str(one["sha256"]))
-        for one in sources
-    ]
-
-
 def _agreement(estimate: GimbalEstimateData | None) -> str:
     """Return how the readings agree with the stars."""
     if not estimate:
@@ -211,17 +201,6 @@ def _bound(bound: ParallaxBound) -> str:
 _UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 
 
-@dataclass(frozen=True)
-class DeviceRow:
-    """The identity that one device reported, as printed."""
-
-    name: str
-    model: str
-    serial: str
-    firmware: str
-    details: str
-
-
 def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     """List the settings of light and camera, and the temperature."""
     rows = []
@@ -233,8 +212,8 @@ def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def devices(found: Mapping[str, Any]) -> list[DeviceRow]:
-    """List the identities that the devices reported."""
+def devices(found: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+    """List name, model, serial number, firmware and details that the devices reported."""
     rows = []
     for part, identities in found.items():
         for identity in identities if isinstance(identities, list) else [identities]:
@@ -247,7 +226,7 @@ def devices(found: Mapping[str, Any]) -> list[DeviceRow]:
             details = ", ".join(
                 f"{_readable(key)} {value_text(value)}" for key, value in facts.items() if value is not None
             )
-            rows.append(DeviceRow(name, model or NOTHING, serial, firmware, details))
+            rows.append((name, model or NOTHING, serial, firmware, details))
     return rows
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from bench.records.results import CalibrationData, CameraData, ChangeData, Results
 from bench.records.run_facts import coverage_factor, factors_text
@@ -18,7 +19,6 @@ from bench.report.text import (
     fixed,
     moment,
     number,
-    unit_of,
     with_uncertainty,
     words_of,
 )
@@ -30,28 +30,12 @@ _DAY_S, _HOUR_S = 86400.0, 3600.0
 
 
 @dataclass(frozen=True)
-class ChangeRow:
-    """The change of one value, as printed; ``normalised`` is the E_n number."""
-
-    name: str
-    before: str
-    before_expanded: str
-    now: str
-    now_expanded: str
-    change: str
-    change_expanded: str
-    unit: str
-    normalised: str
-    verdict: str
-
-
-@dataclass(frozen=True)
 class Change:
     """What is printed about the change since the last calibration."""
 
     why_not: str  # Why there is no comparison; empty if there is one
     facts: tuple[tuple[str, str], ...] = ()
-    rows: tuple[ChangeRow, ...] = ()
+    rows: tuple[dict[str, Any], ...] = ()  # Each with ``normalised``, the E_n number
     over_sensor: str = ""
 
 
@@ -115,20 +99,19 @@ def _in_both(name: str, then: CameraData, now: CameraData) -> bool:
     return name in then["camera"] and all(one["sigma"].get(name, 0) > 0 for one in (then, now))
 
 
-def _row(name: str, then: CameraData, now: CameraData) -> ChangeRow:
+def _row(name: str, then: CameraData, now: CameraData) -> dict[str, Any]:
     """Return the change of one value with its expanded uncertainty, sqrt(U1^2 + U2^2), and E_n (ISO 13528)."""
     expanded = [coverage_factor(one, name) * one["sigma"][name] for one in (then, now)]
     moved, whole = now["camera"][name] - then["camera"][name], math.hypot(*expanded)
     normalised = moved / whole
-    return ChangeRow(
-        name,
-        *with_uncertainty(then["camera"][name], expanded[0]),
-        *with_uncertainty(now["camera"][name], expanded[1]),
-        *with_uncertainty(moved, whole),
-        unit_of(name),
-        fixed(normalised, 2),
-        "pass" if abs(normalised) <= 1 else "marginal",
-    )
+    return {
+        "name": name,
+        "before": with_uncertainty(then["camera"][name], expanded[0]),
+        "now": with_uncertainty(now["camera"][name], expanded[1]),
+        "change": with_uncertainty(moved, whole),
+        "normalised": fixed(normalised, 2),
+        "verdict": "pass" if abs(normalised) <= 1 else "marginal",
+    }
 
 
 def _over_sensor(found: ChangeData | None) -> str:

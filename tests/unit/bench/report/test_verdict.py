@@ -81,9 +81,9 @@ def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     said = ": changed by up to 0.31 px = 2.4 U at one place; largest change 0.44 px."
     assert verdict(results).sentences[-1].endswith(said)
     (fx, *others) = change(results).rows
-    assert (fx.name, fx.change, fx.change_expanded) == ("fx", "21.5", "6.0")  # U = hypot(4.26, 4.26)
-    assert (fx.normalised, fx.verdict) == ("3.57", "marginal")
-    assert {row.normalised for row in others} == {"0.00"}
+    assert (fx["name"], fx["change"]) == ("fx", ("21.5", "6.0"))  # U = hypot(4.26, 4.26)
+    assert (fx["normalised"], fx["verdict"]) == ("3.57", "marginal")
+    assert {row["normalised"] for row in others} == {"0.00"}
 
 
 @pytest.mark.parametrize(
