@@ -336,7 +336,7 @@ class Panel:
         try:
             with watch.lock:
                 model = watch.model
-                found = model.places.get(place)
+                found = next((a for a in model.history.attempts_at(place[0]) if a.attempt == place[1]), None)
                 row = model.rows.get(place[0])
                 accepted = model.history.accepted().get(place[0])
                 solved = bool(model.history.solved)
@@ -353,8 +353,8 @@ class Panel:
             "pose": place[0],
             "pose_name": row["name"],
             "attempt": place[1],
-            "capture": found.capture,
-            "expected_grid": found.expected_grid,
+            "capture": found.stored["capture"],
+            "expected_grid": found.measured.get("expected_grid"),
             "accepted": is_accepted and solved,
             "measure": measure,
         }

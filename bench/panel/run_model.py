@@ -1,13 +1,13 @@
 """One run as its page shows it, kept up to date with each line of the journal: poses, log, last recording, course.
 
-Of each recording the model keeps verdict and place only. It writes nothing.
+It writes nothing.
 """
 
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -137,17 +137,7 @@ def read_final(folder: Path) -> dict[str, float]:
 
 Json = dict[str, Any]
 
-_KEPT_OF_CAPTURE = ("pose", "pose_name", "attempt")
-_KEPT_OF_CHECK = ("pose", "attempt", "accepted", "reasons", "stars")
 _CLOCK_TEXT = len("12:34:56 UTC  ")
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a recording is, and what is needed to show it again."""
-
-    capture: str  # Its file, relative to the run folder
-    expected_grid: Any = None  # Grid by which its stars were labelled; None if the tag did that
 
 
 class RunModel:
@@ -173,28 +163,28 @@ class RunModel:
         self._changed: dict[int, int] = {}  # pose: line at which it changed last, oldest first
         self.log: list[tuple[int, str, str, str]] = []
         """Number of the line, its time, its text and its tone."""
-        self.places: dict[tuple[int, int], Place] = {}
-        """Places of the recordings by pose and attempt."""
-        self.grids: list[tuple[int, Any, int]] = []
-        """Pose, grid and number of stars of the accepted recordings, in the order of their acceptance."""
-        self.last_stored: Mapping[str, Any] = {}
-        self.last_checked: Mapping[str, Any] = {}
         self.last_target_deg: Mapping[str, float] = {}
         self.asked: Mapping[str, Any] = {}
         self.held_since_utc = ""
-        self.gate_failures: dict[str, int] = {}
+        self.stored_utc = self.asked_utc = ""
+        """Times of the last recording and of the last question."""
+
+    @property
+    def last_stored(self) -> Mapping[str, Any]:
+        """What the journal holds of the last recording; empty before the first one."""
+        return self.history.attempts[-1].stored if self.history.attempts else {}
+
+    @property
+    def last_checked(self) -> Mapping[str, Any]:
+        """What the journal holds of the last recording that was measured; empty before the first one."""
+        return next((one.checked for one in reversed(self.history.attempts) if one.checked is not None), {})
+
+    @property
+    def gate_failures(self) -> Mapping[str, int]:
         """How many recordings each gate has rejected."""
-        self._stored_utc = self._asked_utc = ""
-
-    @property
-    def stored_utc(self) -> str:
-        """Time of the last recording."""
-        return self._stored_utc
-
-    @property
-    def asked_utc(self) -> str:
-        """Time of the last question."""
-        return self._asked_utc
+        checked = (one.checked for one in self.history.attempts if one.checked is not None)
+        judged = (gate for one in checked for gate in one.get("gates", ()))
+        return Counter(gate["name"] for gate in judged if gate["verdict"] == "fail")
 
     def refresh(self) -> bool:
         """Read what is new in the journal, at most a part of it; False if there was nothing."""
@@ -242,9 +232,8 @@ class RunModel:
         if self.lines == 1:
             self._read_plan()
         try:
-            slim = _slim(entry)  # fails first if the line lacks something
             self._keep(entry)
-            apply_entry(self.history, slim)
+            apply_entry(self.history, entry)
             self.time_left.apply(entry, self.history)
             self._change_rows(entry)
             text = line_text(entry)
@@ -269,29 +258,13 @@ class RunModel:
         data = entry.data
         match entry.event:
             case Event.CAPTURE_STORED:
-                self.places[int(data["pose"]), int(data["attempt"])] = Place(str(data["capture"]))
-                self.last_stored, self._stored_utc = data, entry.utc
-            case Event.ATTEMPT_CHECKED:
-                self._keep_check(entry)
+                self.stored_utc = entry.utc
             case Event.ENTERING:
                 self.last_target_deg = data.get("target_deg", self.last_target_deg)
                 if data["state"] == "holding":
                     self.held_since_utc = entry.utc
             case Event.ASKED:
-                self.asked, self._asked_utc = data, entry.utc
-
-    def _keep_check(self, entry: Entry) -> None:
-        data = entry.data
-        self.last_checked = data
-        place = int(data["pose"]), int(data["attempt"])
-        measured = data.get("measured", {})
-        if measured.get("expected_grid") is not None and place in self.places:
-            self.places[place] = replace(self.places[place], expected_grid=measured["expected_grid"])
-        if data["accepted"] and measured.get("grid") is not None:
-            self.grids.append((place[0], measured["grid"], int(data["stars"])))
-        for gate in data.get("gates", ()):
-            if gate["verdict"] == "fail":
-                self.gate_failures[gate["name"]] = self.gate_failures.get(gate["name"], 0) + 1
+                self.asked, self.asked_utc = data, entry.utc
 
     def _change_rows(self, entry: Entry) -> None:
         data, number = entry.data, entry.data.get("pose")
@@ -353,17 +326,6 @@ def _row(number: int, name: str, angles_deg: Mapping[str, float]) -> Json:
         "last": 0,
         "chosen": False,
     }
-
-
-def _slim(entry: Entry) -> Entry:
-    """Return a line without the many numbers of a recording, which the history would keep."""
-    data = entry.data
-    if entry.event == Event.CAPTURE_STORED:
-        return replace(entry, data={name: data[name] for name in _KEPT_OF_CAPTURE})
-    if entry.event == Event.ATTEMPT_CHECKED:
-        kept = {name: data[name] for name in _KEPT_OF_CHECK}
-        return replace(entry, data={**kept, "gates": (), "measured": {}})
-    return entry
 
 
 def _tone(entry: Entry) -> str:

@@ -20,6 +20,7 @@ from bench.base.errors import Failure
 from bench.base.worker_process import WorkerProcess
 from bench.panel.run_head import ProcessState, head_of, look_at_process
 from bench.panel.run_model import RunModel, read_final
+from bench.records.history import History
 from bench.run.heartbeat import LastView, read_last_view
 from bench.web.pages import Changes
 
@@ -296,7 +297,7 @@ class Extras:
                 self._generation, self._covered = model.generation, 0
                 self._counts = [0] * len(self._counts)
                 self._forecast, self._forecast_left = [], None
-            grids = model.grids[self._covered : self._covered + _MOST_GRIDS]
+            grids = _grids(model.history)[self._covered : self._covered + _MOST_GRIDS]
             size = _image_size(model.history.devices.get("camera", {}), model.last_stored.get("facts", {}))
             poses = sum(1 for pose in model.plan.poses.values() if pose.get("angles_deg"))
         if self._forecast_left is None and poses:
@@ -332,6 +333,13 @@ class Extras:
             self._forecast.sort(key=lambda one: one["poses"])
             self._watch.tell({"forecast": list(self._forecast)})
         return True
+
+
+def _grids(history: History) -> list[tuple[int, Any, int]]:
+    """Return pose, grid and number of stars of the accepted recordings, in the order of their acceptance."""
+    checked = [(pose, one.checked) for pose, one in history.accepted().items() if one.checked is not None]
+    found = [(pose, one.get("measured", {}).get("grid"), one["stars"]) for pose, one in checked]
+    return [one for one in found if one[1] is not None]
 
 
 def forecast_poses(poses: int) -> list[int]:
