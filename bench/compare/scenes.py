@@ -22,6 +22,7 @@ from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 from calib.events.reconstruction import reconstruct
 from calib.model.camera import CameraModel
+from calib.model.rotation import exp_map, log_map
 from calib.stars.detect import detect_view
 from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
@@ -59,8 +60,8 @@ def record_moving(
     rng = np.random.default_rng((seed, 31, number))
     position, turn = np.array(section["screen"]["position_mm"]), np.array(section["screen"]["turn_deg"])
     angle = motion.angle_deg if motion.angle_deg is not None else rng.uniform(*_OBLIQUE_DEG)
-    edge = _edge_direction(turn)
-    direction = edge + math.radians(angle) + 0.5 * math.pi * rng.integers(4)
+    rows = exp_map(np.radians(turn))[:, 0]
+    direction = math.atan2(rows[1], rows[0]) + math.radians(angle) + 0.5 * math.pi * rng.integers(4)
     way_mm = position[2] / focal_px * np.array([math.cos(direction), math.sin(direction), 0.0])
     axis = rng.normal(size=3)
     turning = _TURN_DEG_S * axis / np.linalg.norm(axis)
@@ -86,16 +87,6 @@ def record_moving(
         pictures[two_sided] = picture.image
     return pictures
 
-
-def _edge_direction(turn_deg: NDArray[np.float64]) -> float:
-    """Return the direction of the board's rows in the picture, radians."""
-    from calib.model.rotation import exp_map
-
-    along = np.asarray(exp_map(np.radians(turn_deg)))[:, 0]
-    return math.atan2(along[1], along[0])
-
-
-Array = NDArray[np.float64]
 
 #: Largest angles of the poses, degrees: as those of the included sequences.
 _PAN_DEG, _TILT_DEG = 6.0, 2.5
@@ -270,7 +261,7 @@ def _placement(
     for _ in range(_MOST_DRAWS):
         tilt, around, roll = board.tilt_deg * rng.random(), 2 * math.pi * rng.random(), 180.0 * rng.random()
         turn = np.radians(tilt) * np.array([math.cos(around), math.sin(around), 0.0])
-        rotation = _rotation(turn) @ _rotation(np.radians([0.0, 0.0, roll]))
+        rotation = exp_map(turn) @ exp_map(np.radians([0.0, 0.0, roll]))
         distance = board.distance_mm * (1.0 + 0.15 * rng.uniform(-1, 1))
         middle = camera.rays(np.array([[rng.uniform(0, s - 1) for s in camera.image_size]]))[0]
         position = distance * middle / middle[2]
@@ -282,7 +273,7 @@ def _placement(
                 "rows": board.rows,
                 "square_mm": board.square_mm,
                 "position_mm": position.tolist(),
-                "turn_deg": np.degrees(_vector(rotation)).tolist(),
+                "turn_deg": np.degrees(log_map(rotation)).tolist(),
             }
     raise CalibrationError(
         "The board does not fit into the picture.",
@@ -316,15 +307,3 @@ def true_camera(truth: Mapping[str, Any]) -> CameraModel:
     lens = {name: float(truth[name]) for name in ("k1", "k2", "p1", "p2", "k3")}
     fx, fy, cx, cy = (float(truth[name]) for name in ("fx", "fy", "cx", "cy"))
     return CameraModel(fx, fy, cx, cy, (int(truth["width"]), int(truth["height"])), lens)
-
-
-def _rotation(vector: Any) -> Array:
-    from calib.model.rotation import exp_map
-
-    return np.asarray(exp_map(np.asarray(vector, np.float64)))
-
-
-def _vector(rotation: Array) -> Array:
-    from calib.model.rotation import log_map
-
-    return np.asarray(log_map(rotation))
