@@ -38,9 +38,9 @@ from bench.cluster.work import (
     Workers,
     content_key,
     line_of,
-    most_handed_out,
     require_program_of,
     results_of,
+    rounds,
 )
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
@@ -163,7 +163,6 @@ def _remove(part: Path) -> None:
         shutil.rmtree(part)
 
 
-_WAIT_S = 0.5
 _AHEAD = 8
 """Runs behind URLs that are listed at the same time: most of that time is spent waiting for answers."""
 _Next = tuple[int, Place, Callable[[], Listed]]
@@ -221,7 +220,6 @@ class Recalculation:
         self._rows: dict[int, Mapping[str, Any]] = {}
         self._runs: dict[int, _Run] = {}
         self._waiting: deque[Work] = deque()
-        self._out: set[str] = set()
         self._defects: set[str] = set()
         self._time = TimeLeft()
 
@@ -229,11 +227,9 @@ class Recalculation:
         """Calibrate all runs. A row for each, in their order."""
         source = listed_ahead(self._places, self._task)
         try:
-            while self._fill(source):
-                for end in self._workers.finished(_WAIT_S):
-                    if end.key in self._out:  # a second end of the same work would be counted twice
-                        self._out.remove(end.key)
-                        self._take(end)
+            for ended in rounds(lambda: self._next_work(source), self._workers):
+                for end in ended:
+                    self._take(end)
                 self._show()
         finally:
             source.close()
@@ -241,19 +237,14 @@ class Recalculation:
                 self._output.finish([self._rows[number] for number in sorted(self._rows)])
         return [self._rows[number] for number in sorted(self._rows)]
 
-    def _fill(self, source: Iterator[_Next]) -> bool:
-        """Hand out work until the workers have enough; return whether any is in progress."""
-        most = most_handed_out(self._workers)
-        while len(self._out) < most:
-            while not self._waiting:
-                following = next(source, None)
-                if following is None:
-                    return bool(self._out)
-                self._begin(*following)
-            work = self._waiting.popleft()
-            self._workers.submit(work)
-            self._out.add(work.key)
-        return True
+    def _next_work(self, source: Iterator[_Next]) -> Work | None:
+        """Return what is to be done next; None if nothing is left, or only what follows from work in progress."""
+        while not self._waiting:
+            following = next(source, None)
+            if following is None:
+                return None
+            self._begin(*following)
+        return self._waiting.popleft()
 
     def _begin(self, number: int, place: Place, listed_by: Callable[[], Listed]) -> None:
         """List the recordings of a run; use its results if it was done before."""

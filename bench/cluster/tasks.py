@@ -335,19 +335,16 @@ def _files(
     return offline_files(result, name, sealed_by, sources=sources, read_from=copies)
 
 
-class _named:  # noqa: N801 - used as a context manager
+@contextmanager
+def _named(place: Place, folder: Path) -> Iterator[None]:
     """Errors of the block name the place instead of its copy."""
-
-    def __init__(self, place: Place, folder: Path) -> None:
-        self._place, self._folder = place, folder
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        if self._place.is_remote and isinstance(error, FORESEEN):
-            said = partial(self._place.said, folder=self._folder)
-            raise BenchError(said(error.what), where=said(error.where), remedy=said(error.remedy)) from error
+    try:
+        yield
+    except FORESEEN as error:
+        if not place.is_remote:
+            raise
+        said = partial(place.said, folder=folder)
+        raise BenchError(said(error.what), where=said(error.where), remedy=said(error.remedy)) from error
 
 
 def _hash_of(recording: Path) -> str:

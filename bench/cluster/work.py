@@ -136,6 +136,7 @@ class KeptRows(Table):
 
 # Pieces of work for one process, for the processes of this computer, or for a Dask scheduler: one interface for all.
 
+_WAIT_S = 0.5
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""
 
@@ -260,23 +261,24 @@ def map_work(
     >>> sorted((number, end.value) for number, end in map_work(abs, [(-1,), (2,)], Serial()))
     [(0, 1), (1, 2)]
     """
-    source = enumerate(items)
+    source = (Work(str(number), function, arguments) for number, arguments in enumerate(items))
+    for ended in rounds(lambda: next(source, None), workers):
+        for end in ended:
+            yield int(end.key), end
+
+
+def rounds(next_work: Callable[[], Work | None], workers: Workers) -> Iterator[list[Finished]]:
+    """Hand out work until there is none and all has ended; yield what ended in each round of waiting, if anything."""
     out: set[str] = set()
-    more = True
-    while more or out:
-        while more and len(out) < most_handed_out(workers):
-            number, arguments = next(source, (-1, ()))
-            if number < 0:
-                more = False
-                break
-            workers.submit(Work(str(number), function, arguments))
-            out.add(str(number))
+    while True:
+        while len(out) < _most_handed_out(workers) and (work := next_work()) is not None:
+            workers.submit(work)
+            out.add(work.key)
         if not out:
-            break
-        for end in workers.finished(1.0):
-            if end.key in out:  # a second end of the same work would be counted twice
-                out.remove(end.key)
-                yield int(end.key), end
+            return
+        ended = {end.key: end for end in workers.finished(_WAIT_S) if end.key in out}  # each once
+        out -= ended.keys()
+        yield list(ended.values())
 
 
 def results_of(
@@ -290,7 +292,7 @@ def results_of(
         yield number, end.value
 
 
-def most_handed_out(workers: Workers) -> int:
+def _most_handed_out(workers: Workers) -> int:
     """Return how many pieces of work, at least 1, to hand out at once: no worker waits, and memory stays small."""
     return max(1, _AHEAD * workers.size) if workers.size > 1 else 1
 
