@@ -11,10 +11,12 @@ from typing import Any
 
 import click
 
-from bench.base.clock import BenchClock
+from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import UsageError
+from bench.base.home import home_folder
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
+from bench.evidence.keys import usable_key
 
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 
@@ -49,11 +51,8 @@ def batch(queue: Path, output: Path) -> int:
             where=str(queue),
             remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
         )
-    from bench.base.clock import stop_on_signals
-    from bench.base.home import home_folder
     from bench.batch.batch import Batch
     from bench.batch.batch_plan import read_queue
-    from bench.evidence.keys import usable_key
 
     clock = BenchClock()
     usable_key(home_folder(), clock.utc_now())  # one that processes without a terminal can use

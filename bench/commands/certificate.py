@@ -14,6 +14,9 @@ import click
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
+from bench.certificate.certificate_data import CERTIFICATE, Certificate
+from bench.certificate.dcc_signature import signer_of_files
+from bench.certificate.series import Numbered, declare_void, numbers, one_at_a_time
 from bench.commands.certificate_authorise import authorise, timestamp
 from bench.commands.certificate_dcc import check, from_dcc
 from bench.commands.options import (
@@ -26,15 +29,19 @@ from bench.commands.options import (
     epilog,
 )
 from bench.commands.output import JSON, ask_passphrase, show, wants_json
-from bench.records.storage import read_bounded, storage_errors, write_atomic
+from bench.evidence.findings import Verification
+from bench.evidence.key_trust import Trust, read_trust
+from bench.evidence.keys import BenchKey, ensure_key, require_usable
+from bench.evidence.ledger_check import is_sealed_by, own_public_keys
+from bench.evidence.states import standing_of
+from bench.evidence.verify import verify_folder
+from bench.records.ledger import Ledger, bench_ledger
+from bench.records.run_folder import MANIFEST
+from bench.records.storage import read_bounded, sha256_of, storage_errors, write_atomic
 
 if TYPE_CHECKING:
-    from bench.certificate.certificate_data import Certificate
     from bench.certificate.issue import Issued, Laboratory
-    from bench.certificate.series import Numbered
-    from bench.evidence.findings import Verification
-    from bench.evidence.key_trust import Trust
-    from bench.records.ledger import Ledger
+
 
 _UNKNOWN = "UNKNOWN"
 """State of a certificate while lines of the ledger are missing."""
@@ -134,7 +141,6 @@ def issue(
     An amended certificate has a new number. It names the old one by number and hash, and lists every field that
     changed. The old one stays as it is; `starbench verify` says that it is superseded.
     """
-    from bench.certificate.certificate_data import CERTIFICATE
     from bench.certificate.issue import amend
     from bench.certificate.issue import issue as issue_first
 
@@ -205,10 +211,9 @@ def void(number: str, reason: str, by: str | None) -> int:
     import socket
 
     from bench.certificate.issue import complete_open
-    from bench.certificate.series import declare_void, one_at_a_time
 
     text = _stated(reason)
-    ledger = _ledger()
+    ledger = bench_ledger()
     with one_at_a_time(ledger.home):
         done = complete_open(ledger)  # the certificate of this number may lie sealed in its folder
         who = by or f"{getpass.getuser()}@{socket.gethostname()}"
@@ -236,17 +241,13 @@ def show_command(folder: Path | None) -> int:
     """
     from bench.commands.ledger import ledger_findings
 
-    ledger = _ledger()
+    ledger = bench_ledger()
     if folder is None:
         faults, notes = ledger_findings(ledger)
         rows = _rows(ledger, is_known=not faults)
         data = {"schema": "starbench/certificates/1", "certificates": rows, "faults": faults, "notes": notes}
         show(data, [*_list_lines(rows), *(f"Note: {note}" for note in notes)])
         return _told(faults)
-    from bench.certificate.certificate_data import CERTIFICATE, Certificate
-    from bench.certificate.series import numbers
-    from bench.evidence.ledger_check import is_sealed_by, own_public_keys
-    from bench.evidence.states import standing_of
 
     path = folder / CERTIFICATE
     if not path.is_file():
@@ -257,7 +258,7 @@ def show_command(folder: Path | None) -> int:
         )
     content = read_bounded(path)
     certificate = Certificate.from_json(content, str(path))
-    state = str(standing_of(folder, _trust(), datetime.now(UTC)).state.value)
+    state = str(standing_of(folder, read_trust(home_folder()), datetime.now(UTC)).state.value)
     is_own = is_sealed_by(folder, own_public_keys(ledger.home))
     faults, notes = ledger_findings(ledger) if is_own else ([], [])
     known = None if faults else numbers(ledger.entries()).get(certificate.number)
@@ -284,9 +285,7 @@ def _told(faults: Sequence[str]) -> int:
 
 def _rows(ledger: Ledger, *, is_known: bool) -> list[dict[str, Any]]:
     """Return the numbers in the ledger; their states are known only if no line of it is missing."""
-    from bench.certificate.series import numbers
-
-    trust, now = _trust(), datetime.now(UTC)
+    trust, now = read_trust(home_folder()), datetime.now(UTC)
     return [
         {
             "number": one.number,
@@ -344,10 +343,6 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
 
 
 def _listed_state(one: Numbered, trust: Trust, now: datetime, *, is_known: bool) -> str:
-    from bench.evidence.states import standing_of
-    from bench.records.run_folder import MANIFEST
-    from bench.records.storage import sha256_of
-
     if one.how != "issued":
         return {"reserved": "DRAFT", "void": "VOID", "lost": "LOST"}[one.how]
     if one.superseded_by:
@@ -364,7 +359,6 @@ def _listed_state(one: Numbered, trust: Trust, now: datetime, *, is_known: bool)
 
 def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory:
     from bench.certificate.issue import Laboratory
-    from bench.evidence.keys import BenchKey, ensure_key, require_usable
 
     def key() -> BenchKey:
         found = ensure_key(home_folder(), ask_passphrase=ask_passphrase)
@@ -373,31 +367,18 @@ def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory
 
     sign = None
     if dcc_key is not None:
-        from bench.certificate.dcc_signature import signer_of_files
-
         sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
-    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again), sign)
+    return Laboratory(
+        bench_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again), sign
+    )
 
 
 def verify_sealed(folder: Path, *, again: bool) -> Verification:
     """Verify a folder as the command `verify` does."""
     from bench.commands.verify import derivations
-    from bench.evidence.verify import verify_folder
 
-    trust = _trust()
+    trust = read_trust(home_folder())
     return verify_folder(folder, trust, derivations=derivations(trust, again=again), again=again)
-
-
-def _trust() -> Trust:
-    from bench.evidence.key_trust import read_trust
-
-    return read_trust(home_folder())
-
-
-def _ledger() -> Ledger:
-    from bench.records.ledger import bench_ledger
-
-    return bench_ledger()
 
 
 def _stated(reason: str) -> str:

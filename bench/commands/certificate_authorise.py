@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -16,14 +16,34 @@ from bench.base.errors import BenchError, EvidenceError, StorageError, UsageErro
 from bench.base.home import home_folder
 from bench.commands.options import ExistingFile, ExistingFolder, NewFile, epilog, status_text
 from bench.commands.output import JSON, STOPPED, ask_passphrase, confirm, show, wants_json
-from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
-from bench.evidence.timestamp import LABORATORY_TSA_FILE, STAMPED, TSA_FILE
+from bench.evidence.authorisation import authorise as sign
+from bench.evidence.authorisation import (
+    enter_authorisation,
+    find_key,
+    named_person,
+    require_authorisable,
+    require_unauthorised,
+)
+from bench.evidence.key_trust import Trust, read_trust
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, add_beside, kind_of
+from bench.evidence.sshsig import agent_socket, fingerprint, is_valid, read_signature
+from bench.evidence.timestamp import (
+    LABORATORY_TSA_FILE,
+    STAMPED,
+    TSA_FILE,
+    OtherFileError,
+    Stamp,
+    TrustedAuthorities,
+    UncheckedError,
+    as_reply,
+    check_reply,
+    read_authorities,
+)
+from bench.evidence.tsa_client import ask_authority, check_url, make_request
+from bench.evidence.verify import verify_folder
+from bench.records.ledger import bench_ledger
 from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
-from bench.records.storage import read_json, storage_errors
-
-if TYPE_CHECKING:
-    from bench.evidence.key_trust import Trust
-    from bench.evidence.timestamp import Stamp, TrustedAuthorities
+from bench.records.storage import read_json, storage_errors, write_atomic
 
 # `certificate timestamp`: write a request for a time stamp, or add a reply beside the seal.
 
@@ -76,9 +96,6 @@ def timestamp(
 
 def _write_request(folder: Path, what: str | None, path: Path) -> int:
     """Write a request for a time stamp; ``what`` is None for the authorisation if there is one, else the seal."""
-    from bench.evidence.tsa_client import make_request
-    from bench.records.storage import write_atomic
-
     name = _free_names(folder, what)[0]
     write_atomic(path, make_request(_signed(folder, name), nonce=False).data)
     show(
@@ -97,10 +114,6 @@ def _stamp_folder(
 
     ``what`` is ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is of.
     """
-    from bench.evidence.seal import add_beside
-    from bench.evidence.timestamp import UncheckedError, as_reply, read_authorities
-    from bench.evidence.tsa_client import ask_authority, check_url, make_request
-
     if tsa is not None:
         check_url(tsa)
     authorities = read_authorities(home_folder(), tsa_certificates)
@@ -144,8 +157,6 @@ def _stamp_folder(
 
 def _check_one(reply: bytes, folder: Path, names: Sequence[str], authorities: TrustedAuthorities) -> Stamp:
     """Check a reply for the first of these names; for the next one only if it is a time stamp of another file."""
-    from bench.evidence.timestamp import OtherFileError, check_reply
-
     for name in names[:-1]:
         with suppress(OtherFileError):
             return check_reply(reply, _signed(folder, name), authorities, name)
@@ -180,8 +191,6 @@ def _free_names(folder: Path, what: str | None) -> list[str]:
 
 def _signed(folder: Path, name: str) -> bytes:
     """Return the signature to stamp; refuses one that does not hold, because its time would be worthless."""
-    from bench.evidence.sshsig import is_valid, read_signature
-
     of = STAMPED[name]
     with storage_errors(folder):
         data = (folder / of).read_bytes()
@@ -225,16 +234,6 @@ def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: 
     The folder is verified and shown, and you confirm. Your signature of its seal is added; nothing else changes. A
     passphrase is asked for, or taken from the variable STARBENCH_PASSPHRASE.
     """
-    from bench.evidence.authorisation import authorise as sign
-    from bench.evidence.authorisation import (
-        find_key,
-        named_person,
-        require_authorisable,
-        require_unauthorised,
-    )
-    from bench.evidence.key_trust import read_trust
-    from bench.evidence.sshsig import agent_socket, fingerprint
-
     if wants_json() and not yes:
         raise UsageError("--json cannot ask for confirmation.", remedy="Add --yes.")
     require_unauthorised(folder)
@@ -272,9 +271,6 @@ def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: 
 
 def _enter(folder: Path, person: str, fingerprint: str) -> bool:
     """Enter the authorisation in the ledger of this bench; say on standard error if that is not possible."""
-    from bench.evidence.authorisation import enter_authorisation
-    from bench.records.ledger import bench_ledger
-
     try:
         if enter_authorisation(bench_ledger(), folder, person, fingerprint):
             return True
@@ -287,8 +283,6 @@ def _enter(folder: Path, person: str, fingerprint: str) -> bool:
 
 def facts_of(folder: Path) -> dict[str, str]:
     """Return what a person must see before signing, in order: kind, number, item, run, and the seal's hash."""
-    from bench.evidence.seal import kind_of
-
     kind = kind_of(folder)
     certificate = _read_json(folder / "certificate.json")
     results = _read_json(folder / RESULTS)
@@ -314,7 +308,6 @@ def facts_of(folder: Path) -> dict[str, str]:
 def _refuse_unverified(folder: Path, trust: Trust) -> None:
     """Refuse a folder in which the verification finds a fault: a person must not sign it."""
     from bench.commands.verify import derivations
-    from bench.evidence.verify import verify_folder
 
     found = verify_folder(folder, trust, derivations=derivations(trust, again=False))
     others = [fault for fault in found.faults if fault.kind != "authorisation"]

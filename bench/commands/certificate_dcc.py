@@ -6,17 +6,25 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from bench.base.errors import EvidenceError, UsageError
+from bench.certificate.dcc_signature import DccSignature, load_certificates, verify_signature
+from bench.certificate.dcc_xml import (
+    DCC_VERSION,
+    MOST_BYTES,
+    NAMESPACES,
+    SCHEMAS_VARIABLE,
+    SI_VERSION,
+    read_dcc,
+    schema_faults,
+    schema_folder,
+)
 from bench.commands.options import ExistingFile, ExistingPath, epilog
 from bench.commands.output import JSON, show, wants_json
 from bench.records.storage import storage_errors
-
-if TYPE_CHECKING:
-    from bench.certificate.dcc_signature import DccSignature
 
 DCC_FILE = "dcc.xml"
 
@@ -74,9 +82,6 @@ def check(path: Path, schemas: Path | None, trusted: Path | None) -> int:
 
 
 def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
-    from bench.certificate.dcc_signature import load_certificates, verify_signature
-    from bench.certificate.dcc_xml import NAMESPACES, read_dcc, schema_faults, schema_folder
-
     file = path / DCC_FILE if path.is_dir() else path
     if not file.is_file():
         raise UsageError(f"The folder has no {DCC_FILE}.", where=str(path), remedy="Name the XML file.")
@@ -104,8 +109,6 @@ def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
 
 def _read(file: Path) -> bytes:
     """Return the bytes of a file, at most one more than a DCC may have."""
-    from bench.certificate.dcc_xml import MOST_BYTES
-
     with storage_errors(file), file.open("rb") as stream:
         return stream.read(MOST_BYTES + 1)
 
@@ -129,7 +132,6 @@ def from_dcc(path: Path, quantity: str, trusted: Path | None) -> int:
     certificate. Nothing is written.
     """
     from bench.certificate.dcc import read_reference
-    from bench.certificate.dcc_signature import load_certificates, verify_signature
 
     data = _read(path)
     anchors = () if trusted is None else load_certificates(trusted)
@@ -182,8 +184,6 @@ def _fault_lines(found: _Found) -> Iterator[str]:
 
 
 def _valid_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
-    from bench.certificate.dcc_xml import DCC_VERSION, SI_VERSION
-
     yield f"Certificate {found.number}: DCC {DCC_VERSION} with D-SI {SI_VERSION}."
     if found.schema is not None:
         yield "Schema: valid."
@@ -199,8 +199,6 @@ def _valid_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
 
 
 def _unchecked_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
-    from bench.certificate.dcc_xml import SCHEMAS_VARIABLE
-
     if found.schema is None:
         yield (
             "Not checked: the form. Name the folder of PTB's schemas with --schemas or in"
@@ -211,8 +209,6 @@ def _unchecked_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
 
 
 def _object(found: _Found) -> dict[str, Any]:
-    from bench.certificate.dcc_xml import DCC_VERSION, SI_VERSION
-
     one = found.signature
     return {
         "file": str(found.file),

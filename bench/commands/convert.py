@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.clock import reliable_interrupts
+from bench.base.errors import UsageError
+from bench.cluster.verifications import CONVERTED, Converted, convert_many, plan_targets
+from bench.cluster.work import KeptRows, Workers
 from bench.commands.options import (
     EventFile,
     ExistingFile,
@@ -21,10 +25,10 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, show
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
+from bench.records.storage import make_folder, write_atomic
+from bench.terminal.encoding import printable
 
 if TYPE_CHECKING:
-    from bench.cluster.verifications import Converted
-    from bench.cluster.work import Workers
     from bench.results.exports import Straightness
     from calib.model.camera import Undistortion
 
@@ -60,7 +64,6 @@ def convert(
     DAT, AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4 and bags need starbench[formats]. The header of
     a converted RAW file states that it was converted, so it cannot be taken for a camera's original file.
     """
-    from bench.base.errors import UsageError
     from drivers.camera.formats import event_conversion
 
     many = len(sources) > 1 or output.is_dir() or isinstance(workers, str)
@@ -86,7 +89,6 @@ def convert(
 def _convert_one(source: Path, output: Path, kind: str) -> int:
     from dataclasses import asdict
 
-    from bench.base.clock import reliable_interrupts
     from drivers.camera.formats import event_conversion
 
     with reliable_interrupts():
@@ -117,11 +119,6 @@ def _say_if_cut_off(source: Path, written: Mapping[str, Any]) -> None:
 def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Workers) -> int:
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
     from contextlib import ExitStack
-
-    from bench.base.clock import reliable_interrupts
-    from bench.cluster.verifications import CONVERTED, convert_many, plan_targets
-    from bench.cluster.work import KeptRows
-    from bench.terminal.encoding import printable
 
     pairs = plan_targets(sources, folder, kind)
     line = CountLine(len(pairs), "files")
@@ -193,9 +190,7 @@ def undistort(file: Path, output: Path, keep: float, preview: Path | None, board
     for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's remap, and the new camera
     matrix; camera_info.yaml is ROS's, with the new matrix as P.
     """
-    from bench.base.errors import UsageError
     from bench.plan.camera_files import read_camera_file
-    from bench.records.storage import make_folder, write_atomic
     from bench.results.exports import board_straightness, read_picture_for, undistorted_files
     from bench.results.offline_folder import require_new
     from bench.results.offline_options import parse_board

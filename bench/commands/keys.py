@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,10 +14,33 @@ from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.commands.options import MOMENT, MOMENT_FORM, Family, epilog
 from bench.commands.output import JSON, ask_passphrase, show
-
-if TYPE_CHECKING:
-    from bench.evidence.keys import BenchKey
-    from bench.evidence.signers import RevokedKey, Signer
+from bench.evidence.keys import (
+    KEY_FILE,
+    BenchKey,
+    create_key,
+    load_key,
+    load_public_key,
+    require_usable,
+    rotate,
+)
+from bench.evidence.signers import (
+    AUTHORISATION_NAMESPACE,
+    NAMESPACE,
+    PRINCIPAL,
+    REVOKED_FILE,
+    SIGNERS_FILE,
+    RevokedKey,
+    Signer,
+    make_private_folder,
+    read_public_key,
+    read_revoked,
+    read_signer,
+    read_signers,
+    revoke,
+    trust,
+)
+from bench.evidence.sshsig import fingerprint
+from bench.records.storage import storage_errors
 
 _PASSPHRASE = click.option(
     "--passphrase",
@@ -47,8 +70,6 @@ def keys_show() -> int:
 
 
 def _keys_dict(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> dict[str, Any]:
-    from bench.evidence.sshsig import fingerprint
-
     gone = {one.public_key: one for one in revoked}
     rows = [
         {
@@ -66,10 +87,6 @@ def _keys_dict(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> dict
 
 
 def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Iterator[str]:
-    from bench.evidence.keys import KEY_FILE, load_public_key
-    from bench.evidence.signers import SIGNERS_FILE
-    from bench.evidence.sshsig import fingerprint
-
     home = home_folder()
     if not (home / KEY_FILE).exists():
         yield "This bench has no key yet; the first run creates one, and so does `starbench keys create`."
@@ -84,8 +101,6 @@ def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
 
 
 def _list_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Iterator[str]:
-    from bench.evidence.sshsig import fingerprint
-
     dates = {one.public_key: one for one in revoked}
     for one in signers:
         mark = f"  REVOKED {dates[one.public_key].text}" if one.public_key in dates else ""
@@ -101,9 +116,6 @@ def _list_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
 @_PASSPHRASE
 def keys_create(principal: str | None, passphrase: bool) -> int:
     """Create this bench's key."""
-    from bench.evidence.keys import create_key
-    from bench.evidence.signers import make_private_folder
-
     secret = _new_passphrase() if passphrase else None
     make_private_folder(home_folder())
     key = create_key(home_folder(), principal=principal, passphrase=secret)
@@ -135,9 +147,6 @@ def keys_trust(
 
     KEY is what `starbench keys show` prints on the other bench; or a public key, or its file, with --person or --bench.
     """
-    from bench.evidence.signers import trust
-    from bench.evidence.sshsig import fingerprint
-
     if person and bench:
         raise UsageError("Give --person or --bench, not both.", remedy="One key never seals and authorises.")
     text = _text_of(key)
@@ -159,8 +168,6 @@ def keys_trust(
 
 def _signer(text: str, person: str | None, bench: str | None) -> Signer:
     """Return the signer that a whole line describes, or a public key and the name of its owner."""
-    from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, PRINCIPAL, Signer, read_signer
-
     public_key, name = _public_key(text), person or bench
     if public_key is None:
         if name is not None:
@@ -194,8 +201,6 @@ def keys_rotate(old_key: str, passphrase: bool) -> int:
     The old key's validity ends now, so that what it has sealed stays valid and nothing new does. Give the new line to
     those who verify.
     """
-    from bench.evidence.keys import rotate
-
     secret = _new_passphrase() if passphrase else None
     done = rotate(home_folder(), datetime.now(UTC), passphrase=secret, keep_old=old_key == "archive")
     old = f"is kept in {done.archived}" if done.archived else "was deleted; a copy elsewhere can still sign"
@@ -222,10 +227,6 @@ def keys_revoke(key: str, reason: str, since: datetime | None) -> int:
     Its signatures are refused, unless a trusted time stamp proves that they are older. To replace a key that is safe,
     use `starbench keys rotate`.
     """
-    from bench.evidence.keys import KEY_FILE
-    from bench.evidence.signers import REVOKED_FILE, RevokedKey, revoke
-    from bench.evidence.sshsig import fingerprint
-
     home = home_folder()
     signers, _ = _read_lists(home)
     public_key = next((one.public_key for one in signers if fingerprint(one.public_key) == key), None)
@@ -249,8 +250,6 @@ def keys_revoke(key: str, reason: str, since: datetime | None) -> int:
 
 def key_or_draft() -> BenchKey | None:
     """Return the bench's key, or say on standard error why there is none that can be used: results stay a draft."""
-    from bench.evidence.keys import load_key, require_usable
-
     home = home_folder()
     try:
         key = load_key(home, ask_passphrase=ask_passphrase)
@@ -262,15 +261,11 @@ def key_or_draft() -> BenchKey | None:
 
 
 def _read_lists(home: Path) -> tuple[list[Signer], list[RevokedKey]]:
-    from bench.evidence.signers import REVOKED_FILE, SIGNERS_FILE, read_revoked, read_signers
-
     signers = read_signers(home / SIGNERS_FILE) if (home / SIGNERS_FILE).exists() else []
     return signers, read_revoked(home / REVOKED_FILE)
 
 
 def _purpose(signer: Signer) -> str:
-    from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE
-
     words = {NAMESPACE: "seals", AUTHORISATION_NAMESPACE: "authorises"}
     may = [word for namespace, word in words.items() if signer.may_sign(namespace)]
     return " and ".join(may) or "neither seals nor authorises"
@@ -290,8 +285,6 @@ def _new_passphrase() -> bytes | None:
 
 def _text_of(text: str) -> str:
     """Return the text of a file, or the text itself if there is no such file."""
-    from bench.records.storage import storage_errors
-
     if len(text) > 255 or " " in text or not Path(text).is_file():
         return text
     with storage_errors(Path(text)), Path(text).open("rb") as stream:
@@ -300,8 +293,6 @@ def _text_of(text: str) -> str:
 
 def _public_key(text: str) -> bytes | None:
     """Return the public key of a text; None if it begins with something else."""
-    from bench.evidence.signers import read_public_key
-
     try:
         return read_public_key(text)
     except ValueError:

@@ -6,19 +6,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from bench.base.errors import BenchError, UsageError
 from bench.commands.options import OPERATOR, epilog, status_text
 from bench.commands.output import JSON, show, wants_json
-from bench.records.ledger import bench_ledger
+from bench.evidence.authorisation import known_authorisations, lost_authorisations
+from bench.evidence.ledger_check import sealed_strangers
+from bench.records.ledger import Ledger, bench_ledger
+from bench.records.ledger_marks import EXPLAIN, Break, OwnMark, ask_anchor, read_own_mark, runs_of
 from bench.terminal.encoding import counted
-
-if TYPE_CHECKING:
-    from bench.records.ledger import Ledger
-    from bench.records.ledger_marks import Break
 
 _LONGEST_REASON = 2000
 _MOST_SHOWN = 40
@@ -74,9 +73,6 @@ def _one_line(reason: str, option: str) -> str:
 
 def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     """Return unexplained breaks of the ledger, with what to do; explained ones, and places not asked."""
-    from bench.evidence.ledger_check import sealed_strangers
-    from bench.records.ledger_marks import EXPLAIN
-
     faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
     if faults:
         faults[-1] += f" {EXPLAIN}"
@@ -90,9 +86,6 @@ def _explained_text(one: Break) -> str:
 
 def _check() -> int:
     """Print the state of the ledger and every fault of it; return 1 if there is a fault."""
-    from bench.evidence.authorisation import known_authorisations, lost_authorisations
-    from bench.records.ledger_marks import runs_of
-
     found = bench_ledger()
     faults, notes = ledger_findings(found)
     facts: dict[str, Any] = {"schema": "starbench/ledger/1", "file": str(found.path)}
@@ -127,8 +120,6 @@ def _check_lines(facts: Mapping[str, Any], notes: Sequence[str]) -> Iterator[str
 
 
 def _second_places(ledger: Ledger) -> list[dict[str, Any]]:
-    from bench.records.ledger_marks import OwnMark, ask_anchor, read_own_mark
-
     try:
         own = read_own_mark(ledger.home)
     except BenchError:  # it is among the faults
@@ -143,7 +134,6 @@ def _second_places(ledger: Ledger) -> list[dict[str, Any]]:
 
 def _explain_breaks(reason: str, by: str | None) -> int:
     """State the reason of every break of the ledger that has none. Raises UsageError if there is none."""
-    from bench.evidence.ledger_check import sealed_strangers
     from bench.run.control import operator_at_terminal
 
     found, person = bench_ledger(), by or operator_at_terminal()

@@ -14,10 +14,11 @@ from bench.base.home import home_folder
 from bench.commands.calibrations import collimator_options, offline_lines
 from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, Number, epilog
 from bench.commands.output import JSON, ask_passphrase, show
+from bench.evidence.keys import BenchKey, usable_key
+from bench.evidence.seal import read_passport_seal
 from bench.report.text import unit_text, with_uncertainty
 
 if TYPE_CHECKING:
-    from bench.evidence.keys import BenchKey
     from calib.model.passport import Passport
 
 
@@ -129,8 +130,6 @@ def passport_certificate(
 
 def _key() -> BenchKey:
     """Return the bench's key, to seal a passport."""
-    from bench.evidence.keys import usable_key
-
     return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
 
 
@@ -151,7 +150,6 @@ def passport_seal(path: Path, output: Path) -> int:
 @JSON
 def passport_show(path: Path) -> int:
     """Show the values of a passport, their uncertainties, its hash and its seal."""
-    from bench.evidence.seal import read_passport_seal
     from bench.plan.passports import read_passport_file
 
     found, data = read_passport_file(path)

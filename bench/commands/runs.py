@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import click
 
@@ -15,16 +15,15 @@ from bench.base.home import home_folder
 from bench.commands.ledger import RunChoice, ledger_findings, print_findings
 from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, epilog, status_text
 from bench.commands.output import JSON, show
-from bench.records.ledger import bench_ledger
+from bench.evidence.authorisation import known_authorisations, lost_authorisations
+from bench.evidence.states import home_trust, shown_state
+from bench.records.ledger import Ledger, bench_ledger
 from bench.records.run_facts import REPEATS_TEXT
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
+from bench.results.trends import Agreement, compare_runs, repeats
 from bench.terminal.encoding import counted
-
-if TYPE_CHECKING:
-    from bench.records.ledger import Ledger
-    from bench.results.trends import Agreement
 
 _EVERY_PARAMETER = "all"
 """Stands for `--chart` without a parameter."""
@@ -168,8 +167,6 @@ def _show_runs(choice: RunChoice, *, compare: bool) -> int:
     else:
         found, faults, notes = _runs_of_bench(choice)
     if compare:
-        from bench.results.trends import compare_runs
-
         solved = [run for run in found if run.parameters]
         compared = compare_runs(solved)
         show(
@@ -193,8 +190,6 @@ def _show_runs(choice: RunChoice, *, compare: bool) -> int:
 
 def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list[str]]:
     """Return the runs of this bench, faults, and notes."""
-    from bench.evidence.authorisation import known_authorisations, lost_authorisations
-
     index, ledger = RunIndex(home_folder()), bench_ledger()
     folders, missing = (run_folders(choice.folder), []) if choice.folder else _ledger_folders(ledger, index)
     found, faults = index.runs(folders, **choice.filters)
@@ -241,8 +236,6 @@ def _runs_lines(runs: Sequence[IndexedRun]) -> Iterator[str]:
 
 def _states(runs: Sequence[IndexedRun]) -> dict[str, str]:
     """Return DRAFT, SEALED or AUTHORISED by folder, from the signatures beside each run."""
-    from bench.evidence.states import home_trust, shown_state
-
     trust, now = home_trust(home_folder()), datetime.now(UTC)
     return {run.folder: str(shown_state(Path(run.folder), trust, now).state) for run in runs}
 
@@ -254,8 +247,6 @@ def signed(number: float) -> str:
 
 
 def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> Iterator[str]:
-    from bench.results.trends import repeats
-
     head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
     yield f"{head} ± is the expanded uncertainty U (about 95 %), with the k of the report."
     for parameter in compared:

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.clock import reliable_interrupts
+from bench.base.home import forms
+from bench.cluster.work import KeptRows, Workers, require_program_of, results_of
 from bench.commands.calibrations import LOSS_HELP, LOSSES, MODEL_HELP, MODELS
 from bench.commands.options import (
     SEED,
@@ -25,13 +28,14 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, STOPPED, show
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
+from bench.records.storage import write_atomic
 
 if TYPE_CHECKING:
     from bench.cluster.recalculation import PlannedStudy
-    from bench.cluster.work import Workers
     from bench.compare.run_comparison import Row, Task
     from bench.compare.spec import ComparisonConfig
     from calib.studies.monte_carlo import MonteCarloStudy
+
 
 # The command `compare`: methods of calibration on the simulated bench. `bench.compare` does the work.
 
@@ -84,12 +88,10 @@ def compare(
 
 def _run(spec: ComparisonConfig, text: bytes, folder: Path, workers: Workers) -> int:
     """Run a comparison, write its page and results, and print the table; return 3 if Ctrl-C stopped it."""
-    from bench.base.clock import reliable_interrupts
     from bench.compare.page import render_page
     from bench.compare.run_comparison import compare as run_all
     from bench.compare.scenes import true_camera
     from bench.compare.table import summarise, table_text
-    from bench.records.storage import write_atomic
     from bench.simulated import virtual_camera
 
     try:
@@ -112,9 +114,6 @@ def _run(spec: ComparisonConfig, text: bytes, folder: Path, workers: Workers) ->
 
 def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row]]:
     """Do the tasks of a comparison by workers, and yield the rows of each."""
-    from bench.base.home import forms
-    from bench.cluster.work import results_of
-
     program = forms()["program"]
     for _, rows in results_of(do_task, ((task, program) for task in tasks), workers):
         yield rows
@@ -122,7 +121,6 @@ def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row
 
 def do_task(task: Task, program: str) -> dict[str, Row]:
     """Do one task of a comparison, on a worker."""
-    from bench.cluster.work import require_program_of
     from bench.compare.run_comparison import run_task
 
     require_program_of(program)
@@ -242,9 +240,7 @@ def study(
 
 def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path | None) -> MonteCarloStudy:
     """Run a study, with its progress; ``folder`` keeps what is done, None keeps nothing."""
-    from bench.base.clock import reliable_interrupts
     from bench.cluster.recalculation import STUDY, run_blocks
-    from bench.cluster.work import KeptRows
 
     line = CountLine(runs, "calibrations")
     with reliable_interrupts(), ExitStack() as stack:

@@ -8,20 +8,28 @@ from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from bench.base.home import home_folder
+from bench.base.clock import reliable_interrupts
+from bench.base.home import forms, home_folder
+from bench.cluster.verifications import VERIFIED, Check, Checked, check_one, derivations_of
+from bench.cluster.work import Finished, KeptRows, Workers, map_work
 from bench.commands.options import ExistingFile, OutputFolder, RunFolder, epilog, status_text
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
-
-if TYPE_CHECKING:
-    from bench.cluster.verifications import Check, Checked
-    from bench.cluster.work import Finished, KeptRows, Workers
-    from bench.evidence.findings import Derivation, Findings, Verification
-    from bench.evidence.key_trust import Trust
+from bench.evidence.authorisation import compare_authorisation, known_authorisations
+from bench.evidence.findings import Derivation, Findings, Verification
+from bench.evidence.key_trust import Trust, read_trust
+from bench.evidence.ledger_check import ledger_faults_of_run
+from bench.evidence.seal import AUTHORISATION
+from bench.evidence.verify import verify_folder
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.records.ledger import bench_ledger
+from bench.records.run_folder import JOURNAL
+from bench.terminal.encoding import printable
 
 NOT_COMPARED = 4
 """Exit status of `verify`: no fault was found, but parts that were to be compared could not be."""
@@ -95,9 +103,6 @@ def verify(
     it makes the results again from the recordings, and compares every number and file: use it if the numbers matter.
     Several folders are checked at the same time, on all processors.
     """
-    from bench.evidence.key_trust import read_trust
-    from bench.evidence.verify import verify_folder
-
     trust = read_trust(
         home_folder(),
         allowed_signers=allowed_signers,
@@ -106,9 +111,6 @@ def verify(
     )
     moment = at.replace(tzinfo=UTC) if at else None
     if len(folders) > 1 or isinstance(workers, str) or output:
-        from bench.base.home import forms
-        from bench.cluster.verifications import Check
-
         who = open_workers(workers, most=len(folders))
         check = Check(trust, moment, serial, again, forms()["program"])
         return _verify_many(folders, check, who, output)
@@ -161,11 +163,6 @@ def _valid_lines(found: Verification) -> Iterator[str]:
 
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
     """Check folders by workers, a line each; the exit status is as for one; ``output`` keeps what was made again."""
-    from bench.base.clock import reliable_interrupts
-    from bench.cluster.verifications import VERIFIED, check_one
-    from bench.cluster.work import KeptRows, map_work
-    from bench.terminal.encoding import printable
-
     chosen = list(dict.fromkeys(folder.absolute() for folder in folders))
     line = CountLine(len(chosen), "folders", quiet=wants_json())
     rows: dict[int, dict[str, Any]] = {}
@@ -232,7 +229,6 @@ def _with(found: Verification, more: Findings) -> Verification:
 
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
-    from bench.cluster.verifications import derivations_of
 
     def of_folder(folder: Path) -> Findings:
         return _in_turn(folder, derivations_of(folder, again=again))
@@ -246,8 +242,6 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
 
 def _in_turn(folder: Path, checks: Sequence[Derivation]) -> Findings:
     """Make several checks of a folder, each only while none has found a fault."""
-    from bench.evidence.findings import Findings
-
     found = Findings()
     for check in checks:
         if not found.faults:
@@ -270,13 +264,10 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
     """Return the checks of a certificate; with --again also that of its run, from the recordings."""
 
     def verify_run(run: Path) -> Verification:
-        from bench.evidence.verify import verify_folder
-
         return verify_folder(run, trust, derivations=derivations(trust, again=True), again=True)
 
     def of_run(folder: Path) -> Findings:
         from bench.certificate.sealed_run import check_run_of_certificate
-        from bench.records.ledger import bench_ledger
 
         return check_run_of_certificate(folder, bench_ledger(), verify_run)
 
@@ -285,10 +276,6 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
 
 def check_authorisation(folder: Path) -> Findings:
     """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
-    from bench.evidence.authorisation import compare_authorisation, known_authorisations
-    from bench.evidence.findings import Findings
-    from bench.evidence.seal import AUTHORISATION
-
     found = Findings()
     compared = compare_authorisation(folder, known_authorisations(home_folder()))
     if compared.fault:
@@ -301,20 +288,12 @@ def check_authorisation(folder: Path) -> Findings:
 def _check_certificate(folder: Path) -> Findings:
     """Derive a certificate again, and compare it with the ledger of this bench."""
     from bench.certificate.check import check_certificate
-    from bench.records.ledger import bench_ledger
 
     return check_certificate(folder, bench_ledger())
 
 
 def _check_ledger(folder: Path) -> Findings:
     """Compare the number and the head of a run with the ledger of this bench, if the run is in it."""
-    from bench.evidence.findings import Findings
-    from bench.evidence.ledger_check import ledger_faults_of_run
-    from bench.records.history import replay
-    from bench.records.journal import read_journal
-    from bench.records.ledger import bench_ledger
-    from bench.records.run_folder import JOURNAL
-
     found, ledger = Findings(), bench_ledger()
     for what in ledger_faults_of_run(folder, ledger):
         found.fault("ledger", JOURNAL, what.rstrip("."))
