@@ -90,7 +90,7 @@ Controllers = Sequence[tuple[str, str | None]]
 
 
 class _Section(StrictModel):
-    """What the sections of stages and lights share. A built-in section states its controllers."""
+    """What the sections of stages and lights share."""
 
     maker: ClassVar[str] = ""
     """Word before the serial numbers of its controllers; empty if it names none."""
@@ -102,8 +102,11 @@ class _Section(StrictModel):
 
     @property
     def controllers(self) -> Controllers:
-        """Controllers of the device."""
-        return ()
+        """Controllers of the device: one for each axis with a port or a serial number of its own, else one."""
+        parts = [*getattr(self, "axes", {}).values()] or [self]
+        port, serial = (getattr(self, key, None) for key in ("port", "serial"))
+        found = [(getattr(one, "port", port), getattr(one, "serial", serial)) for one in parts]
+        return list(dict.fromkeys((own, number) for own, number in found if own is not None))
 
     @property
     def ports(self) -> tuple[str, ...]:

@@ -15,7 +15,6 @@ from bench.stations.sections import (
     AnyLight,
     AnyStage,
     AxisConfig,
-    Controllers,
     Hertz,
     PortName,
     differing,
@@ -64,11 +63,6 @@ class ThorlabsStageConfig(AnyStage):
     driver: Literal["thorlabs_apt"]
     axes: Annotated[dict[Axis, ThorlabsAxisConfig], Field(min_length=1, max_length=3), differing("port")]
 
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(axis.port, axis.serial) for axis in self.axes.values()]
-
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
         from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
@@ -110,11 +104,6 @@ class DynamixelStageConfig(AnyStage):
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 57_600
 
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(self.port, None)]
-
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
         from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
@@ -147,11 +136,6 @@ class ZaberStageConfig(AnyStage):
     baudrate: Annotated[int, _BAUD_RATES] = 115_200
     axes: Annotated[dict[Axis, ZaberAxisConfig], Field(min_length=1), differing("device", "axis")]
 
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(self.port, axis.serial) for axis in self.axes.values()]
-
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
         from drivers.stage.zaber import ZaberAxis, ZaberStage
@@ -176,11 +160,6 @@ class XimcStageConfig(AnyStage):
     maker: ClassVar[str] = "Standa"
     driver: Literal["ximc"]
     axes: Annotated[dict[Axis, XimcAxisConfig], Field(min_length=1), differing("port")]
-
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(axis.port, axis.serial) for axis in self.axes.values()]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
@@ -216,11 +195,6 @@ class GrblStageConfig(AnyStage):
         Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
     ] = None
     axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), differing("letter")]
-
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(self.port, self.serial)]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
@@ -263,11 +237,6 @@ class EspStageConfig(AnyStage):
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 19_200
     axes: Annotated[dict[Axis, EspAxisConfig], Field(min_length=1), differing("number")]
-
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(self.port, axis.serial) for axis in self.axes.values()]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
@@ -325,11 +294,6 @@ class ScpiLightConfig(AnyLight):
             raise PydanticCustomError("range_order", "frequency_range_hz must be [lowest, highest].")
         return self
 
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyLight.controllers`."""
-        return [(self.port, self.serial)]
-
     def settings(self, flicker: Flicker) -> LightSettings:
         """Convert the flicker of a sequence to settings of the driver, with the levels of this lamp, V."""
         high_v = self.low_v + (self.high_v - self.low_v) * flicker.level_percent / 100
@@ -365,11 +329,6 @@ class GardasoftLightConfig(AnyLight):
     full_percent: Annotated[Percent, Field(description="Brightness of the lamp at level 100 %.")] = 100.0
     sync_percent: Percent = 100.0
     frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
-
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyLight.controllers`."""
-        return [(self.port, None)]
 
     @property
     def sync_output(self) -> bool:

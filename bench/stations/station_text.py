@@ -14,7 +14,6 @@ from bench.stations.sections import (
     AnyLight,
     AnyStage,
     AxisConfig,
-    Controllers,
     Hertz,
     PortName,
     differing,
@@ -107,11 +106,6 @@ class TextStageConfig(AnyStage):
     _read: tuple[StageProtocol, bytes] | None = PrivateAttr(default=None)
 
     @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(self.port, self.serial)]
-
-    @property
     def described(self) -> StageProtocol:
         """The description; read from the working directory's point of view unless `use_descriptions` has read it."""
         if self._read is None:
@@ -154,11 +148,6 @@ class TextLightConfig(AnyLight):
         float, Within(0.01, 1000, "%"), Field(description="Level of the light at level 100 %.")
     ] = 100.0
     _read: tuple[LightProtocol, bytes] | None = PrivateAttr(default=None)
-
-    @property
-    def controllers(self) -> Controllers:
-        """See `AnyStage.controllers`."""
-        return [(self.port, self.serial)]
 
     @property
     def described(self) -> LightProtocol:
