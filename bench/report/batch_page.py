@@ -18,7 +18,7 @@ from bench.records.run_facts import REPEATS_TEXT, factors_text
 from bench.report.control_chart import chart_section, choose_drawn
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, number, with_uncertainty
-from bench.report.trend_plots import Series, against_temperature, bars_of, over_time, timeline
+from bench.report.trend_plots import against_temperature, over_time, timeline
 
 _K = 2.0
 """Of a slope."""
@@ -35,7 +35,6 @@ Json = Mapping[str, Any]
 def render_batch(summary: Json) -> str:
     """Render a complete HTML document that loads nothing and depends on ``summary`` (summary.json) alone."""
     zone = _zone(summary)
-    bars = bars_of(summary["items"])
     failures = [
         item for item in summary["items"] if item["how"] not in {"finished", "not begun", "withdrawn"}
     ]
@@ -47,7 +46,7 @@ def render_batch(summary: Json) -> str:
             zone=_zone_name(summary, zone),
             headline=_headline(summary, zone),
             figures=_key_figures(summary),
-            timeline=Markup(timeline(bars, zone)) if bars else "",  # noqa: S704
+            timeline=Markup(timeline(summary["items"], zone)),  # noqa: S704
             failures=[
                 (item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures
             ],
@@ -133,13 +132,8 @@ def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, 
         and len(runs) > 1
         and max(temperatures) - min(temperatures) >= _LEAST_RANGE_C
     )
-    moments = [datetime.fromisoformat(run["begun_utc"]) for run in runs]
-    time_plot = over_time(moments, _series(runs, trends, "per_hour"), zone, f"time-{place}") if trends else ""
-    warm_plot = (
-        against_temperature(temperatures, _series(runs, trends, "per_c"), f"warm-{place}")
-        if trends and warm
-        else ""
-    )
+    time_plot = over_time(runs, trends, zone, f"time-{place}") if trends else ""
+    warm_plot = against_temperature(runs, trends, f"warm-{place}") if trends and warm else ""
     return {
         "serial": camera["camera"] or NOTHING,
         "model": camera["model"],
@@ -151,20 +145,6 @@ def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, 
         "factors": factors_text(trend["coverage_factor"] for trend in trends),
         "verdict": _verdict(trends, len(runs)),
     }
-
-
-def _series(runs: Sequence[Json], trends: Sequence[Json], slope: str) -> list[Series]:
-    return [
-        Series(
-            trend["name"],
-            [run["parameters"][trend["name"]]["value"] for run in runs],
-            [run["parameters"][trend["name"]]["sigma"] for run in runs],
-            trend["mean"],
-            trend["sigma"],
-            (trend[slope]["value"], trend[slope]["seen"]) if trend[slope] else None,
-        )
-        for trend in trends
-    ]
 
 
 def _scatters(trend: Json, runs: int) -> bool:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, tzinfo
 from textwrap import shorten
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,71 +90,66 @@ END_COLOURS = {
 """Colour of a run's bar for each outcome."""
 
 
-class Bar(NamedTuple):
-    """A bar of the timeline: one attempt at a run, with its job, begin, end and outcome."""
-
-    job: str
-    begun: datetime
-    ended: datetime
-    how: str
+Json = Mapping[str, Any]
 
 
-class Series(NamedTuple):
-    """The values of one parameter in several runs."""
-
-    name: str
-    # values, sigmas: Value of each run and its standard uncertainty, in the parameter's unit.
-    values: Sequence[float]
-    sigmas: Sequence[float]
-    # mean, sigma: Weighted mean of the values and its standard uncertainty.
-    mean: float
-    sigma: float
-    # Change per hour or per degree Celsius, and whether it is significant; None if there is no slope.
-    slope: tuple[float, bool] | None
-
-
-def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
-    """Draw when each run was in progress, one row for each job; zone None is this computer's."""
-    jobs = list(dict.fromkeys(bar.job for bar in bars))
-    first, last = min(bar.begun for bar in bars), max(bar.ended for bar in bars)
+def timeline(items: Sequence[Json], zone: tzinfo | None) -> str:
+    """Draw when each run of summary.json was in progress, one row for each job; zone None is this computer's."""
+    bars = [
+        (item["job"], *(datetime.fromisoformat(one[end]) for end in ("begun_utc", "ended_utc")), one["how"])
+        for item in items
+        for one in item["tries"]
+    ]
+    if not bars:
+        return ""
+    jobs = list(dict.fromkeys(job for job, *_ in bars))
+    first, last = min(begun for _, begun, _, _ in bars), max(ended for _, _, ended, _ in bars)
     span_h = max(_hours(last, first), 1 / 3600)
-    shown = [how for how in END_COLOURS if any(bar.how == how for bar in bars)]
+    ends = [how for *_, how in bars]
+    shown = [how for how in END_COLOURS if how in ends]
     words = Words((), "", "", [Key(how, END_COLOURS[how], "box") for how in shown])
-    counts = [f"{sum(bar.how == how for bar in bars)} {how}" for how in shown]
+    counts = [f"{ends.count(how)} {how}" for how in shown]
     picture = Picture(
         _WIDTH, 46.0 + 20.0 * len(jobs), "timeline", "Time of each run", ", ".join(counts) + "."
     )
     across = Scale(-_BEFORE * span_h, (1 + _BEFORE) * span_h, ticks=_clock(first.astimezone(zone), span_h))
     rows = Scale(len(jobs) - 0.4, -0.6, ticks=[(n, _shortened(job)) for n, job in enumerate(jobs)])
     axes = axes_in(picture, across, rows, words, grid="x")
-    for bar in bars:
-        begin = _hours(bar.begun, first)
-        end = begin + max(_hours(bar.ended, bar.begun), span_h / 500)
-        row = jobs.index(bar.job)
+    for job, begun, ended, how in bars:
+        begin, row = _hours(begun, first), jobs.index(job)
+        end = begin + max(_hours(ended, begun), span_h / 500)
         outline = [(begin, row - 0.31), (end, row - 0.31), (end, row + 0.31), (begin, row + 0.31)]
-        axes.shapes([outline], END_COLOURS.get(bar.how, MUTED))
+        axes.shapes([outline], END_COLOURS.get(how, MUTED))
     return picture.svg()
 
 
-def over_time(
-    moments: Sequence[datetime], series: Sequence[Series], zone: tzinfo | None, identifier: str
-) -> str:
-    """Draw each parameter over time, with U = 2 u; slopes are per hour. ``zone`` None is this computer's."""
+def over_time(runs: Sequence[Json], trends: Sequence[Json], zone: tzinfo | None, identifier: str) -> str:
+    """Draw each parameter of a camera over time, with U = 2 u; ``zone`` None is this computer's."""
+    moments = [datetime.fromisoformat(run["begun_utc"]) for run in runs]
     hours = np.array([_hours(moment, moments[0]) for moment in moments])
-    return _panels(hours, series, identifier, begin=moments[0].astimezone(zone), label="")
+    return _panels(hours, runs, trends, identifier, begin=moments[0].astimezone(zone), label="")
 
 
-def against_temperature(degrees_c: Sequence[float], series: Sequence[Series], identifier: str) -> str:
-    """Draw each parameter against the camera's temperature, degrees Celsius, with U = 2 u; slopes are per degree."""
-    return _panels(np.asarray(degrees_c), series, identifier, begin=None, label="camera, °C")
+def against_temperature(runs: Sequence[Json], trends: Sequence[Json], identifier: str) -> str:
+    """Draw each parameter of a camera against its temperature, degrees Celsius, with U = 2 u."""
+    degrees_c = np.array([run["temperature_c"] for run in runs], float)
+    return _panels(degrees_c, runs, trends, identifier, begin=None, label="camera, °C")
 
 
 def _panels(
-    x: NDArray[np.float64], series: Sequence[Series], identifier: str, *, begin: datetime | None, label: str
+    x: NDArray[np.float64],
+    runs: Sequence[Json],
+    trends: Sequence[Json],
+    identifier: str,
+    *,
+    begin: datetime | None,
+    label: str,
 ) -> str:
     """Draw one panel for each parameter; ``x`` is in hours after ``begin`` if there is one."""
-    rows = math.ceil(len(series) / _COLUMNS)
-    about = "; ".join(_about(one, "h" if begin is not None else "°C") for one in series) + "."
+    key, per = ("per_c", "°C") if begin is None else ("per_hour", "h")
+    slopes = [trend[key]["value"] if trend[key] and trend[key]["seen"] else None for trend in trends]
+    about = "; ".join(_about(*one, per) for one in zip(trends, slopes, strict=True)) + "."
+    rows = math.ceil(len(trends) / _COLUMNS)
     picture = Picture(_WIDTH, _KEY_HEIGHT + _ROW * rows, identifier, "Parameters of the runs", about)
     low, high = float(x.min()), float(x.max())
     beside = 0.03 * (high - low) or 0.5
@@ -162,34 +157,48 @@ def _panels(
     across = Scale(low - beside, high + beside, ticks=marks)
     width = _WIDTH / _COLUMNS
     _key(picture)
-    for number, one in enumerate(series):
+    for number, (trend, slope) in enumerate(zip(trends, slopes, strict=True)):
         row, column = divmod(number, _COLUMNS)
         place = (column * width, _KEY_HEIGHT + row * _ROW, width - _GAP, _ROW - _GAP / 2)
-        _panel(picture, place, across, x, one, label)
+        words = Words((_titled(trend["name"]),), label)
+        values = np.array([[run["parameters"][trend["name"]][k] for run in runs] for k in ("value", "sigma")])
+        _panel(picture, place, across, words, np.vstack([x, values]), trend, slope)
     return picture.svg()
 
 
+def _titled(name: str) -> str:
+    return name if unit_of(name) == "1" else f"{name}, {unit_of(name)}"
+
+
 def _panel(
-    picture: Picture, place: Place, across: Scale, x: NDArray[np.float64], one: Series, label: str
+    picture: Picture,
+    place: Place,
+    across: Scale,
+    words: Words,
+    points: NDArray[np.float64],
+    trend: Json,
+    slope: float | None,
 ) -> None:
-    """Draw one parameter: its values with their bars, the weighted mean with its band, and a significant trend."""
-    values, expanded = np.asarray(one.values), _K * np.asarray(one.sigmas)
-    unit = "" if unit_of(one.name) == "1" else f", {unit_of(one.name)}"
+    """Draw a parameter: its values with bars, the weighted mean with its band, and a significant slope.
+
+    ``points``, (3, N), are the places, the values and their standard uncertainties.
+    """
+    x, values, sigmas = points
+    expanded, mean = _K * sigmas, trend["mean"]
     low, high = float((values - expanded).min()), float((values + expanded).max())
     margin = 0.06 * max(high - low, 1e-12)
     up = Scale(low - margin, high + margin)
-    axes = axes_in(picture, across, up, Words((f"{one.name}{unit}",), label), place=place, grid="y")
-    _band(axes, one.mean - _K * one.sigma, one.mean + _K * one.sigma)
-    axes.level(one.mean, MUTED)
+    axes = axes_in(picture, across, up, words, place=place, grid="y")
+    _band(axes, mean - _K * trend["sigma"], mean + _K * trend["sigma"])
+    axes.level(mean, MUTED)
     axes.strokes(
         np.column_stack([x, values - expanded]), np.column_stack([x, values + expanded]), _POINT, 0.9, 0.7
     )
     axes.dots(np.column_stack([x, values]), _POINT, 3.4)
-    if one.slope is not None and one.slope[1]:
-        middle = float(np.average(x, weights=1.0 / np.asarray(one.sigmas) ** 2))
+    if slope is not None:
+        middle = float(np.average(x, weights=1.0 / sigmas**2))
         ends = np.array([x.min(), x.max()])
-        trend = one.mean + one.slope[0] * (ends - middle)
-        axes.line(np.column_stack([ends, trend]), _LINE_COLOUR, 1.8)
+        axes.line(np.column_stack([ends, mean + slope * (ends - middle)]), _LINE_COLOUR, 1.8)
 
 
 def _band(axes: Axes, low: float, high: float) -> None:
@@ -208,10 +217,10 @@ def _key(picture: Picture) -> None:
     write_legend(picture, keys, 0.0, 0.0, picture.width)
 
 
-def _about(one: Series, per: str) -> str:
-    """Return the mean of a parameter, and its trend if that is significant."""
-    found = f"{one.name}: mean {one.mean:.6g}"
-    return f"{found}, trend {one.slope[0]:.2g} per {per}" if one.slope is not None and one.slope[1] else found
+def _about(trend: Json, slope: float | None, per: str) -> str:
+    """Return the mean of a parameter, and its slope if that is significant."""
+    found = f"{trend['name']}: mean {trend['mean']:.6g}"
+    return found if slope is None else f"{found}, trend {slope:.2g} per {per}"
 
 
 def _shortened(job: str) -> str:
@@ -233,17 +242,3 @@ def _clock(begin: datetime, last_h: float) -> list[tuple[float, str]]:
         found.append(number * step_h - since_h)
         number += 1
     return [(h, f"{begin + timedelta(hours=h, seconds=30):%H:%M}") for h in found or [0.0]]
-
-
-def bars_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:
-    """Convert the ``items`` of ``summary.json`` to the bars of the timeline."""
-    return [
-        Bar(
-            item["job"],
-            datetime.fromisoformat(one["begun_utc"]),
-            datetime.fromisoformat(one["ended_utc"]),
-            one["how"],
-        )
-        for item in items
-        for one in item["tries"]
-    ]
