@@ -17,7 +17,6 @@ from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import OPERATOR, ExistingFile, ExistingFolder, RunFolder, epilog, status_text
 from bench.commands.output import JSON, STOPPED, show, wants_json
-from bench.records.journal import Entry
 from bench.records.run_folder import JOURNAL
 from bench.records.storage import is_locked, storage_errors
 from bench.run.status import Status, line_text, read_with_entries
@@ -189,32 +188,12 @@ def follow(
     *,
     ticks: bool = False,
     monotonic: Callable[[], float] = time.monotonic,
-) -> Iterator[Status]:
-    """Read a run's status after every change while a process works on it; with ``ticks`` also in between."""
-    for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
-        yield status
-
-
-def follow_lines(
-    folder: Path,
-    sleep: Callable[[float], None] = time.sleep,
-    monotonic: Callable[[], float] = time.monotonic,
 ) -> Iterator[tuple[Status, Sequence[str]]]:
-    """Follow a run as `follow` does, with new journal lines as text; the first time those of the status."""
-    seen = None
-    for status, entries in _followed(folder, sleep, ticks=False, monotonic=monotonic):
-        if seen is None:
-            yield status, status.last
-        else:
-            yield status, [text for text in map(line_text, entries[seen:]) if text]
-        seen = len(entries)
+    """Yield a run's status and new journal lines as text after every change; with ``ticks`` also without a change.
 
-
-def _followed(
-    folder: Path, sleep: Callable[[float], None], *, ticks: bool, monotonic: Callable[[], float]
-) -> Iterator[tuple[Status, Sequence[Entry]]]:
-    """Yield the status and all journal lines after every change; with ``ticks`` also without a change."""
-    seen, pause_s = -1, FOLLOW_S
+    The first lines are those of the status. It ends when no process works on the run any more.
+    """
+    seen, told, pause_s = -1, -1, FOLLOW_S
     while True:
         with storage_errors(folder):
             size = (folder / JOURNAL).stat().st_size
@@ -223,11 +202,15 @@ def _followed(
             (status, entries), seen = read_with_entries(folder, datetime.now(UTC)), size
             read_s = monotonic()
             pause_s = max(FOLLOW_S, _READING_SHARE * (read_s - began_s))
-            yield status, entries
+            yield (
+                status,
+                status.last if told < 0 else [text for text in map(line_text, entries[told:]) if text],
+            )
+            told = len(entries)
             if not status.running:
                 return
         elif ticks:
-            yield _counted_down(status, monotonic() - read_s), entries
+            yield _counted_down(status, monotonic() - read_s), ()
         sleep(pause_s)
 
 
@@ -307,18 +290,18 @@ def _follow_run(folder: Path) -> str:
 
     now: Status
     if wants_json():
-        for now in follow(folder):
+        for now, _ in follow(folder):
             click.echo(json.dumps(now.to_dict(), allow_nan=False))
             if output_is_lost():
                 break
         return now.ended
     block = Block()
     if block.can_redraw:
-        for now in follow(folder, ticks=True):
+        for now, _ in follow(folder, ticks=True):
             block.draw(head_lines(now), [f"  {line}" for line in now.last], [now.advice])
         return now.ended
     advice = ""
-    for now, lines in follow_lines(folder):
+    for now, lines in follow(folder):
         shown = [f"  {line}" for line in lines]
         if not advice or not now.running:
             shown = head_lines(now) + shown

@@ -183,7 +183,7 @@ def test_following_shows_each_change_and_ends_with_the_run(run):
         run.tell(Event.RUN_ENDED, how="finished", why="")
         run.die()
 
-    shown = list(follow(run.path, sleep))
+    shown = [now for now, _ in follow(run.path, sleep)]
     assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
 
 
