@@ -234,8 +234,6 @@ _OPTIONS = {
         "evenly spread]",
     ),
 }
-BOARD = _OPTIONS["board"]
-"""The option of commands that take a board beside the star target."""
 _THROUGH_COLLIMATOR = ("model", "distortion", "passport", "image-size", "views", "origin", "station")
 """Options of commands that take all others from the runs."""
 
@@ -247,7 +245,8 @@ def engine_options(command: _Command) -> _Command:
     return command
 
 
-board_option = _OPTIONS["board"]
+BOARD = _OPTIONS["board"]
+"""The option of commands that take a board beside the star target."""
 
 
 def collimator_options(command: _Command) -> _Command:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -28,28 +29,15 @@ from bench.commands.options import SEED, STATION, ExistingFolder, epilog, page_o
     metavar="PATH=VALUE",
     help="Override a setting of the station file, e.g. camera.biases.bias_diff_on=20. Can be given several times.",
 )
-def align(
-    station: str,
-    port: int,
-    host: str,
-    token_file: Path | None,
-    no_token: bool,
-    no_browser: bool,
-    seed: int,
-    settings: tuple[str, ...],
-) -> int:
+def align(station: str, seed: int, settings: tuple[str, ...], **page: Any) -> int:
     """Aim and focus the camera, and set light and biases, on a page with the live picture.
 
     The first line printed is the address of the page, with a token: keep it to yourself. Nothing moves and no light
     goes on until you ask for it. Ctrl-C stops the stage at once, switches the light off, and ends.
     """
     from bench.align.serve import align_on_page
-    from bench.web.guard import page_token
 
-    token = page_token(token_file, none=no_token)
-    return align_on_page(
-        station, settings, seed=seed, host=host, port=port, token=token, open_browser=not no_browser
-    )
+    return align_on_page(station, settings, seed=seed, **_served(**page))
 
 
 @click.command(
@@ -73,11 +61,7 @@ def panel(
     line: str | None,
     station: str | None,
     operator: str | None,
-    port: int,
-    host: str,
-    token_file: Path | None,
-    no_token: bool,
-    no_browser: bool,
+    **page: Any,
 ) -> int:
     """Show the runs and batches in FOLDER in a browser; without FOLDER, those in runs/.
 
@@ -90,13 +74,22 @@ def panel(
     from bench.panel.line import Line
     from bench.panel.panel_app import panel_app
     from bench.run.control import operator_at_terminal
-    from bench.web.guard import page_token
     from bench.web.server import serve_pages
 
-    token = page_token(token_file, none=no_token)
+    how = _served(**page)
     root = folder or Path("runs")
     if (line is None) != (station is None):
         raise UsageError("--line and --station need each other.", remedy="Give both, or neither.")
     of_line = Line(root, line, station, operator or operator_at_terminal()) if line and station else None
-    serve_pages(panel_app(root, of_line), host=host, port=port, token=token, open_browser=not no_browser)
+    serve_pages(panel_app(root, of_line), **how)
     return 0
+
+
+def _served(
+    *, port: int, host: str, token_file: Path | None, no_token: bool, no_browser: bool
+) -> dict[str, Any]:
+    """Return how a page is served, by the options of `page_options`."""
+    from bench.web.guard import page_token
+
+    token = page_token(token_file, none=no_token)
+    return {"host": host, "port": port, "token": token, "open_browser": not no_browser}

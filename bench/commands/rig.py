@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.errors import UsageError
-from bench.commands.calibrations import board_option, collimator_options
+from bench.commands.calibrations import BOARD, collimator_options
 from bench.commands.options import ExistingPath, OutputFolder, epilog
 from bench.commands.output import JSON, show
 from bench.report.text import with_uncertainty
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Also the offset of the cameras' clocks, from a sync signal at both trigger inputs; for RAW recordings.",
 )
-@board_option
+@BOARD
 @click.option(
     "--output", "-o", type=OutputFolder(), help="New folder for files of Kalibr, ROS, OpenCV and Metavision."
 )

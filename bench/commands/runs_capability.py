@@ -300,36 +300,26 @@ def _as_json(
 
 
 def _parameter_json(one: _Studied) -> dict[str, Any]:
-    made, fits = one.study, one.capability
+    made = one.study
     return {
         "name": one.name,
         "unit": parameter_unit(one.name),
-        "analysis": [
-            {
-                "term": term.name,
-                "sum_of_squares": term.sum_of_squares,
-                "degrees_of_freedom": term.degrees_of_freedom,
-                "mean_square": term.mean_square,
-                "f": term.f,
-                "p": term.p,
-            }
-            for term in made.terms
-        ],
+        "analysis": [{"term": term.name, **_parts(term, _OF_TERM)} for term in made.terms],
         "pooled": list(made.pooled),
         "components": dict(made.components),
-        "repeatability": made.repeatability,
-        "reproducibility": made.reproducibility,
-        "gauge": made.gauge,
-        "total": made.total,
-        "gauge_percent": made.gauge_percent,
-        "categories": made.categories,
-        "verdict": made.verdict,
-        "cp": fits and fits.cp,
-        "cpk": fits and fits.cpk,
-        "tolerance_percent": fits and fits.tolerance_percent,
+        **_parts(made, _OF_STUDY),
+        **_parts(one.capability, _OF_CAPABILITY),
     }
 
 
+def _parts(of: object, names: Sequence[str]) -> dict[str, Any]:
+    """Return some attributes of an object by name; of None, None each."""
+    return {name: of and getattr(of, name) for name in names}
+
+
+_OF_TERM = ("sum_of_squares", "degrees_of_freedom", "mean_square", "f", "p")
+_OF_STUDY = ("repeatability", "reproducibility", "gauge", "total", "gauge_percent", "categories", "verdict")
+_OF_CAPABILITY = ("cp", "cpk", "tolerance_percent")
 _HEADS = ("", "unit", "EV", "AV", "GRR", "PV", "TV", "%GRR", "ndc", "%tol", "Cp", "Cpk")
 
 
