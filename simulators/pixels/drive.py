@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from math import exp, log, sqrt
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -48,6 +48,10 @@ LOWEST_CONTRAST: Final = 0.02
 LEAST: Final = 1.0 + LOWEST_CONTRAST
 
 
+_NO_TABLE: Final = np.zeros(1, np.float32)
+_NO_TABLES: Final = np.zeros((1, 1), np.float32)
+
+
 class Drive(NamedTuple):
     """The light's waveform, the photoreceptor's constants, and the tables of the steady state."""
 
@@ -62,19 +66,20 @@ class Drive(NamedTuple):
     q_us: float
     start_us: float
     # (bins + 1, levels) float32: ln u over a period; the light increases from level to level.
-    atlas: NDArray[np.float32]
-    flat: NDArray[np.float32]  # (levels * (bins + 1),) float32: the same, one row after the other
+    atlas: NDArray[np.float32] = _NO_TABLES
+    # (levels * (bins + 1),) float32: the same, one row after the other.
+    flat: NDArray[np.float32] = _NO_TABLE
     # (N_TURNS, levels) float32: extremes of each level's curve, and their phases in us.
-    turns: NDArray[np.float32]
+    turns: NDArray[np.float32] = _NO_TABLES
     # (2 * levels * (WHEN_STEPS + 2),) float32: phase of a crossing in us, ON and OFF, by light and height.
-    when: NDArray[np.float32]
+    when: NDArray[np.float32] = _NO_TABLE
     # (bins + 1,) float32: phases of the bins' edges, us; BENT: half of the bins in either part.
-    grid: NDArray[np.float32]
-    lowest: float  # Light of the first level; a pixel with less light never crosses a threshold
-    contrast: float  # Relative change of brightness for a light of 1
+    grid: NDArray[np.float32] = _NO_TABLE
+    lowest: float = 1.0  # Light of the first level; a pixel with less light never crosses a threshold
+    contrast: float = 1.0  # Relative change of brightness for a light of 1
     # Step between levels in ln(1 + light * contrast), in which levels are evenly spaced: ln u is nearly
     # linear in it.
-    log_step: float
+    log_step: float = 1.0
 
 
 def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
@@ -83,7 +88,7 @@ def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> D
     plain = settings.follower_us == 0.0 and settings.high_pass_hz == 0.0
     closed = light.high == light.low or (light.waveform == "square" and plain)
     shape = (light.waveform, period, light.high_share, light.high, light.low)
-    tables = _no_atlas() if closed else _atlas(*shape, settings)
+    tables = {} if closed else _tables(*shape, settings)
     return Drive(
         SQUARE if closed else BENT if light.waveform == "square" else SMOOTH,
         period,
@@ -93,34 +98,15 @@ def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> D
         settings.ambient,
         settings.q_us,
         start_us,
-        *tables,
+        **tables,
     )
 
 
-class _Tables(NamedTuple):
-    """The tables of a ``Drive``; see its attributes."""
-
-    atlas: NDArray[np.float32]
-    flat: NDArray[np.float32]
-    turns: NDArray[np.float32]
-    when: NDArray[np.float32]
-    grid: NDArray[np.float32]
-    lowest: float
-    contrast: float
-    log_step: float
-
-
-def _no_atlas() -> _Tables:
-    """Return placeholders for the case that u is closed form."""
-    one, flat = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
-    return _Tables(one, flat, one, flat, flat, 1.0, 1.0, 1.0)
-
-
 @lru_cache(maxsize=4)
-def _atlas(
+def _tables(
     waveform: str, period: float, high_share: float, high: float, low: float, settings: PixelSettings
-) -> _Tables:
-    """Return the tables of a light's periodic steady states."""
+) -> dict[str, Any]:
+    """Return the tables of a light's periodic steady states, by their names in `Drive`."""
     first = math.log(LEAST)
     log_step = (math.log1p(BRIGHTEST * high / settings.ambient) - first) / (ATLAS_LEVELS - 1)
     lights = np.expm1(first + log_step * np.arange(ATLAS_LEVELS)) * settings.ambient / high
@@ -145,11 +131,16 @@ def _atlas(
     when = np.empty((2, ATLAS_LEVELS, WHEN_STEPS + 2), np.float32)
     fill_when(curves, turns, when, grid)
     atlas = np.ascontiguousarray(curves.T, np.float32)
-    lowest = LOWEST_CONTRAST * settings.ambient / high
-    contrast = high / settings.ambient
-    return _Tables(
-        atlas, atlas.ravel(), turns, when.ravel(), grid.astype(np.float32), lowest, contrast, log_step
-    )
+    return {
+        "atlas": atlas,
+        "flat": atlas.ravel(),
+        "turns": turns,
+        "when": when.ravel(),
+        "grid": grid.astype(np.float32),
+        "lowest": LOWEST_CONTRAST * settings.ambient / high,
+        "contrast": high / settings.ambient,
+        "log_step": log_step,
+    }
 
 
 def _bent_grid(period: float, high_share: float) -> NDArray[np.float64]:
