@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -355,9 +355,7 @@ def choose_passport(
     try:
         in_use = first.read(copy)
     except BenchError as error:
-        where = f"{error.where}: " if error.where else ""
-        remedy = f" {error.remedy}" if error.remedy else ""
-        return PassportChoice(steps=frozenset(used), faults=(first.fault(f"{where}{error.what}{remedy}"),))
+        return PassportChoice(steps=frozenset(used), faults=(first.fault(str(error)),))
     collimator = station.value.collimator
     differs = in_use.serial is not None and collimator.serial not in (None, in_use.serial)
     if differs and not in_use.other_accepted:
@@ -400,18 +398,12 @@ def _unknown_seal(in_use: PassportInUse) -> str:
 class _Named:
     """Where a document names a passport, and which."""
 
-    document: Located[Any]
-    path: DocumentPath
+    document: Located[Any] = field(compare=False)
+    path: DocumentPath = field(compare=False)
     source: PassportSource
     file: Path | None
-    certificate: Passport | None
-    other_accepted: bool
-
-    def __hash__(self) -> int:
-        return hash((self.source, self.file))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Named) and (self.source, self.file) == (other.source, other.file)
+    certificate: Passport | None = field(compare=False)
+    other_accepted: bool = field(compare=False)
 
     def fault(self, message: str) -> Fault:
         return self.document.fault(self.path, message)

@@ -70,9 +70,7 @@ def choose_stated_camera(
             _require_same_sensor(found.file, expected.image_size)
         return StatedCameraChoice(found)
     except BenchError as error:
-        where = f"{error.where}: " if error.where else ""
-        remedy = f" {error.remedy}" if error.remedy else ""
-        return StatedCameraChoice(faults=(sequence.fault(path, f"{where}{error.what}{remedy}"),))
+        return StatedCameraChoice(faults=(sequence.fault(path, str(error)),))
 
 
 def _read(file: Path, copy: Path | None) -> CameraFile:
