@@ -77,20 +77,18 @@ class EventFilters:
     def _keep(self, name: str, events: Events) -> NDArray[np.bool_]:
         """Return which events a filter passes."""
         if name == "afk":
-            return np.asarray(_not_flickering(events.t, events.x, events.y, events.p, self._afk))
-        number = _burst_number(events.t, events.x, events.y, events.p, self._bursts[name])
+            return np.asarray(_not_flickering(events, self._afk))
+        number = _burst_number(events, self._bursts[name])
         return np.asarray(number == 1 if name == "trail" else number > 1)
 
 
 @njit(**LOOP)
 def _burst_number(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    events: Events,
     bursts: tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]],
 ) -> NDArray[np.int32]:
     """Return the number of each event in its pixel's burst, from 1."""
+    t, x, y, p = events
     last_t, last_p, count = bursts
     number = np.empty(t.size, np.int32)
     for i in range(t.size):
@@ -104,13 +102,11 @@ def _burst_number(
 
 @njit(**LOOP)
 def _not_flickering(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    events: Events,
     afk: tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]],
 ) -> NDArray[np.bool_]:
     """Return, for each event, whether its region does not flicker within the band."""
+    t, x, y, p = events
     last_rise, was_on, periods = afk
     keep = np.empty(t.size, np.bool_)
     for i in range(t.size):

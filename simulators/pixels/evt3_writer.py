@@ -55,6 +55,10 @@ _START: Final = 8  # time at which the stream started
 _N_STATE: Final = 9
 
 
+Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+"""Times (us), columns, rows and polarities of events."""
+
+
 class Evt3Writer:
     """Encoder of a stream in slices, which continues from slice to slice; it starts at a multiple of 16 us."""
 
@@ -126,14 +130,14 @@ class Evt3Writer:
 def _write(
     words: NDArray[np.uint16],
     state: NDArray[np.int64],
-    events: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
+    events: Columns,
     edges: tuple[NDArray[np.int64], NDArray[np.uint8]],
     entered_t: NDArray[np.int64],
     until: int,
     width: int,
 ) -> int:
     """Merge ticks, edges and row reads by time; return the number of words."""
-    t, x, y, p = events
+    t = events[0]
     edge_t, edge_value = edges
     end = np.int64(until)
     # A plain 0 is a type of its own: numba would compile all that is called once more, for it.
@@ -153,8 +157,8 @@ def _write(
             n += 1
             k += 1
             continue
-        last = _run_end(t, x, y, p, i)
-        n = _write_run(words, n, state, x, y, p, i, last, width)
+        last = _run_end(events, i)
+        n = _write_run(words, n, state, events, i, last, width)
         state[_COUNT_OUT] += last - i
         i = last
     state[_COUNT_IN] += entered_t.size - entered
@@ -189,10 +193,9 @@ def _write_ticks(
 
 
 @njit(**INNER)
-def _run_end(
-    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], first: int
-) -> int:
+def _run_end(events: Columns, first: int) -> int:
     """Return the end of the run that begins at ``first``: one time, row and polarity, from left to right."""
+    t, x, y, p = events
     last = first + 1
     while (
         last < t.size
@@ -235,14 +238,13 @@ def _write_run(
     words: NDArray[np.uint16],
     n: int,
     state: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    events: Columns,
     first: int,
     last: int,
     width: int,
 ) -> int:
     """Write events first .. last - 1, of one time, row and polarity, from left to right; return the number of words."""
+    _, x, y, p = events
     if state[_Y] != y[first] or state[_READ_T] != state[_LOW]:
         words[n] = ADDR_Y | y[first]
         n += 1

@@ -14,6 +14,7 @@ The same seeds give the same events, however the time is sliced; the same camera
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -132,6 +133,17 @@ class Events(NamedTuple):
     p: NDArray[np.uint8]  # (N,) uint8, polarity, 1 = ON
 
 
+def _joined(parts: list[Events]) -> Events:
+    columns: list[Any] = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return Events(*columns) if columns else _empty_events(0)
+
+
+def _empty_events(n: int) -> Events:
+    return Events(
+        np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8)
+    )
+
+
 @dataclass(frozen=True)
 class Link:
     """Speed of the readout and of the link."""
@@ -209,7 +221,7 @@ class Sensor:
         self._set_picture(picture)
         pixel_reset.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
-        self._advance(at_us, _Output(FIRST_ROOM, keep=False))
+        self._advance(at_us)
         state[sensor_state.STALL] = 0.0
 
     def change(
@@ -235,28 +247,31 @@ class Sensor:
         """Return the events from the end of the last call to a time."""
         if self._drive is None:
             raise SimulationMisuse("The sensor has not been shown a picture yet.", remedy="Call begin first.")
-        expected = int(1.1 * self._rate_us * (until_us - self._now_us))
-        found = _Output(FIRST_ROOM + max(expected, 0))
-        self._advance(until_us, found)
-        return found.events()
+        return self._advance(until_us)
 
-    def _advance(self, until_us: float, found: _Output) -> None:
+    def _advance(self, until_us: float) -> Events:
         """Run the sensor up to a time of its clock."""
         begin_us = self._now_us
+        parts: list[Events] = []
         while self._now_us < until_us:
             next_epoch = self._state[sensor_state.EPOCH] + EPOCH_US
             end = min(until_us, next_epoch)
-            self._run_epoch(end - self._state[sensor_state.EPOCH], found)
+            expected = int(1.1 * self._rate_us * (end - self._now_us))
+            parts += self._run_epoch(end - self._state[sensor_state.EPOCH], FIRST_ROOM + expected)
             if end == next_epoch:
                 sensor_state.move_epoch(self._pixels, self._state, EPOCH_US)
             self._now_us = end
+        found = parts[0] if len(parts) == 1 else _joined(parts)
         if self._now_us > begin_us:
-            self._rate_us = found.total / (self._now_us - begin_us)
+            self._rate_us = len(found.t) / (self._now_us - begin_us)
+        return found
 
-    def _run_epoch(self, until: float, found: _Output) -> None:
-        """Find the events up to a time within the epoch."""
-        while True:
-            found.n += readout.read_rows(
+    def _run_epoch(self, until: float, room: int) -> Iterator[Events]:
+        """Find the events up to a time within the epoch, in parts that fit into arrays of some size."""
+        self._state[sensor_state.FULL] = 1.0
+        while self._state[sensor_state.FULL]:
+            out = _empty_events(room)
+            n = readout.read_rows(
                 self._pixels,
                 self._drive,
                 self._readout,
@@ -264,48 +279,9 @@ class Sensor:
                 self._random,
                 until,
                 self.width,
-                found.room(),
+                tuple(out),
             )
-            if self._state[sensor_state.FULL] == 0.0:
-                return
-            found.grow()
-
-
-class _Output:
-    """Arrays that events are written to; they grow in place, or are overwritten if events are not kept."""
-
-    def __init__(self, room: int, *, keep: bool = True) -> None:
-        self.n = 0
-        self._keep = keep
-        self._overwritten = 0
-        self._arrays: tuple[NDArray[Any], ...] = tuple(
-            np.empty(room, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)
-        )
-
-    @property
-    def total(self) -> int:
-        """Number of events found, kept or not."""
-        return self._overwritten + self.n
-
-    def room(self) -> tuple[NDArray[Any], ...]:
-        """Return the free part of each array."""
-        return tuple(array[self.n :] for array in self._arrays)
-
-    def grow(self) -> None:
-        """Enlarge the arrays by half; if events are not kept, start again at the beginning."""
-        if self._keep:
-            self._resize(len(self._arrays[0]) * 3 // 2)
-        else:
-            self._overwritten += self.n
-            self.n = 0
-
-    def events(self) -> Events:
-        """Return the filled part of the arrays; they are no longer used here."""
-        return Events(*(array[: self.n] for array in self._arrays))
-
-    def _resize(self, size: int) -> None:
-        for array in self._arrays:
-            array.resize(size, refcheck=False)
+            yield Events(out.t[:n], out.x[:n], out.y[:n], out.p[:n])
 
 
 def simulate(
