@@ -13,7 +13,7 @@ import click
 from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
 from bench.cluster.verifications import CONVERTED, Converted, convert_many, plan_targets
-from bench.cluster.work import KeptRows, Workers
+from bench.cluster.work import Workers
 from bench.commands.options import (
     EventFile,
     ExistingFile,
@@ -24,7 +24,7 @@ from bench.commands.options import (
     epilog,
 )
 from bench.commands.output import JSON, show
-from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
+from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 from bench.records.storage import make_folder, write_atomic
 from bench.terminal.encoding import printable
 
@@ -118,8 +118,6 @@ def _say_if_cut_off(source: Path, written: Mapping[str, Any]) -> None:
 
 def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Workers) -> int:
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
-    from contextlib import ExitStack
-
     pairs = plan_targets(sources, folder, kind)
     line = CountLine(len(pairs), "files")
     ends: list[Converted] = []
@@ -136,16 +134,9 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
             _say_if_cut_off(one.source, one.summary)
         line.count()
 
-    with reliable_interrupts(), ExitStack() as stack:
-        stack.callback(workers.close)
-        kept = stack.enter_context(KeptRows(folder, CONVERTED))
-        try:
-            convert_many(pairs, kind, workers, kept, ended)
-        except BaseException:
-            line.clear()
-            click.echo(f"{line.text()} converted. {CONTINUES}", err=True)
-            raise
-    line.clear()
+    with kept_work(workers, folder, CONVERTED, line, "converted") as kept:
+        assert kept is not None
+        convert_many(pairs, kind, workers, kept, ended)
     failed = sum(one.failure is not None for one in ends)
     before = sum(one.before for one in ends)
     parts = [f"{len(ends) - failed - before} of {len(pairs)} files converted"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ import click
 
 from bench.base.clock import reliable_interrupts
 from bench.base.home import forms
-from bench.cluster.work import KeptRows, Workers, require_program_of, results_of
+from bench.cluster.work import Workers, require_program_of, results_of
 from bench.commands.calibrations import LOSS_HELP, LOSSES, MODEL_HELP, MODELS
 from bench.commands.options import (
     SEED,
@@ -27,7 +26,7 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, STOPPED, show
-from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
+from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 from bench.records.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -243,19 +242,8 @@ def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path 
     from bench.cluster.recalculation import STUDY, run_blocks
 
     line = CountLine(runs, "calibrations")
-    with reliable_interrupts(), ExitStack() as stack:
-        stack.callback(workers.close)
-        kept = stack.enter_context(KeptRows(folder, STUDY)) if folder is not None else None
-        try:
-            return run_blocks(planned, runs, workers, kept, line.count)
-        except BaseException:
-            line.clear()
-            click.echo(
-                f"{line.text()} done. {CONTINUES if folder else 'Nothing is kept: give -o.'}", err=True
-            )
-            raise
-        finally:
-            line.clear()
+    with kept_work(workers, folder, STUDY, line, "done") as kept:
+        return run_blocks(planned, runs, workers, kept, line.count)
 
 
 def _lines(study: MonteCarloStudy, model: str, *, held: bool) -> Iterator[str]:

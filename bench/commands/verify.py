@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,13 +11,12 @@ from typing import Any
 
 import click
 
-from bench.base.clock import reliable_interrupts
 from bench.base.home import forms, home_folder
 from bench.cluster.verifications import VERIFIED, Check, Checked, check_one, derivations_of
 from bench.cluster.work import Finished, KeptRows, Workers, map_work
 from bench.commands.options import ExistingFile, OutputFolder, RunFolder, epilog, status_text
 from bench.commands.output import JSON, show, wants_json
-from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
+from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 from bench.evidence.authorisation import compare_authorisation, known_authorisations
 from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
@@ -167,24 +165,14 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
     line = CountLine(len(chosen), "folders", quiet=wants_json())
     rows: dict[int, dict[str, Any]] = {}
     states: Counter[str] = Counter()
-    with reliable_interrupts(), ExitStack() as stack:
-        stack.callback(workers.close)
-        kept = stack.enter_context(KeptRows(output, VERIFIED)) if output is not None else None
+    with kept_work(workers, output, VERIFIED, line, "checked") as kept:
         work = ((folder, check, kept.get(str(folder)) if kept else None) for folder in chosen)
-        try:
-            for number, end in map_work(check_one, work, workers):
-                state, text, rows[number] = _ended(chosen[number], end, kept, check)
-                states[state] += 1
-                line.clear()
-                click.echo(printable(text), err=wants_json())
-                line.count()
-        except BaseException:
+        for number, end in map_work(check_one, work, workers):
+            state, text, rows[number] = _ended(chosen[number], end, kept, check)
+            states[state] += 1
             line.clear()
-            click.echo(
-                f"{line.text()} checked. {CONTINUES if output else 'Nothing is kept: give -o.'}", err=True
-            )
-            raise
-    line.clear()
+            click.echo(printable(text), err=wants_json())
+            line.count()
     counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
     show(
         {"folders": [rows[number] for number in sorted(rows)], **states},

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.clock import reliable_interrupts
 from bench.terminal.encoding import clock_text
 
 if TYPE_CHECKING:
-    from bench.cluster.work import Workers
+    from bench.cluster.work import KeptRows, Workers
 
 CONTINUES = "What is done is kept; the same command continues."
 _MOST_PROCESSES = 1024
@@ -74,6 +78,26 @@ def _memory_bytes() -> int:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return 0
+
+
+@contextmanager
+def kept_work(
+    workers: Workers, folder: Path | None, file: str, line: CountLine, done: str
+) -> Iterator[KeptRows | None]:
+    """Yield what keeps done pieces of work in a folder, None without one; an interruption is told with their number."""
+    from bench.cluster.work import KeptRows
+
+    with reliable_interrupts(), ExitStack() as stack:
+        stack.callback(workers.close)
+        kept = stack.enter_context(KeptRows(folder, file)) if folder is not None else None
+        try:
+            yield kept
+        except BaseException:
+            line.clear()
+            end = CONTINUES if folder is not None else "Nothing is kept: give -o."
+            click.echo(f"{line.text()} {done}. {end}", err=True)
+            raise
+    line.clear()
 
 
 class LiveLine:
