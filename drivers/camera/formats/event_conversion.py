@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, EventSource, Triggers, empty_events
 from drivers.camera.evt3 import Words
+from drivers.camera.evt3_kernel import MAX_BACK_STEP_US
 from drivers.camera.formats.event_files import (
     ExportSummary,
     export_hdf5,
@@ -172,8 +173,6 @@ MAX_TIME_US: Final = 86_400_000_000
 
 _MAX_ADDRESS: Final = 2047
 _MAX_CHANNEL: Final = 15
-_MAX_BACK_STEP_US: Final = 64
-"""TIME_LOW may step back by this time, as it does in busy sensors; a reader takes more for missing words."""
 
 
 class _S(IntEnum):
@@ -224,7 +223,7 @@ class Evt3Encoder:
         latest = max((int(t.max()) for t in (events.t, triggers.t) if len(t)), default=0)
         turns = max(0, (latest >> 12) - int(self._state[_S.TURN]))
         out = np.empty(turns + 3 * len(events.t) + 2 * len(triggers.t) + 2, np.uint16)
-        n = _encode(*events, *triggers, self._state, out)
+        n = _encode(events, triggers, self._state, out)
         return out[:n].astype("<u2", copy=False)
 
 
@@ -233,7 +232,7 @@ def _advance_clock(t: int, state: NDArray[np.int64], out: NDArray[np.uint16], n:
     """Bring the stream's clock to a time; return the number of words so far."""
     turn, low = t >> 12, t & 0xFFF
     now = state[_S.TURN] << 12 | max(state[_S.LOW], 0)
-    if turn < state[_S.TURN] or t < now - _MAX_BACK_STEP_US:
+    if turn < state[_S.TURN] or t < now - MAX_BACK_STEP_US:
         state[_S.MOVED] += 1
         return n
     while state[_S.TURN] < turn:
@@ -249,23 +248,17 @@ def _advance_clock(t: int, state: NDArray[np.int64], out: NDArray[np.uint16], n:
 
 
 @njit(cache=True, nogil=True)
-def _encode(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    edge_t: NDArray[np.int64],
-    value: NDArray[np.uint8],
-    channel: NDArray[np.uint8],
-    state: NDArray[np.int64],
-    out: NDArray[np.uint16],
-) -> Any:
+def _encode(events: Events, edges: Triggers, state: NDArray[np.int64], out: NDArray[np.uint16]) -> Any:
+    t, x, y, p = events
+    edge_t, value, channel = edges
     n = e = 0
-    for i in range(len(t)):
-        while e < len(edge_t) and edge_t[e] <= t[i]:
+    for i in range(len(t) + 1):  # the last edges come behind the last event
+        while e < len(edge_t) and (i == len(t) or edge_t[e] <= t[i]):
             n = _advance_clock(edge_t[e], state, out, n)
             out[n] = 0xA000 | (channel[e] & 0xF) << 8 | (value[e] & 1)
             n, e = n + 1, e + 1
+        if i == len(t):
+            break
         n = _advance_clock(t[i], state, out, n)
         if y[i] != state[_S.Y]:
             state[_S.Y] = y[i]
@@ -273,8 +266,4 @@ def _encode(
             n += 1
         out[n] = 0x2000 | np.uint16(p[i]) << 11 | x[i]
         n += 1
-    while e < len(edge_t):
-        n = _advance_clock(edge_t[e], state, out, n)
-        out[n] = 0xA000 | (channel[e] & 0xF) << 8 | (value[e] & 1)
-        n, e = n + 1, e + 1
     return n
