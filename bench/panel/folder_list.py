@@ -27,9 +27,9 @@ Json = dict[str, Any]
 Stamp = tuple[int, int]
 
 _KEPT = (
-    "id", "sequence", "station", "operator", "simulated", "rehearsal", "verdict", "tone", "running", "sealed", "why",
-    "started_utc", "ended_utc", "end_utc", "poses", "most_poses", "accepted", "skipped", "recordings",
-    "retries", "deviation_count", "state", "state_utc", "pose", "holder", "interlock", "question",
+    "id", "sequence", "station", "operator", "simulated", "rehearsal", "verdict", "tone", "running", "why",
+    "started_utc", "ended_utc", "end_utc", "poses", "most_poses", "accepted", "deviation_count", "state", "pose",
+    "holder", "interlock", "question",
 )  # fmt: skip
 _BATCH_AGAIN_S = 10.0
 

@@ -6,7 +6,7 @@ import asyncio
 import json
 import threading
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import is_locked, storage_errors
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
-from bench.web.pages import Changes, EventStream, Message, last_id, page_app, read_object, whole_number
+from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
 
 # A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
 # parameter.
@@ -91,15 +91,16 @@ class BatchView:
         self._text = json.dumps(body, separators=(",", ":"), allow_nan=False)
         self._stamp, self._made_at_s = stamp, now_s
 
-    async def messages(self) -> AsyncIterator[Message]:
-        """Tell the batch, and again whenever something has changed."""
-        told = ""
-        while True:
-            text, lines = await asyncio.to_thread(self.text)
-            if text != told:
-                told = text
-                yield Message(text, "update", str(lines))
-            await asyncio.sleep(LOOK_S)
+
+async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIterator[Message]:
+    """Tell a text with the number of its lines, and again whenever it has changed."""
+    told = ""
+    while True:
+        found, lines = await asyncio.to_thread(text)
+        if found != told:
+            told = found
+            yield Message(found, "update", str(lines))
+        await asyncio.sleep(every_s)
 
 
 def _failures_first(items: list[Json]) -> list[Json]:
@@ -131,10 +132,8 @@ class Panel:
         self._helper, self._background = Helper(), Helper()
         self._extras: dict[RunWatch, asyncio.Task[None]] = {}
         self._batches: dict[Path, BatchView] = {}
-        self._list_text = ""
-        self._list_readers = 0
-        self._list_task: asyncio.Task[None] | None = None
-        self._list_changes = Changes()
+        self._list_text, self._listed_at_s = "", float("-inf")
+        self._list_lock = threading.Lock()
 
     def app(self) -> Starlette:
         """Return the application."""
@@ -167,7 +166,7 @@ class Panel:
         try:
             yield
         finally:
-            tasks = [*self._extras.values(), *([self._list_task] if self._list_task else [])]
+            tasks = list(self._extras.values())
             for task in tasks:
                 task.cancel()
             for helper in (self._helper, self._background):
@@ -228,37 +227,24 @@ class Panel:
 
     # ---------------------------------------------------------------- the list
     async def _list_stream(self, _request: Request) -> EventStream:
-        return EventStream(self._list_messages())
+        return EventStream(_told(self._listed, LIST_S))
 
     async def _list_state(self, _request: Request) -> Response:
         found = await run_in_threadpool(self._list.look)
         return JSONResponse(found)
 
-    async def _list_messages(self) -> AsyncIterator[Message]:
-        self._list_readers += 1
-        if self._list_task is None or self._list_task.done():
-            self._list_task = asyncio.create_task(self._look_at_list())
-        told = 0
-        try:
-            while True:
-                told = await self._list_changes.after(told)
-                yield Message(self._list_text, "update", str(told))
-        finally:
-            self._list_readers -= 1
-
-    async def _look_at_list(self) -> None:
-        """Look at the folder as long as a page lists it, once for all pages."""
-        while self._list_readers > 0:
-            try:
-                found = await run_in_threadpool(self._list.look)
-            except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
-                found = {"root": str(self._list.root), "exists": True, "runs": [], "batches": []}
-                found["faults"] = [Failure.of(error).message]
-            text = json.dumps(found, separators=(",", ":"), allow_nan=False)
-            if text != self._list_text:
-                self._list_text = text
-                self._list_changes.tell()
-            await asyncio.sleep(LIST_S)
+    def _listed(self) -> tuple[str, int]:
+        """Return the list as JSON; the folder is looked at once for all pages, so not for the server's own thread."""
+        with self._list_lock:
+            if time.monotonic() - self._listed_at_s >= 0.9 * LIST_S:
+                try:
+                    found = self._list.look()
+                except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
+                    found = {"root": str(self._list.root), "exists": True, "runs": [], "batches": []}
+                    found["faults"] = [Failure.of(error).message]
+                self._list_text = json.dumps(found, separators=(",", ":"), allow_nan=False)
+                self._listed_at_s = time.monotonic()
+            return self._list_text, 0
 
     # ---------------------------------------------------------------- a run
     def _folder(self, request: Request) -> Path:
@@ -390,7 +376,7 @@ class Panel:
         return self._batches.setdefault(folder, BatchView(folder))
 
     async def _batch_stream(self, request: Request) -> EventStream:
-        return EventStream(self._batch(request).messages())
+        return EventStream(_told(self._batch(request).text, LOOK_S))
 
     async def _batch_state(self, request: Request) -> Response:
         text, _ = await run_in_threadpool(self._batch(request).text)

@@ -244,7 +244,7 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
 def _state(model: RunModel, process: ProcessState) -> Json:
     history = model.history
     last = history.states[-1] if history.states else None
-    interlock, _, why = history.interlock.partition(":")
+    interlock = history.interlock.partition(":")[0]
     row = model.rows.get(history.at_pose or 0)
     return {
         "state": last["state"] if last else "idle",
@@ -253,8 +253,6 @@ def _state(model: RunModel, process: ProcessState) -> Json:
         "pose_name": row["name"] if row else "",
         "holder": history.holder if process.running else "",
         "interlock": interlock_text(interlock) if process.running else "",
-        "interlock_why": why.strip(),
-        "held_since_utc": model.held_since_utc,
         "question": _question(model) if process.running and history.question else None,
     }
 
@@ -316,7 +314,6 @@ def _last(model: RunModel) -> Json | None:
         "pose": stored["pose"],
         "pose_name": stored["pose_name"],
         "attempt": stored["attempt"],
-        "capture": stored["capture"],
         "utc": model.stored_utc,
         "facts": {
             name: stored.get("facts", {}).get(name)

@@ -165,7 +165,6 @@ class RunModel:
         """Number of the line, its time, its text and its tone."""
         self.last_target_deg: Mapping[str, float] = {}
         self.asked: Mapping[str, Any] = {}
-        self.held_since_utc = ""
         self.stored_utc = self.asked_utc = ""
         """Times of the last recording and of the last question."""
 
@@ -261,8 +260,6 @@ class RunModel:
                 self.stored_utc = entry.utc
             case Event.ENTERING:
                 self.last_target_deg = data.get("target_deg", self.last_target_deg)
-                if data["state"] == "holding":
-                    self.held_since_utc = entry.utc
             case Event.ASKED:
                 self.asked, self.asked_utc = data, entry.utc
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from bench.plan.passports import PassportInUse
 from bench.plan.plan import Plan, PlannedStep
 from bench.report.text import meaning_of_goal
+from bench.terminal.encoding import counted
 from sequences.script import Flicker, LightStep, MoveStep, PromptStep, RecordStep, SolveStep, Step
 
 MOST_LINES = 120
@@ -20,7 +21,7 @@ def render_plan(plan: Plan) -> str:
     lines = [f"{plan.sequence.value.name} on {plan.station.value.name}{simulated}", ""]
     if plan.faults:
         lines += [
-            f"This plan cannot be run: {_count(len(plan.faults), 'fault')}.",
+            f"This plan cannot be run: {counted(len(plan.faults), 'fault')}.",
             *map(str, plan.faults),
             "",
         ]
@@ -76,7 +77,7 @@ def _rows(planned: PlannedStep, plan: Plan) -> list[str]:
         return []
     rounds = [p for p in plan.steps if step.number <= p.step.number <= until.last]
     minutes = "" if until.minutes is None else f", at most {until.minutes:g} min"
-    further = _count(until.at_most - until.starts, "pose")
+    further = counted(until.at_most - until.starts, "pose")
     goals = ", ".join(f"{meaning_of_goal(goal)} <= {most:g} px" for goal, most in until.goals.items())
     what = f"choose and record up to {further}{minutes}"
     longest_s = sum(p.duration_s for p in rounds)
@@ -97,7 +98,7 @@ def _what(step: Step, plan: Plan) -> str:
         case MoveStep(pose=pose):
             what = f"move to {_angles(pose.angles_deg)} ({pose.name})"
         case RecordStep():
-            attempts = _count(step.attempts, "attempt")
+            attempts = counted(step.attempts, "attempt")
             what = f"record pose {step.pose.index}, {step.window_ms:g} ms, up to {attempts}"
         case PromptStep():
             what = f"ask: {step.text} [{step.default}]"
@@ -116,16 +117,12 @@ def _angles(angles_deg: Mapping[str, float]) -> str:
 
 
 def _totals(plan: Plan) -> str:
-    poses = _count(len(plan.poses), "pose")
+    poses = counted(len(plan.poses), "pose")
     size, most = size_text(plan.size_bytes), size_text(plan.most_bytes)
     about = "about"
     if plan.untils:
-        poses, about = f"{len(plan.poses)} to {_count(plan.most_poses, 'pose')}", "at most about"
+        poses, about = f"{len(plan.poses)} to {counted(plan.most_poses, 'pose')}", "at most about"
     return f"{poses}, {about} {duration_text(plan.duration_s)}, {about} {size} on disk ({most} at most)."
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def _passport_lines(in_use: PassportInUse) -> list[str]:
