@@ -14,20 +14,18 @@ import click
 from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
-from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
+from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, command
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
 from bench.evidence.keys import usable_key
 
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 
 
-@click.command(
-    epilog=epilog(
-        "starbench batch night.yaml --output runs/night",
-        "starbench status runs/night --follow",
-        "starbench tell runs/night withdraw glass",
-        status=QUEUE_STATUS,
-    )
+@command(
+    "starbench batch night.yaml --output runs/night",
+    "starbench status runs/night --follow",
+    "starbench tell runs/night withdraw glass",
+    status=QUEUE_STATUS,
 )
 @_QUEUE
 @click.option(
@@ -62,10 +60,8 @@ def batch(queue: Path, output: Path) -> int:
     return show_summary(output, summary)
 
 
-@click.command(
-    epilog=epilog(
-        "starbench rehearse night.yaml --output runs/rehearsed --begin 2026-03-01T21:00", status=QUEUE_STATUS
-    )
+@command(
+    "starbench rehearse night.yaml --output runs/rehearsed --begin 2026-03-01T21:00", status=QUEUE_STATUS
 )
 @_QUEUE
 @click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder for the rehearsal.")

@@ -16,7 +16,7 @@ from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFol
 from bench.cluster.tasks import Task, find_places
 from bench.commands.calibrations import BOARD, collimator_options, engine_options, offline_dict, offline_lines
 from bench.commands.keys import key_or_draft
-from bench.commands.options import ExistingPath, OutputFolder, epilog
+from bench.commands.options import ExistingPath, OutputFolder, command, epilog
 from bench.commands.output import JSON, NOT_KEPT, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
 from bench.records.run_facts import coverage_factor, factors_text
@@ -183,14 +183,12 @@ class _PathOrUrl(ExistingPath):
         return value if "://" in str(value) else super().convert(value, param, ctx)
 
 
-@click.command(
-    epilog=epilog(
-        "starbench calibrate runs/cam7 --model auto --compare",
-        "starbench calibrate runs/cam8 --passport collimator.json --views 1",
-        "starbench calibrate points/*.csv --image-size 1280x720 --distortion k1k2k3",
-        "starbench calibrate runs/ --each --output recalculated --workers 4",
-        "starbench calibrate s3://captures/2026 --each --workers tls://cluster.lab:8786 -o recalculated",
-    )
+@command(
+    "starbench calibrate runs/cam7 --model auto --compare",
+    "starbench calibrate runs/cam8 --passport collimator.json --views 1",
+    "starbench calibrate points/*.csv --image-size 1280x720 --distortion k1k2k3",
+    "starbench calibrate runs/ --each --output recalculated --workers 4",
+    "starbench calibrate s3://captures/2026 --each --workers tls://cluster.lab:8786 -o recalculated",
 )
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=_PathOrUrl())
 @engine_options

@@ -14,7 +14,7 @@ import click
 
 from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
-from bench.commands.options import ExistingFile, ExistingFolder, NewFile, epilog, status_text
+from bench.commands.options import ExistingFile, ExistingFolder, NewFile, command, status_text
 from bench.commands.output import JSON, STOPPED, ask_passphrase, confirm, show, wants_json
 from bench.evidence.authorisation import authorise as sign
 from bench.evidence.authorisation import (
@@ -50,13 +50,11 @@ from bench.records.storage import read_json, storage_errors, write_atomic
 _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
 
 
-@click.command(
-    "timestamp",
-    epilog=epilog(
-        "starbench certificate timestamp certificates/2026-0042 --tsa https://tsa.example/tsr",
-        "starbench certificate timestamp certificates/2026-0042 --request request.tsq",
-        "starbench certificate timestamp certificates/2026-0042 --token reply.tsr",
-    ),
+@command(
+    "starbench certificate timestamp certificates/2026-0042 --tsa https://tsa.example/tsr",
+    "starbench certificate timestamp certificates/2026-0042 --request request.tsq",
+    "starbench certificate timestamp certificates/2026-0042 --token reply.tsr",
+    name="timestamp",
 )
 @click.argument("folder", metavar="FOLDER", type=ExistingFolder())
 @click.option("--tsa", metavar="URL", help="Ask this time stamping authority over the network.")
@@ -208,13 +206,11 @@ _FROM_ENVIRONMENT = "STARBENCH_PASSPHRASE"
 _KINDS = {"certificate": "Certificate", "run": "Run", "results": "Recalculated results", "files": "Files"}
 
 
-@click.command(
-    "authorise",
-    epilog=epilog(
-        "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
-        "starbench certificate authorise certificates/2026-0042 --key SHA256:...",
-        status=status_text("0 authorised, 1 failed{invalid}, 3 you did not confirm{ctrl_c}"),
-    ),
+@command(
+    "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
+    "starbench certificate authorise certificates/2026-0042 --key SHA256:...",
+    status=status_text("0 authorised, 1 failed{invalid}, 3 you did not confirm{ctrl_c}"),
+    name="authorise",
 )
 @click.argument("folder", metavar="FOLDER", type=ExistingFolder())
 @click.option(

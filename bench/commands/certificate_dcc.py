@@ -22,7 +22,7 @@ from bench.certificate.dcc_xml import (
     schema_faults,
     schema_folder,
 )
-from bench.commands.options import ExistingFile, ExistingPath, epilog
+from bench.commands.options import ExistingFile, ExistingPath, command
 from bench.commands.output import JSON, show, wants_json
 from bench.records.storage import storage_errors
 
@@ -49,7 +49,7 @@ class _Found:
         ]
 
 
-@click.command(epilog=epilog("starbench certificate check certificates/2026-0042"))
+@command("starbench certificate check certificates/2026-0042")
 @click.argument("path", metavar="FILE", type=ExistingPath())
 @click.option(
     "--schemas",
@@ -113,7 +113,7 @@ def _read(file: Path) -> bytes:
         return stream.read(MOST_BYTES + 1)
 
 
-@click.command("from-dcc", epilog=epilog("starbench certificate from-dcc collimator.xml"))
+@command("starbench certificate from-dcc collimator.xml", name="from-dcc")
 @click.argument("path", metavar="FILE", type=ExistingFile())
 @click.option(
     "--quantity", metavar="NAME", default="", help="Id, label or name of the length.  [default: focal length]"

@@ -21,7 +21,7 @@ from bench.commands.options import (
     NewFile,
     Number,
     OutputFolder,
-    epilog,
+    command,
 )
 from bench.commands.output import JSON, show
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
@@ -33,12 +33,10 @@ if TYPE_CHECKING:
     from calib.model.camera import Undistortion
 
 
-@click.command(
-    epilog=epilog(
-        "starbench convert pose-001-attempt-1.raw pose.hdf5",
-        "starbench convert pose.hdf5 pose.raw",
-        "starbench convert captures/*.raw converted/ --as hdf5",
-    )
+@command(
+    "starbench convert pose-001-attempt-1.raw pose.hdf5",
+    "starbench convert pose.hdf5 pose.raw",
+    "starbench convert captures/*.raw converted/ --as hdf5",
 )
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=EventFile())
 @click.argument("output", type=click.Path(path_type=Path))
@@ -149,11 +147,9 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
 # The command `undistort`: tables that take the distortion out of events and images, with a preview.
 
 
-@click.command(
-    epilog=epilog(
-        "starbench undistort runs/cam7 -o cam7-tables",
-        "starbench undistort opencv.yaml -o tables --preview board.raw --board checkerboard:11x7:20mm",
-    )
+@command(
+    "starbench undistort runs/cam7 -o cam7-tables",
+    "starbench undistort opencv.yaml -o tables --preview board.raw --board checkerboard:11x7:20mm",
 )
 @click.argument("file", metavar="RUN", type=ExistingPath())
 @click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder for the tables.")

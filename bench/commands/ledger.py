@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from bench.base.errors import BenchError, UsageError
-from bench.commands.options import OPERATOR, epilog, status_text
+from bench.commands.options import OPERATOR, command, status_text
 from bench.commands.output import JSON, show, wants_json
 from bench.evidence.authorisation import known_authorisations, lost_authorisations
 from bench.evidence.ledger_check import sealed_strangers
@@ -24,13 +24,11 @@ _MOST_SHOWN = 40
 """Most faults that are printed as text."""
 
 
-@click.command(
-    epilog=epilog(
-        "starbench ledger",
-        "starbench ledger --explain 'The disk was restored from the copy of Monday.'",
-        "starbench ledger --forget /mnt/office/bench2.heads --reason 'The office has a new server.'",
-        status=status_text("0 no fault, 1 a fault{invalid}{ctrl_c}"),
-    )
+@command(
+    "starbench ledger",
+    "starbench ledger --explain 'The disk was restored from the copy of Monday.'",
+    "starbench ledger --forget /mnt/office/bench2.heads --reason 'The office has a new server.'",
+    status=status_text("0 no fault, 1 a fault{invalid}{ctrl_c}"),
 )
 @click.option(
     "--explain",

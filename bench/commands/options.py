@@ -44,6 +44,13 @@ def epilog(*examples: str, status: str = PLAIN_STATUS) -> str:
     return f"\b\n{title}:\n{lines}\n\nExit status: {status}"
 
 
+def command(
+    *examples: str, status: str = PLAIN_STATUS, name: str | None = None
+) -> Callable[[Callable[..., int]], click.Command]:
+    """Make a command of a function, with what `epilog` says below its options; ``name`` None is the function's."""
+    return click.command(name, epilog=epilog(*examples, status=status))
+
+
 class Family(click.Group):
     """Group that lists each of its commands with the whole first sentence of its help."""
 

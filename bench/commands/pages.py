@@ -7,17 +7,15 @@ from typing import Any
 
 import click
 
-from bench.commands.options import SEED, STATION, ExistingFolder, epilog, page_options
+from bench.commands.options import SEED, STATION, ExistingFolder, command, page_options
 
 # The command `starbench align`: arguments and options only; `bench.align` does the work.
 
 
-@click.command(
-    epilog=epilog(
-        "starbench align --station my_bench.yaml",
-        "starbench align --station simulated --port 8800 --no-browser",
-        status="0 ended, every device confirmed a safe state, 1 a device did not, 2 invalid argument or file.",
-    )
+@command(
+    "starbench align --station my_bench.yaml",
+    "starbench align --station simulated --port 8800 --no-browser",
+    status="0 ended, every device confirmed a safe state, 1 a device did not, 2 invalid argument or file.",
 )
 @STATION
 @page_options
@@ -40,12 +38,10 @@ def align(station: str, seed: int, settings: tuple[str, ...], **page: Any) -> in
     return align_on_page(station, settings, seed=seed, **_served(**page))
 
 
-@click.command(
-    epilog=epilog(
-        "starbench panel",
-        "starbench panel runs/night --port 8800 --no-browser",
-        "starbench panel --line nine_pose --station my_bench.yaml --operator 'A. Operator'",
-    )
+@command(
+    "starbench panel",
+    "starbench panel runs/night --port 8800 --no-browser",
+    "starbench panel --line nine_pose --station my_bench.yaml --operator 'A. Operator'",
 )
 @click.argument("folder", required=False, type=ExistingFolder())
 @click.option(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.errors import BenchError, UsageError
-from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, epilog, settings_of
+from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
 from bench.commands.output import JSON, show
 from bench.report.text import angle_text
 from calib.model.result_parts import WORST_CORNER
@@ -34,11 +34,9 @@ _MOST_LINES = 80
 _HEAD_BYTES = 4096
 
 
-@click.command(
-    epilog=epilog(
-        "starbench plan three_pose --station my_bench.yaml --suggest 3",
-        "starbench plan night.yaml --begin 2026-03-01T21:00",
-    )
+@command(
+    "starbench plan three_pose --station my_bench.yaml --suggest 3",
+    "starbench plan night.yaml --begin 2026-03-01T21:00",
 )
 @click.argument("sequence", type=SEQUENCE_NAME)
 @click.option(

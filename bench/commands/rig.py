@@ -12,7 +12,7 @@ import click
 
 from bench.base.errors import UsageError
 from bench.commands.calibrations import BOARD, collimator_options
-from bench.commands.options import ExistingPath, OutputFolder, epilog
+from bench.commands.options import ExistingPath, OutputFolder, command
 from bench.commands.output import JSON, show
 from bench.report.text import with_uncertainty
 
@@ -22,14 +22,12 @@ if TYPE_CHECKING:
     from calib.studies.rig import Rig, RigDifference
 
 
-@click.command(
-    epilog=epilog(
-        "starbench rig runs/left runs/right",
-        "starbench rig runs/left runs/right --sync",
-        "starbench rig left right --board checkerboard:11x7:20mm -o rig",
-        "starbench rig left right --board checkerboard:11x7:20mm --stated rig/extrinsics.json",
-        "starbench rig runs/left runs/right --boards left right --board checkerboard:11x7:20mm",
-    )
+@command(
+    "starbench rig runs/left runs/right",
+    "starbench rig runs/left runs/right --sync",
+    "starbench rig left right --board checkerboard:11x7:20mm -o rig",
+    "starbench rig left right --board checkerboard:11x7:20mm --stated rig/extrinsics.json",
+    "starbench rig runs/left runs/right --boards left right --board checkerboard:11x7:20mm",
 )
 @click.argument("first", type=ExistingPath())
 @click.argument("second", type=ExistingPath())

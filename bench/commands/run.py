@@ -18,7 +18,7 @@ from bench.commands.options import (
     SET,
     STATION,
     OutputFolder,
-    epilog,
+    command,
     settings_of,
 )
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, ask_passphrase, error_object, show
@@ -41,14 +41,12 @@ _MOST_LISTED = 20
 """Recordings that are listed by name."""
 
 
-@click.command(
-    epilog=epilog(
-        "starbench run three_pose --station simulated",
-        "starbench run nine_pose -s my_bench.yaml -o runs/cam7 --operator 'A. Operator'",
-        "starbench run nine_pose -s my_bench.yaml --expect-serial 00051234",
-        "starbench run three_pose -s simulated --set sequence.defaults.record.window_ms=50",
-        status=RUN_STATUS,
-    )
+@command(
+    "starbench run three_pose --station simulated",
+    "starbench run nine_pose -s my_bench.yaml -o runs/cam7 --operator 'A. Operator'",
+    "starbench run nine_pose -s my_bench.yaml --expect-serial 00051234",
+    "starbench run three_pose -s simulated --set sequence.defaults.record.window_ms=50",
+    status=RUN_STATUS,
 )
 @click.argument("sequence", type=SEQUENCE_NAME)
 @STATION
@@ -101,9 +99,7 @@ def run(
     return show_run(end)
 
 
-@click.command(
-    epilog=epilog("starbench resume runs/cam7 --dry-run", "starbench resume runs/cam7", status=RUN_STATUS)
-)
+@command("starbench resume runs/cam7 --dry-run", "starbench resume runs/cam7", status=RUN_STATUS)
 @RUN
 @click.option("--dry-run", is_flag=True, help="Only print what would be done.")
 @JSON

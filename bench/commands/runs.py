@@ -13,7 +13,7 @@ import click
 from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
 from bench.commands.ledger import RunChoice, ledger_findings, print_findings
-from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, epilog, status_text
+from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, command, status_text
 from bench.commands.output import JSON, show
 from bench.evidence.authorisation import known_authorisations, lost_authorisations
 from bench.evidence.states import home_trust, shown_state
@@ -29,17 +29,15 @@ _EVERY_PARAMETER = "all"
 """Stands for `--chart` without a parameter."""
 
 
-@click.command(
-    epilog=epilog(
-        "starbench runs --serial 00051234 --since 2026-03-01 --compare",
-        "starbench runs runs/night --how failed",
-        "starbench runs --chart fx --output fx.html",
-        "starbench runs --capability operator,day --since 2026-03-01",
-        "starbench runs --output runs.csv",
-        status=status_text(
-            "0 runs shown, 1 a run is missing or was changed, or the ledger is broken{invalid}{ctrl_c}"
-        ),
-    )
+@command(
+    "starbench runs --serial 00051234 --since 2026-03-01 --compare",
+    "starbench runs runs/night --how failed",
+    "starbench runs --chart fx --output fx.html",
+    "starbench runs --capability operator,day --since 2026-03-01",
+    "starbench runs --output runs.csv",
+    status=status_text(
+        "0 runs shown, 1 a run is missing or was changed, or the ledger is broken{invalid}{ctrl_c}"
+    ),
 )
 @click.argument("folder", required=False, type=ExistingFolder())
 @click.option("--serial", metavar="NUMBER", help="Only runs of the camera with this serial number.")

@@ -14,7 +14,17 @@ import click
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, UsageError
-from bench.commands.options import SEED, STATION, STATION_NAME, Family, NewFile, Number, epilog, status_text
+from bench.commands.options import (
+    SEED,
+    STATION,
+    STATION_NAME,
+    Family,
+    NewFile,
+    Number,
+    command,
+    epilog,
+    status_text,
+)
 from bench.commands.output import JSON, STOPPED, print_json, show
 
 if TYPE_CHECKING:
@@ -27,13 +37,11 @@ if TYPE_CHECKING:
 # The command `target`: what the target of a station is good for, and its drawing.
 
 
-@click.command(
-    epilog=epilog(
-        "starbench target -s my_bench.yaml",
-        "starbench target -s simulated --focal-length-mm 12 --r-mm 200",
-        "starbench target -s my_bench.yaml -o reticle.gds",
-        "starbench target -s simulated -o target.pdf",
-    )
+@command(
+    "starbench target -s my_bench.yaml",
+    "starbench target -s simulated --focal-length-mm 12 --r-mm 200",
+    "starbench target -s my_bench.yaml -o reticle.gds",
+    "starbench target -s simulated -o target.pdf",
 )
 @STATION
 @click.option(
@@ -138,7 +146,7 @@ def _draw(target: TargetConfig, path: Path) -> int:
 # The command `simulate`: a simulated bench in a process of its own.
 
 
-@click.command(epilog=epilog("starbench simulate --station simulated --seed 1"))
+@command("starbench simulate --station simulated --seed 1")
 @click.option(
     "--station",
     "-s",
@@ -238,7 +246,7 @@ def station_new(path: Path, name: str, stage: str, light: str, camera: str | Non
     return 0
 
 
-@click.command(epilog=epilog("starbench schema sequence > sequence.schema.json"))
+@command("starbench schema sequence > sequence.schema.json")
 @click.argument("document", type=click.Choice(["sequence", "station", "queue", "job", "lab"]))
 def schema(document: str) -> int:
     """Print the JSON Schema of sequence, station, queue, job or lab files, for use by text editors."""
@@ -263,12 +271,10 @@ def schema(document: str) -> int:
 # The command `devices`: what is connected, and with ``--wiring`` a test of the trigger cable.
 
 
-@click.command(
-    epilog=epilog(
-        "starbench devices",
-        "starbench devices --wiring --station my_bench.yaml",
-        status=status_text("0 done, 1 failed{invalid}, 3 you did not confirm the test{ctrl_c}"),
-    )
+@command(
+    "starbench devices",
+    "starbench devices --wiring --station my_bench.yaml",
+    status=status_text("0 done, 1 failed{invalid}, 3 you did not confirm the test{ctrl_c}"),
 )
 @click.option(
     "--wiring",

@@ -15,7 +15,14 @@ import click
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
-from bench.commands.options import OPERATOR, ExistingFile, ExistingFolder, RunFolder, epilog, status_text
+from bench.commands.options import (
+    OPERATOR,
+    ExistingFile,
+    ExistingFolder,
+    RunFolder,
+    command,
+    status_text,
+)
 from bench.commands.output import JSON, STOPPED, show, wants_json
 from bench.records.run_folder import JOURNAL
 from bench.records.storage import is_locked, storage_errors
@@ -44,15 +51,13 @@ class _Told(ExistingFolder):
         """Nothing: what the folder must be is known when the word is."""
 
 
-@click.command(
-    epilog=epilog(
-        "starbench tell runs/cam7 hold",
-        "starbench tell runs/cam7 release --take-over",
-        "starbench tell runs/cam7 skip 4",
-        "starbench tell runs/cam7 yes",
-        "starbench tell runs/night add job.yaml",
-        status=status_text("0 accepted, 1 refused{invalid}{ctrl_c}"),
-    )
+@command(
+    "starbench tell runs/cam7 hold",
+    "starbench tell runs/cam7 release --take-over",
+    "starbench tell runs/cam7 skip 4",
+    "starbench tell runs/cam7 yes",
+    "starbench tell runs/night add job.yaml",
+    status=status_text("0 accepted, 1 refused{invalid}{ctrl_c}"),
 )
 @click.argument("folder", metavar="FOLDER", type=_Told())
 @click.argument("word", type=click.Choice(["hold", "release", "skip", "abort", "yes", "no", *_OF_BATCH]))
@@ -140,12 +145,10 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
 # The command `messages`: what this bench has sent and what still waits.
 
 
-@click.command(
-    epilog=epilog(
-        "starbench messages",
-        "starbench messages --send",
-        status=status_text("0 messages shown, 1 a message is still waiting after --send{invalid}{ctrl_c}"),
-    )
+@command(
+    "starbench messages",
+    "starbench messages --send",
+    status=status_text("0 messages shown, 1 a message is still waiting after --send{invalid}{ctrl_c}"),
 )
 @click.option("--send", "send_now", is_flag=True, help="Try to send the waiting messages now.")
 @JSON
@@ -227,14 +230,12 @@ _NOT_READ = 128 + 13
 _ENDED = {"finished": 0, "aborted": STOPPED}
 
 
-@click.command(
-    epilog=epilog(
-        "starbench status runs/cam7 --follow",
-        "starbench status runs/night",
-        status=status_text(
-            "0 status shown{invalid}{ctrl_c} With --follow that of the run: 0 done, 1 failed, 3 stopped."
-        ),
-    )
+@command(
+    "starbench status runs/cam7 --follow",
+    "starbench status runs/night",
+    status=status_text(
+        "0 status shown{invalid}{ctrl_c} With --follow that of the run: 0 done, 1 failed, 3 stopped."
+    ),
 )
 @click.argument("run_folder", metavar="RUN", type=RunFolder(batch=True))
 @click.option("--follow", is_flag=True, help="Follow the run until it ends, and return its exit status.")

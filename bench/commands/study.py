@@ -22,7 +22,7 @@ from bench.commands.options import (
     NewFile,
     Number,
     OutputFolder,
-    epilog,
+    command,
     status_text,
 )
 from bench.commands.output import JSON, STOPPED, show
@@ -41,12 +41,10 @@ if TYPE_CHECKING:
 PAGE, RESULTS = "comparison.html", "results.json"
 
 
-@click.command(
-    epilog=epilog(
-        "starbench compare table1 --repetitions 3",
-        "starbench compare my_comparison.yaml -o comparisons/mine",
-        status=status_text("0 done, 1 failed{invalid}, 3 stopped by Ctrl-C: the same command continues."),
-    )
+@command(
+    "starbench compare table1 --repetitions 3",
+    "starbench compare my_comparison.yaml -o comparisons/mine",
+    status=status_text("0 done, 1 failed{invalid}, 3 stopped by Ctrl-C: the same command continues."),
 )
 @click.argument("spec")
 @click.option(
@@ -138,11 +136,9 @@ def _show_progress(done: int, total: int, left_s: float | None) -> None:
         click.echo(line, err=True)
 
 
-@click.command(
-    epilog=epilog(
-        "starbench study nine_pose --runs 500 --plot errors.svg",
-        "starbench study nine_pose --runs 100000 --workers tls://cluster.lab:8786 -o study",
-    )
+@command(
+    "starbench study nine_pose --runs 500 --plot errors.svg",
+    "starbench study nine_pose --runs 100000 --workers tls://cluster.lab:8786 -o study",
 )
 @click.argument("sequence", default="three_pose", type=SEQUENCE_NAME)
 @click.option(

@@ -14,7 +14,7 @@ import click
 from bench.base.home import forms, home_folder
 from bench.cluster.verifications import VERIFIED, Check, Checked, check_one, derivations_of
 from bench.cluster.work import Finished, KeptRows, Workers, map_work
-from bench.commands.options import ExistingFile, OutputFolder, RunFolder, epilog, status_text
+from bench.commands.options import ExistingFile, OutputFolder, RunFolder, command, status_text
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 from bench.evidence.authorisation import compare_authorisation, known_authorisations
@@ -38,15 +38,13 @@ _NUMBERS = {
 _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "NOT VERIFIED"}
 
 
-@click.command(
-    epilog=epilog(
-        "starbench verify runs/cam7",
-        "starbench verify runs/cam7 --serial 00051234 --allowed-signers lab_signers --again",
-        "starbench verify runs/* --again --workers 4 -o checked",
-        status=status_text(
-            "0 valid, 1 not valid{invalid}, 4 seal valid, but not every part could be compared{ctrl_c}"
-        ),
-    )
+@command(
+    "starbench verify runs/cam7",
+    "starbench verify runs/cam7 --serial 00051234 --allowed-signers lab_signers --again",
+    "starbench verify runs/* --again --workers 4 -o checked",
+    status=status_text(
+        "0 valid, 1 not valid{invalid}, 4 seal valid, but not every part could be compared{ctrl_c}"
+    ),
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=RunFolder(journal=False))
 @click.option(
