@@ -118,8 +118,8 @@ def _chart_sections(summary: Json) -> list[dict[str, Any]]:
     drawn = choose_drawn(groups)
     sections = [chart_section(group, drawn.get(place, frozenset())) for place, group in enumerate(groups)]
     for section in sections:
-        for chart in section["charts"]:
-            del chart["pictures"][_CONTROL_PICTURES:]  # the page shows time and temperature already
+        for drawn_here in section["pictures"].values():
+            del drawn_here[_CONTROL_PICTURES:]  # the page shows time and temperature already
     return sections
 
 

@@ -27,7 +27,7 @@ from bench.report.svg_plot import (
     tick_label,
     ticks,
 )
-from bench.report.text import NOTHING, with_uncertainty
+from bench.report.text import with_uncertainty
 
 # A chart of many runs. What falls on the same place is drawn once, so the size of a picture is bounded, also with
 # thousands of runs.
@@ -356,49 +356,15 @@ def _drifts(chart: Json) -> bool:
 
 
 def chart_section(group: Json, drawn: frozenset[str]) -> dict[str, Any]:
-    """Return what the macro ``chart_section`` of the template prints about one group."""
+    """Return what the macros of the template print about one group: the group, its pictures, and its colours."""
     charts = group["parameters"]
     return {
-        "title": group["title"],
-        "place": group["place"],
-        "verdict": group["verdict"],
-        "state": group["state"],
-        "pill": _PILLS[group["state"]],
+        **group,
+        "pills": _PILLS,
         "drifts": any(_drifts(chart) for chart in charts),
-        "rows": [_row(chart) for chart in charts],
-        "charts": [
-            {
-                "name": chart["name"],
-                "meaning": chart["meaning"],
-                "verdict": chart["verdict"],
-                "state": chart["state"],
-                "pill": _PILLS[chart["state"]],
-                "pictures": [Markup(one) for one in pictures(chart, group)],  # noqa: S704 - escaped when drawn
-            }
+        "pictures": {
+            chart["name"]: [Markup(one) for one in pictures(chart, group)]  # noqa: S704 - escaped when drawn
             for chart in charts
             if chart["name"] in drawn
-        ],
+        },
     }
-
-
-def _row(chart: Json) -> dict[str, Any]:
-    limits = [NOTHING] * 3
-    if chart["lower"] is not None:
-        limits = [with_uncertainty(chart[name], chart["sigma"])[0] for name in ("lower", "centre", "upper")]
-    return {
-        "name": chart["name"],
-        "unit": chart["unit"],
-        "limits": limits,
-        "beyond": len(chart["beyond"]) if chart["lower"] is not None else NOTHING,
-        "averages": len(chart["ewma"]["beyond"]) if chart["lower"] is not None else NOTHING,
-        "per_day": _slope(chart["drift"]["per_day"], chart["unit"]),
-        "per_c": _slope(chart["drift"]["per_c"], chart["unit"]),
-        "state": chart["state"],
-        "pill": _PILLS[chart["state"]],
-    }
-
-
-def _slope(slope: Json | None, unit: str) -> tuple[str, bool]:
-    if slope is None:
-        return NOTHING, False
-    return slope["text"].replace(f" {unit} per", " per"), bool(slope["seen"])
