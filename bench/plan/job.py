@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.errors import ScriptError
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
+from bench.records.events import AttemptChecked, CaptureStored
 from bench.records.history import Attempt
 from bench.records.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
@@ -17,7 +18,7 @@ from bench.stations.station import Station
 from bench.stations.station_text import description_documents
 from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.expected_grid import grid_from_journal
-from bench.views.gates import Gate, at_most
+from bench.views.gates import at_most, failed_gate_texts
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
@@ -227,12 +228,24 @@ class Job:
     def _chooses_poses(self) -> bool:
         return any(isinstance(step, ChooseStep) for step in self.steps)
 
-    def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
-        """Judge whether the stage stood still during a recording, from its angles, degrees: a gate an axis."""
-        return [
+    def judged(self, step: RecordStep, stored: CaptureStored, found: Measurement) -> AttemptChecked:
+        """Return what the journal holds about the measurement of a recording: its verdict, and why."""
+        before_deg, after_deg = stored["measured_deg"], stored["measured_after_deg"]
+        gates, other_reasons = self.camera_kind.judge(stored["facts"], step, self.frequency_hz(step), found)
+        gates += [  # whether the stage stood still
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
+        reasons = [*filter(None, [found.fault]), *failed_gate_texts(gates), *other_reasons]
+        return {
+            "pose": stored["pose"],
+            "attempt": stored["attempt"],
+            "accepted": not reasons,
+            "reasons": reasons,
+            "stars": found.stars,
+            "gates": [gate.as_data() for gate in gates],
+            "measured": found.facts,
+        }
 
     def measure_again(self, folder: Path, attempt: Attempt) -> Measurement:
         """Measure a stored recording from its file alone, with the grid that was expected at its time."""

@@ -45,8 +45,6 @@ from bench.results.results_content import (
     software,
 )
 from bench.results.solution import main_numbers, solve_run
-from bench.views.camera_kinds import CameraKind
-from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
@@ -287,7 +285,7 @@ def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measureme
             kept[attempt.pose_index] = again
         if attempt.checked is None:
             continue
-        due = _judged(evidence.job.camera_kind, evidence, attempt, again)
+        due = _judged(evidence.job, attempt, again)
         had = {name: attempt.checked.get(name) for name in due}
         where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
         seen = list(differences(had, due, tolerance({}, {}), where))
@@ -298,23 +296,12 @@ def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measureme
     return kept
 
 
-def _judged(kind: CameraKind, evidence: _Evidence, attempt: Attempt, again: Measurement) -> dict[str, Any]:
-    """Return what the journal must hold about the measurement of a recording, except the expected grid."""
-    job, stored = evidence.job, attempt.stored
-    step = job.record_step(attempt.pose_index)
-    gates, other_reasons = kind.judge(stored["facts"], step, job.frequency_hz(step), again)
-    gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
-    reasons = [again.fault] if again.fault else []
-    reasons += failed_gate_texts(gates) + other_reasons
+def _judged(job: Job, attempt: Attempt, again: Measurement) -> dict[str, Any]:
+    """Return what the journal must hold about a recording; of the expected grid, which is not known, what it states."""
+    judged = job.judged(job.record_step(attempt.pose_index), attempt.stored, again)
     facts = {name: value for name, value in again.facts.items() if name != "expected_grid"}
     stated = attempt.measured.get("expected_grid")
-    return {
-        "accepted": not reasons,
-        "reasons": reasons,
-        "stars": again.stars,
-        "gates": [gate.as_data() for gate in gates],
-        "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})},
-    }
+    return {**judged, "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})}}
 
 
 def _made_again(

@@ -21,7 +21,6 @@ from bench.run.run_devices import RunContext
 from bench.stations.devices import Devices
 from bench.terminal.progress import Reply, ask
 from bench.views.expected_grid import grid_from_earlier_poses
-from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement
 from bench.views.measure_board import with_advice
 from drivers.camera import CameraIdentity
@@ -207,27 +206,14 @@ class StateWork:
         """Measure the recording just stored; accept it or journal why not."""
         pose, job, history = step.pose, self._run.job, self._run.log.history
         stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
-        frequency_hz = job.frequency_hz(step)
         expected = grid_from_earlier_poses(history, stored, job.target)
         path = self._run.folder.path / stored["capture"]
-        found = job.camera_kind.measure(path, step, frequency_hz, job.target, expected)
+        found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expected)
         leave_view(self._run.folder.path, pose.index, attempt, found, job.target)
-        gates, other_reasons = job.camera_kind.judge(stored["facts"], step, frequency_hz, found)
-        gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
-        reasons = [found.fault] if found.fault else []
-        reasons += failed_gate_texts(gates) + other_reasons
-        if not reasons:
+        checked = job.judged(step, stored, found)
+        if checked["accepted"]:
             self._measured[pose.index] = found
-        self._run.log.write(
-            events.AttemptChecked,
-            pose=pose.index,
-            attempt=attempt,
-            accepted=not reasons,
-            reasons=reasons,
-            stars=found.stars,
-            gates=[gate.as_data() for gate in gates],
-            measured=found.facts,
-        )
+        self._run.log.write(events.AttemptChecked, **checked)
 
     def choose(self, step: ChooseStep, **_: Any) -> None:
         """Choose the next pose of an ``until``, or end it; a decision that the journal holds is kept."""
