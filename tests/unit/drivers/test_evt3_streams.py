@@ -150,11 +150,10 @@ def test_long_stretches_of_a_sparse_stream_decode_as_their_words_one_by_one(seed
     assert found == [one for piece in pieces for one in piece[0]]
     assert edges == [one for piece in pieces for one in piece[1]]
     assert statistics == one_by_one.statistics()
-    tallied, counted = Evt3Decoder(WIDTH, HEIGHT), Evt3Decoder(WIDTH, HEIGHT)
     image, expected = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
-    tallied.tally(words)
+    counted = Evt3Decoder(WIDTH, HEIGHT)
     counted.count(words, image)
-    assert tallied.statistics() == counted.statistics() == statistics
+    assert counted.statistics() == statistics
     for _, x, y, p in found:
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
@@ -169,25 +168,22 @@ def test_a_malformed_word_is_found_where_it_stands_in_a_stretch(wrong, place):
     assert caught.value.offset == 2 * place
 
 
-@settings(max_examples=30)
-@given(streams())
-def test_counting_without_a_list_gives_the_same_image(stream):
-    words = np.array(stream[0], np.uint16)
-    image = np.zeros((2, HEIGHT, WIDTH), np.uint16)
-    edges = Evt3Decoder(WIDTH, HEIGHT).count(words, image)
-    expected = np.zeros_like(image)
-    for _, x, y, p in stream[1]:
+@settings(max_examples=50)
+@given(streams(), st.integers(0, 5))
+def test_every_way_to_read_a_stream_tells_the_same(stream, at):
+    words, (_, events, triggers, _) = np.array(stream[0], np.uint16), stream
+    assert max_event_count(words) == len(events)
+    tallied, counted, filled = (Evt3Decoder(WIDTH, HEIGHT) for _ in range(3))
+    image, expected = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
+    for _, x, y, p in events:
         expected[p, y, x] += 1
+    out = empty_events(at + len(events) + 32)
+    end, edges = filled.decode_into(words, out, at)
+    assert rows(out.part(at, end)) == events
+    for found in (edges, tallied.tally(words), counted.count(words, image)):
+        assert rows(found) == triggers
     assert np.array_equal(image, expected)
-    assert rows(edges) == stream[2]
-
-
-@given(streams())
-def test_tallying_tells_the_same_as_decoding(stream):
-    decoder = Evt3Decoder(WIDTH, HEIGHT)
-    edges = decoder.tally(np.array(stream[0], np.uint16))
-    assert decoder.statistics() == decode(*stream[0])[2]
-    assert rows(edges) == stream[2]
+    assert tallied.statistics() == counted.statistics() == filled.statistics() == decode(*words)[2]
 
 
 @given(st.binary(max_size=400))
@@ -208,17 +204,3 @@ def test_garbage_ends_in_an_error_or_in_events_inside_the_sensor(data):
         assert (events.p <= 1).all()
         assert (events.t >= 0).all()
         assert len(events.t) <= 6 * len(data)
-
-
-@given(streams(), st.integers(0, 5))
-def test_decoding_into_given_arrays_gives_the_same(stream, at):
-    words, events, triggers, _ = stream
-    out = empty_events(at + len(events) + 32)
-    end, edges = Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array(words, np.uint16), out, at)
-    assert rows(out.part(at, end)) == events
-    assert rows(edges) == triggers
-
-
-@given(streams())
-def test_events_can_be_counted_without_decoding(stream):
-    assert max_event_count(np.array(stream[0], np.uint16)) == len(stream[1])
