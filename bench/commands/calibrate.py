@@ -328,14 +328,11 @@ def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
     calibrated alone, and the two cameras are compared over the sensor. One view is enough if the collimator is known,
     by the run's station or by a passport. One view without it is judged as far as no other pose explains it.
     """
-    import numpy as np
-
     from bench.plan.camera_files import read_camera_file
     from bench.results.offline import calibrate_paths, only_view
     from bench.results.offline_options import OfflineOptions
-    from bench.results.solution import CHECK_SEED
+    from bench.results.solution import compared_with
     from calib.errors import DegenerateViews
-    from calib.studies.camera_check import check_camera
 
     stated, choices = read_camera_file(file), OfflineOptions.from_command_line(**options)
     try:
@@ -346,13 +343,7 @@ def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
             raise
         return _check_by_one(stated, view, board=choices.board is not None)
     found = result.calibration
-    checked = check_camera(
-        stated.camera,
-        stated.covariance,
-        found.camera,
-        found.camera_covariance,
-        np.random.default_rng(CHECK_SEED),
-    )
+    checked = compared_with(stated, found)
 
     def as_json() -> dict[str, Any]:
         return {

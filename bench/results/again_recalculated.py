@@ -13,16 +13,14 @@ from typing import Any
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
-from bench.evidence.seal import read_passport_seal
 from bench.evidence.sshsig import fingerprint, read_signature
-from bench.plan.passports import PassportInUse, read_passport_file
 from bench.records.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE
 from bench.records.storage import read_json, sha256_of
 from bench.results.compare_numbers import differences
 from bench.results.compare_trees import MadeAgain, compare_file, compare_instructions, compare_trees
 from bench.results.offline import OfflineResult, calibrate_paths
 from bench.results.offline_folder import SOURCES, SealedBy, offline_files, source_data
-from bench.results.offline_options import StationFile, options_of_data
+from bench.results.offline_options import StationFile, options_of_data, passport_of_file
 from bench.results.results_content import other_engine, other_software
 from bench.stations.station import load_station
 from calib.errors import CalibrationError
@@ -128,9 +126,7 @@ def _calibrated(folder: Path, described: Mapping[str, Any]) -> OfflineResult:
     """Calibrate the sources again. Raises the errors of the reader and of the engine, and one of ``UNREADABLE``."""
     stored, passport = described["options"], None
     if stored["passport"] is not None:
-        copied, data = read_passport_file(folder / PASSPORT_COPY)
-        seal = read_passport_seal(data)
-        passport = PassportInUse(copied, data, "command line", str(stored["passport"]), seal=seal)
+        passport = passport_of_file(folder / PASSPORT_COPY, str(stored["passport"]))
     given = described["option_target"]
     target = StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
     station = described.get("station")

@@ -224,7 +224,7 @@ class OfflineOptions:
             distortion,
             cast("LossName | None", loss),
             guard_band,
-            _passport_of_file(Path(named)) if named else None,
+            passport_of_file(Path(named)) if named else None,
             passport == NO_PASSPORT,
             cast("Readings | None", readings),
             _parse_image_size(image_size),
@@ -287,11 +287,11 @@ def _target_of_station(name: str | None) -> tuple[StarTarget, StationFile | None
     return read.value.target.pattern(), station_file
 
 
-def _passport_of_file(path: Path) -> PassportInUse:
-    """Read the passport that the command line names; raise UsageError or StorageError."""
+def passport_of_file(path: Path, name: str = "") -> PassportInUse:
+    """Read the passport that the command line names, or a copy of it; raise UsageError or StorageError."""
     passport, data = read_passport_file(path)
     seal = read_passport_seal(data)
-    return PassportInUse(passport, data, "command line", path.name, seal=seal)
+    return PassportInUse(passport, data, "command line", name or path.name, seal=seal)
 
 
 def parse_board(text: str | None, model: str | None = None, passport: str | None = None) -> Board | None:

@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from bench.base.errors import BenchError
+from bench.plan.camera_files import CameraFile
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
@@ -29,7 +30,7 @@ from bench.views.measure import Measurement, aligned_poses
 from bench.views.views_file import StoredView
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError
-from calib.studies.camera_check import check_camera
+from calib.studies.camera_check import CameraCheck, check_camera
 from calib.view import View
 from sequences.script import SolveStep
 
@@ -190,9 +191,14 @@ def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> 
     stated = job.plan.checked.in_use
     if stated is None or step.checked is None:
         return None
-    rng, file = np.random.default_rng(CHECK_SEED), stated.file
-    found = check_camera(file.camera, file.covariance, calibration.camera, calibration.camera_covariance, rng)
+    found = compared_with(stated.file, calibration)
     return cast("CheckData", {**found.to_dict(), "stated": stated.to_dict()})
+
+
+def compared_with(stated: CameraFile, found: Calibration) -> CameraCheck:
+    """Compare a calibration with the camera that a file states."""
+    rng = np.random.default_rng(CHECK_SEED)
+    return check_camera(stated.camera, stated.covariance, found.camera, found.camera_covariance, rng)
 
 
 def check_gates(check: CheckData | None) -> list[Gate]:
