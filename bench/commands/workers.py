@@ -133,11 +133,11 @@ class LiveLine:
 
 
 class CountLine(LiveLine):
-    """Shows how many things of one kind are done, ``before`` of them by earlier commands, and the time left."""
+    """Shows how many things of one kind are done, and the time left."""
 
-    def __init__(self, total: int, things: str, *, before: int = 0, quiet: bool = False) -> None:
+    def __init__(self, total: int, things: str, *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
-        self.done, self._before, self._total, self._things = before, before, total, things
+        self.done, self._total, self._things = 0, total, things
         from bench.cluster.work import TimeLeft
 
         self._time = TimeLeft()
@@ -146,7 +146,7 @@ class CountLine(LiveLine):
         """Count what has been done, and show the line if it is time."""
         self.done += more
         if self.done < self._total and self.due():
-            left = self._time.left_s(self.done - self._before, self._total - self._before)
+            left = self._time.left_s(self.done, self._total)
             self.show(f"{self.text()}{'' if left is None else f', {clock_text(left)} left'}")
 
     def text(self) -> str:

@@ -43,6 +43,13 @@ PortName = Callable[[str], str]
 """Returns the system's name of a port: of a simulated one, the name that it has today."""
 
 
+Tolerance = Annotated[
+    float,
+    Within(1e-6, 1, "deg"),
+    Field(description="Largest distance from the target at the end of a move."),
+]
+
+
 class AxisConfig(StrictModel):
     """Keys of every rotary axis. Each driver has a scale in its own counts; it is never guessed from a name."""
 
@@ -52,11 +59,7 @@ class AxisConfig(StrictModel):
     ]
     speed_deg_s: Annotated[float, Within(0.001, 1000, "deg/s")]
     acceleration_deg_s2: Annotated[float, Within(0.001, 100_000, "deg/s^2")]
-    tolerance_deg: Annotated[
-        float,
-        Within(1e-6, 1, "deg"),
-        Field(description="Largest distance from the target at the end of a move."),
-    ] = 0.002
+    tolerance_deg: Tolerance = 0.002
 
     @field_validator("limits_deg")
     @classmethod

@@ -17,6 +17,7 @@ from bench.stations.sections import (
     AxisConfig,
     Hertz,
     PortName,
+    Tolerance,
     differing,
     driver_axes,
     with_plugins,
@@ -49,11 +50,7 @@ class ThorlabsAxisConfig(AxisConfig):
             description="136533.333 for a K10CR1, 1919.6418579 for a PRM1Z8; negative if the counter decreases."
         ),
     ]
-    tolerance_deg: Annotated[
-        float,
-        Within(1e-6, 1, "deg"),
-        Field(description="Largest distance from the target at the end of a move."),
-    ] = 0.005
+    tolerance_deg: Tolerance = 0.005
 
 
 class ThorlabsStageConfig(AnyStage):
@@ -89,11 +86,7 @@ class DynamixelAxisConfig(AxisConfig):
         int,
         Field(ge=0, le=4095, description="Count of the servo, within its turn, at the angle zero_deg."),
     ] = 2048
-    tolerance_deg: Annotated[
-        float,
-        Within(1e-6, 1, "deg"),
-        Field(description="Largest distance from the target at the end of a move."),
-    ] = 0.3
+    tolerance_deg: Tolerance = 0.3
 
 
 class DynamixelStageConfig(AnyStage):

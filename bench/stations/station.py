@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -259,6 +260,15 @@ _Points = Annotated[int, Within(3, 200)]
 _Frequency = Annotated[float, Within(1, 1000, "Hz")]
 
 
+@contextmanager
+def _no_board() -> Iterator[None]:
+    try:
+        yield
+    except InputMismatch as error:
+        said = {"what": error.what, "remedy": error.remedy}
+        raise PydanticCustomError("no_board", "{what} {remedy}", said) from None
+
+
 class BoardConfig(StrictModel):
     """A board at finite distance, as a section or in one word: ``checkerboard:9x6:25mm``."""
 
@@ -280,28 +290,13 @@ class BoardConfig(StrictModel):
     def _from_text(cls, value: Any) -> Any:
         if not isinstance(value, str):
             return value
-        try:
-            board = Board.parse(value)
-        except InputMismatch as error:
-            raise PydanticCustomError(
-                "no_board", "{what} {remedy}", {"what": error.what, "remedy": error.remedy}
-            ) from None
-        return {
-            "kind": board.kind,
-            "columns": board.columns,
-            "rows": board.rows,
-            "pitch_mm": board.pitch_mm,
-            **({"frequencies_hz": board.frequencies_hz} if board.frequencies_hz else {}),
-        }
+        with _no_board():
+            return {name: part for name, part in vars(Board.parse(value)).items() if part}
 
     @model_validator(mode="after")
     def _exists(self) -> BoardConfig:
-        try:
+        with _no_board():
             self.board()
-        except InputMismatch as error:
-            raise PydanticCustomError(
-                "no_board", "{what} {remedy}", {"what": error.what, "remedy": error.remedy}
-            ) from None
         return self
 
     def board(self) -> Board:
