@@ -156,7 +156,6 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
         plane_points(rays, projection),
         truth,
         disc,
-        0.0 if optics.psf_rim_px > 0.0 else even_radius(disc, truth.collimator.rim),
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
     )
@@ -168,19 +167,11 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     return np.asarray(image + np.float32(optics.stray), np.float32)
 
 
-def even_radius(disc: Disc, rim: float) -> float:
-    """Return a distance from the disc's centre, mm, that is inside the rim in every direction."""
-    return max(
-        0.0, disc.radius * (1.0 - rim) * (1.0 - float(np.hypot(disc.edge[::2], disc.edge[1::2]).sum())) - 1e-6
-    )
-
-
 def _light(
-    plane: FloatArray, truth: Truth, disc: Disc, even: float, height: int, width: int
+    plane: FloatArray, truth: Truth, disc: Disc, height: int, width: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
-    Closer to the centre than ``even``, in mm, there is no rim; the distance is then not computed, but left at 1.
     ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly; they are interpolated
     bilinearly.
     """
@@ -194,24 +185,20 @@ def _light(
         x, y = (
             (1 - u) * each[:, columns] + u * each[:, columns + 1] for each in (down[..., 0], down[..., 1])
         )
-        brightness[block], distance[block] = _disc_light(x, y, truth, disc, even)
+        brightness[block], distance[block] = _disc_light(x, y, truth, disc)
     return brightness, distance
 
 
 def _disc_light(
-    x_mm: FloatArray, y_mm: FloatArray, truth: Truth, disc: Disc, even: float
+    x_mm: FloatArray, y_mm: FloatArray, truth: Truth, disc: Disc
 ) -> tuple[FloatArray, FloatArray]:
     """Return the disc's brightness at target points, and distances; own model: a gradient times cos^2 at the rim."""
     rim, optics = truth.collimator.rim, truth.optics
-    x, y = x_mm - disc.x, y_mm - disc.y
-    outer = ~(x * x + y * y < even * even)
-    rho = radius_fraction(x_mm[outer], y_mm[outer], disc)
-    brightness = 1.0 + optics.gradient_x * (x / disc.radius) + optics.gradient_y * (y / disc.radius)
+    x, y = (x_mm - disc.x) / disc.radius, (y_mm - disc.y) / disc.radius
+    rho = radius_fraction(x_mm, y_mm, disc)
+    brightness = 1.0 + optics.gradient_x * x + optics.gradient_y * y
     c = np.cos(0.5 * math.pi * np.clip(rho - 1.0 + rim, 0.0, rim) / (rim or 1.0))
-    brightness[outer] = np.where(rho < 1.0, brightness[outer] * (c * c), 0.0)
-    distance = np.ones_like(brightness)
-    distance[outer] = np.fmin(rho, 1.0)
-    return brightness, distance
+    return np.where(rho < 1.0, brightness * (c * c), 0.0), np.fmin(rho, 1.0)
 
 
 def _between(points: int, steps: int) -> tuple[Any, Any]:

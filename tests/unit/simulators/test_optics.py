@@ -130,18 +130,6 @@ def test_clearance_and_border_leave_out_stars_near_the_edges():
     assert (points <= [1280 - 30.5, 720 - 30.5]).all()
 
 
-@pytest.mark.parametrize("collimator", ["like-real", "like-bench", "ideal"])
-def test_the_middle_of_the_disc_needs_no_distance_from_its_edge(collimator, monkeypatch):
-    small = {"fx": 334.5, "fy": 334.5, "cx": 63.5, "cy": 35.5, "width": 128, "height": 72, "k1": 0, "k2": 0}
-    truth = truth_from_config({"camera": small, "collimator": collimator})
-    rotation = optics.pose_rotation({"pan": 3.0}, truth.optics)
-    quick = optics.render(truth, rotation)
-    monkeypatch.setattr(optics, "even_radius", lambda _disc, _rim: 0.0)
-    np.testing.assert_array_equal(quick, optics.render(truth, rotation))
-    monkeypatch.setattr(optics, "even_radius", lambda disc, _rim: 1.2 * disc.radius)
-    assert not np.array_equal(quick, optics.render(truth, rotation))
-
-
 # ---------------------------------------------------------------- the lens
 
 K = ("k1", "k2", "k3", "k4")
