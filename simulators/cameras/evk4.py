@@ -19,8 +19,7 @@ from typing import Any, Final
 from simulators.cameras.streaming import KeepAlive, StreamFaults, TimeBase
 from simulators.errors import SimulatorError
 from simulators.optics.lens_focus import brightness
-from simulators.pixels.biases import ALLOWED, FACTORY, PixelSettings
-from simulators.pixels.event_filters import FILTERS
+from simulators.pixels.biases import ALLOWED, FACTORY, FILTERS, PixelSettings
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.world import World
 
@@ -328,6 +327,8 @@ class _Connection:
     def _set_filter(self, request: dict[str, Any]) -> dict[str, Any]:
         name = read_name("filter", request.get("name"), self._filters)
         enabled = read_enabled(request)
+        if enabled and name != "erc":
+            raise Refusal("bad_value", f'This camera simulates no filter "{name}".')
         self._refuse_while_streaming()
         self._filters[name] = enabled
         return {"name": name, "enabled": enabled}

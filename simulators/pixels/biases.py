@@ -41,6 +41,9 @@ ALLOWED: Final[Mapping[str, tuple[int, int]]] = {
 
 FACTORY: Final[Mapping[str, int]] = dict.fromkeys(ALLOWED, 0)
 
+FILTERS: Final = ("afk", "stc", "trail", "erc")
+"""The camera's names of its on-chip filters. Only the event rate controller, "erc", can be switched on."""
+
 FASTEST_FOLLOWER_US: Final = 1.0
 """The follower's time constant at the factory value; it is below the sensor's resolution and ignored."""
 

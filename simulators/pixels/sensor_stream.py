@@ -31,9 +31,8 @@ from numpy.typing import NDArray
 from simulators.optics import board_scene, scene
 from simulators.optics.board_scene import ImageOfLight, has_many_lights, images_of_lights
 from simulators.pixels import sensor_state
-from simulators.pixels.biases import FACTORY, PixelSettings
-from simulators.pixels.event_filters import FILTERS, EventFilters
-from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.pixels.biases import FACTORY, FILTERS, PixelSettings
+from simulators.pixels.evt3_writer import Evt3Writer, RateController
 from simulators.pixels.sensor import Events, Sensor
 from simulators.world import drift
 from simulators.world.board import HandShake
@@ -254,7 +253,7 @@ class SensorStream:
         )
         hand = truth.board.hand
         self._shake = HandShake(hand, np.random.default_rng(seeds.spawn(1)[0])) if hand.shakes else None
-        self._filters = EventFilters(width, height, camera.filters)
+        self._controller = RateController() if camera.filters.get("erc", False) else None
         self._writer = Evt3Writer(self._begins_us, width=width, height=height)
         self._sensor.begin(self._picture(moving=False), self._light, phase)
 
@@ -299,7 +298,11 @@ class SensorStream:
         """Compute the next 2 ms of sensor time, as EVT3 words, little-endian."""
         end_us = self._now_us + FRAME_US
         self._follow_world()
-        events, entered_t = self._filters.apply(self._sensor.run(end_us))
+        events = self._sensor.run(end_us)
+        entered_t = events.t
+        if self._controller is not None:
+            keep = self._controller.passed(events.t)
+            events = Events(events.t[keep], events.x[keep], events.y[keep], events.p[keep])
         edge_t, edge_value = self._edges(self._now_us, end_us)
         self._now_us = end_us
         at = self._begins_us

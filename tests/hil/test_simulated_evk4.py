@@ -15,7 +15,7 @@ from simulators.cameras import evk4
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.streaming import StreamFault
 from simulators.pixels import sensor_stream
-from simulators.pixels.event_filters import EventFilters
+from simulators.pixels.sensor import Sensor
 from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisMotion, LightState, World
@@ -76,7 +76,8 @@ def test_settings_are_held_and_forgotten_at_the_next_connect(camera):
         ({"cmd": "set_bias", "name": "bias_fo", "value": 1.5}, "bad_value"),
         ({"cmd": "set_bias", "name": "bias_fo", "value": True}, "bad_value"),
         ({"cmd": "set_filter", "name": "nfl", "enabled": True}, "unknown_filter"),
-        ({"cmd": "set_filter", "name": "afk", "enabled": 1}, "bad_value"),
+        ({"cmd": "set_filter", "name": "erc", "enabled": 1}, "bad_value"),
+        ({"cmd": "set_filter", "name": "afk", "enabled": True}, "bad_value"),
         ({"cmd": "stop"}, "not_streaming"),
         ({"cmd": "stop", "frames": -1}, "bad_value"),
         ({"cmd": "stop", "frames": True}, "bad_value"),
@@ -195,11 +196,10 @@ def listen_to_edges(monkeypatch, edges):
 
 
 def taken_by(stream, taken, *, frames):
-    """Note the sensor's events of some frames, before the camera's filters."""
+    """Note the sensor's events of some frames."""
+    run = Sensor.run
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            EventFilters, "apply", lambda _filters, events: (taken.append(events), (events, events.t))[1]
-        )
+        patch.setattr(Sensor, "run", lambda *args: (taken.append(run(*args)), taken[-1])[1])
         for _ in range(frames):
             stream.next_frame()
 

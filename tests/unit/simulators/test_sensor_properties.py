@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulators.pixels.biases import ALLOWED, PixelSettings
-from simulators.pixels.event_filters import ERC_QUOTA, EventFilters
-from simulators.pixels.evt3_writer import COUNTER_US, Evt3Writer
+from simulators.pixels.evt3_writer import COUNTER_US, ERC_QUOTA, Evt3Writer, RateController
 from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates, simulate
 from simulators.pixels.sensor_stream import sync_edges
 from simulators.world.truth import NoiseTruth
@@ -249,12 +248,13 @@ def test_the_counters_count_what_entered_and_what_the_rate_controller_passed(exa
         events = Events(
             t, *(rng.integers(0, 40, n).astype(kind) for kind in (np.uint16, np.uint16, np.uint8))
         )
-        filters, writer, words, left = EventFilters(40, 40, {"erc": erc}), Evt3Writer(), [], 0
+        controller, writer, words, left = RateController(), Evt3Writer(), [], 0
         for begin, end in zip([0, *cuts], [*cuts, 25_000 + 2 * COUNTER_US], strict=True):
             inside = slice(*np.searchsorted(t, [begin, end]))
-            kept, entered = filters.apply(Events(*(field[inside] for field in events)))
+            passed = controller.passed(t[inside]) if erc else slice(None)
+            kept = Events(*(field[inside][passed] for field in events))
             left += len(kept.t)
-            words.append(writer.write(*kept, until_us=end, entered_t=entered))
+            words.append(writer.write(*kept, until_us=end, entered_t=t[inside]))
         found, _, counters, _ = read(np.concatenate(words))
         assert sum(counters[0x14]) == n
         assert sum(counters[0x16]) == left == len(found)
@@ -270,10 +270,12 @@ def test_slicing_does_not_change_the_stream_and_the_same_seed_gives_the_same_byt
     def holds(light, setting, noise, seed, cuts, link):
         def words(ends):
             sensor, writer = begun(light, setting, noise, seed, link), Evt3Writer(width=WIDTH, height=HEIGHT)
-            filters = EventFilters(WIDTH, HEIGHT, {"trail": seed % 2 == 1, "erc": True})
+            controller = RateController()
             sent, begin = [], 0
             for end in ends:
-                events, entered = filters.apply(sensor.run(end))
+                events = sensor.run(end)
+                passed = controller.passed(events.t)
+                events, entered = Events(*(field[passed] for field in events)), events.t
                 edges, values = sync_edges(light, -1000.0, begin, end)
                 sent.append(
                     writer.write(
