@@ -239,14 +239,7 @@ class BatchPlan:
             "runs": len(self.slots) - len(without_time),
             "size_bytes": self.size_bytes,
             "slow": self.slow,
-            "items": [
-                {
-                    "item": slot.item.key,
-                    "begin_utc": None if slot.begin_s is None else self.moment(slot.begin_s).isoformat(),
-                    "end_utc": None if slot.end_s is None else self.moment(slot.end_s).isoformat(),
-                }
-                for slot in self.slots
-            ],
+            "items": [slot.in_batch(self.begun).to_dict() for slot in self.slots],
             "no_time_for": sorted(without_time),
         }
 

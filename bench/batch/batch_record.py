@@ -55,12 +55,33 @@ class Bounds:
 
 
 @dataclass(frozen=True)
+class UpcomingRun:
+    """A run in progress or to come, and its expected times; None if no time is left for it."""
+
+    item: str
+    begin: datetime | None
+    end: datetime | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the run as JSON holds it."""
+        begin, end = (moment.isoformat() if moment else None for moment in (self.begin, self.end))
+        return {"item": self.item, "begin_utc": begin, "end_utc": end}
+
+
+@dataclass(frozen=True)
 class Slot:
     """Expected times of a run, s after the begin of the batch; None if no time is left for it."""
 
     item: Item
     begin_s: float | None
     end_s: float | None
+
+    def in_batch(self, begun: datetime) -> UpcomingRun:
+        """Return the run with its times, in a batch that began at a time, in the same zone."""
+        times = (
+            None if at_s is None else begun + timedelta(seconds=at_s) for at_s in (self.begin_s, self.end_s)
+        )
+        return UpcomingRun(self.item.key, *times)
 
 
 DurationOf = Callable[[Item], float]

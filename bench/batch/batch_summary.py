@@ -20,6 +20,7 @@ from bench.batch.batch_record import (
     Item,
     Requested,
     RunAttempt,
+    UpcomingRun,
     by_priority,
     look_ahead,
     replay_batch,
@@ -257,16 +258,6 @@ _MOST_UPCOMING = 12
 
 
 @dataclass(frozen=True)
-class UpcomingRun:
-    """A run in progress or to come."""
-
-    item: str
-    # begin, end: Expected times; None if no time is left for it.
-    begin: datetime | None
-    end: datetime | None
-
-
-@dataclass(frozen=True)
 class BatchStatus:
     """Status of a batch."""
 
@@ -307,10 +298,7 @@ class BatchStatus:
             "why": self.why,
             "done": [{"item": item, "how": how, "why": why} for item, how, why in self.done],
             "at_work": self.current_run,
-            "coming": [
-                {"item": run.item, "begin_utc": _iso(run.begin), "end_utc": _iso(run.end)}
-                for run in self.upcoming
-            ],
+            "coming": [run.to_dict() for run in self.upcoming],
             "withdrawn": list(self.withdrawn),
             "end_utc": _iso(self.end),
         }
@@ -379,17 +367,7 @@ def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[U
         first = [UpcomingRun(item.key, record.moment(since_s), record.moment(at_s))]
         pending = [other for other in pending if other.key != item.key]
     slots = look_ahead(pending, at_s, record.bounds, duration_of)
-    return (
-        *first,
-        *(
-            UpcomingRun(
-                slot.item.key,
-                None if slot.begin_s is None else record.moment(slot.begin_s),
-                None if slot.end_s is None else record.moment(slot.end_s),
-            )
-            for slot in slots
-        ),
-    )
+    return (*first, *(slot.in_batch(record.begun) for slot in slots))
 
 
 def _current_run_text(folder: Path, record: BatchRecord) -> str:
