@@ -228,13 +228,10 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     if collimator.disc_unevenness != 0.0:
         scale = collimator.disc_unevenness * math.sqrt(2.0 / EDGE_TERMS)
         edge = scale * random_functions(_glass(collimator, along), EDGE_TERMS, collimator.glass_seed)
-    if collimator.disc_wander_mm != 0.0 or collimator.disc_breathing != 0.0:
-        wander = random_functions(along, 3, collimator.glass_seed)
-        x, y = (
-            x + collimator.disc_wander_mm * float(wander[0]),
-            y + collimator.disc_wander_mm * float(wander[1]),
-        )
-        radius *= 1.0 + collimator.disc_breathing * float(wander[2])
+    wander = random_functions(along, 3, collimator.glass_seed)
+    x += collimator.disc_wander_mm * float(wander[0])
+    y += collimator.disc_wander_mm * float(wander[1])
+    radius *= 1.0 + collimator.disc_breathing * float(wander[2])
     return Disc(
         x + collimator.disc_walk[0] * along[0],
         y + collimator.disc_walk[1] * along[1],
@@ -320,13 +317,6 @@ def reticle_point(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[F
         dx, dy = displacement(p_x, p_y, e)
         p_x, p_y = x_mm - dx, y_mm - dy
     return p_x, p_y
-
-
-def is_ideal(e: Aberrations) -> bool:
-    """Return whether the collimator displaces no point."""
-    c = e.collimator
-    third_order = (c.defocus, c.spherical, c.coma, c.astigmatism, c.field_curvature, e.distortion)
-    return not (any(third_order) or e.reticle.print_scale or c.rim_roll_mm or len(e.irregular))
 
 
 NO_ABERRATIONS: Final = aberrations_of(CollimatorTruth(), np.eye(3))

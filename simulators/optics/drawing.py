@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.compiled import INNER, LOOP
-from simulators.optics.collimator_errors import Aberrations, displacement, is_ideal, reticle_point
+from simulators.optics.collimator_errors import Aberrations, displacement, reticle_point
 from simulators.optics.lens_focus import image_point
 from simulators.world.truth import CameraTruth
 
@@ -211,9 +211,7 @@ def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
     scale = -c[2] / np.where(dz > 1e-6, dz, np.nan)
     x = c[0] + scale * (r[0, 0] * xn + r[1, 0] * yn + r[2, 0])
     y = c[1] + scale * (r[0, 1] * xn + r[1, 1] * yn + r[2, 1])
-    if not is_ideal(projection.aberrations):
-        x, y = reticle_point(x, y, projection.aberrations)
-    return np.stack([x, y], axis=-1)
+    return np.stack(reticle_point(x, y, projection.aberrations), axis=-1)
 
 
 def draw(

@@ -197,8 +197,6 @@ def pattern_vergence_per_m(truth: Truth) -> float:
 def camera_of(truth: Truth) -> CameraTruth:
     """Return the camera with the present focal lengths (Hecht, Optics, section 5.2): the lens breathes."""
     stretch = focus_of(truth).stretch
-    if stretch == 1.0:
-        return truth.camera
     return replace(truth.camera, fx=truth.camera.fx * stretch, fy=truth.camera.fy * stretch)
 
 

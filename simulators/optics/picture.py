@@ -76,18 +76,13 @@ def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
     world use this function. Rotations: Diebel (2006).
     """
     rotation = pose_rotation(angles_deg, truth.optics, truth.gimbal)
-    if truth.mount.turn_deg == (0.0, 0.0, 0.0):
-        return rotation
     pan, tilt, roll = truth.mount.turn_deg
     return gimbal_rotation({"pan": pan, "tilt": tilt, "roll": roll}, PERFECT_GIMBAL) @ rotation
 
 
 def beam_of(truth: Truth) -> CollimatorTruth:
     """Return the collimator as the camera, shifted by ``mount.shift_mm``, sees it: the disc moves the opposite way."""
-    x, y = truth.mount.shift_mm
-    if x == y == 0.0:
-        return truth.collimator
-    c = truth.collimator
+    (x, y), c = truth.mount.shift_mm, truth.collimator
     return replace(c, disc_x=c.disc_x - x, disc_y=c.disc_y - y)
 
 

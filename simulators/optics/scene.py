@@ -36,8 +36,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
         image = lit_share(shown, placed, subsamples) + np.float32(truth.optics.stray)
     else:
         image = optics.render(truth, optics.true_rotation(angles_deg, truth), subsamples=subsamples)
-    light = brightness(truth)
-    return image if light == 1.0 else np.asarray(image * np.float32(light))
+    return np.asarray(image * np.float32(brightness(truth)))
 
 
 def still_picture(truth: Truth, angles_deg: Mapping[Any, float]) -> NDArray[np.float32]:

@@ -323,8 +323,7 @@ class World:
         with self._lock:
             state, setup = self._light.at(t_s), self._setup.at(t_s)
         share = drift.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
-        if share != 1.0:
-            state = replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
+        state = replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
         if not self.truth.board.present or self.truth.board.blinks:
             return state
         truth = with_setup(self.truth, setup)

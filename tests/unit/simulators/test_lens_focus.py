@@ -117,7 +117,7 @@ def test_focused_on_the_pattern_the_image_is_as_delivered():
 
 def test_as_delivered_nothing_is_added_to_the_image():
     truth = bench_config({"camera": SMALL}).truth
-    assert camera_of(truth) is truth.camera
+    assert camera_of(truth) == truth.camera
     rotation = true_rotation({}, truth)
     np.testing.assert_array_equal(picture(truth, {}), render(truth, rotation))
     image = render(truth, rotation)
