@@ -243,8 +243,8 @@ class _Unfolding:
             given.goals(),
             given.at_most,
             given.minutes,
-            range(first_pose, first_pose + len(starts) + rounds),
             len(starts),
+            range(first_pose, first_pose + len(starts) + rounds),
         )
         record = self._record_settings_of(given)
         settle = merged(given.settle, self.sequence.defaults.settle)

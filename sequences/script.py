@@ -84,8 +84,8 @@ class Until:
     goals: Mapping[str, float]
     at_most: int
     minutes: float | None  # Time after which no further pose is chosen, minutes; None for no limit
-    poses: range  # Numbers of its poses: first those of its ``start``, then those that the run may choose
     starts: int  # How many of the poses are those of its ``start``
+    poses: range  # Numbers of its poses: first those of its ``start``, then those that the run may choose
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -233,12 +233,16 @@ class DaskWorkers(Workers):
     def size(self) -> int:
         """Number of threads of all workers; at least 1. The scheduler is asked every few seconds."""
         if time.monotonic() > self._size_until_s:
-            try:
-                self._size = max(1, sum(self._client.nthreads().values()))
-            except (OSError, TimeoutError, ValueError) as error:
-                raise self._lost() from error
+            self._size = max(1, sum(self._threads().values()))
             self._size_until_s = time.monotonic() + _SIZE_HOLDS_S
         return self._size
+
+    def _threads(self) -> Mapping[str, int]:
+        """Ask the scheduler for the number of threads of each worker."""
+        try:
+            return self._client.nthreads()
+        except (OSError, TimeoutError, ValueError) as error:
+            raise self._lost() from error
 
     def submit(self, work: Work) -> None:
         """See `Workers.submit`."""
@@ -286,12 +290,9 @@ class DaskWorkers(Workers):
         """Raise WorkersLost if the scheduler is gone, or has had no worker for long."""
         if self._client.status != "running":
             raise self._lost()
-        try:
-            if self._client.nthreads():
-                self._left_s = self._without_worker_s
-                return
-        except (OSError, TimeoutError, ValueError) as error:
-            raise self._lost() from error
+        if self._threads():
+            self._left_s = self._without_worker_s
+            return
         self._left_s -= waited_s
         if self._left_s <= 0:
             raise WorkersLost(

@@ -283,15 +283,7 @@ class Plan:
             ],
             "most_poses": self.most_poses,
             "untils": [
-                {
-                    "first": until.first,
-                    "last": until.last,
-                    "goals": dict(until.goals),
-                    "at_most": until.at_most,
-                    "minutes": until.minutes,
-                    "starts": until.starts,
-                    "poses": [until.poses.start, until.poses.stop - 1],
-                }
+                {**vars(until), "goals": dict(until.goals), "poses": [until.poses[0], until.poses[-1]]}
                 for until in self.untils
             ],
             "steps": [self._step_dict(planned) for planned in self.steps],
