@@ -100,14 +100,9 @@ class GimbalTruth(Section):
     def to_dict(self) -> dict[str, Any]:
         """Return errors by name (``scale``, ``backlash_deg`` by axis), random numbers and law, for ``truth.json``."""
         return {
-            "wobble_deg": self.wobble_deg,
-            "eccentricity_deg": self.eccentricity_deg,
+            **vars(self),
             "scale": dict(zip(AXES, self.scale, strict=True)),
             "backlash_deg": dict(zip(AXES, self.backlash_deg, strict=True)),
-            "nonorthogonality_deg": self.nonorthogonality_deg,
-            "reading_sigma_deg": self.reading_sigma_deg,
-            "camera_on_head_deg": list(self.camera_on_head_deg),
-            "seed": self.seed,
             "drawn": {
                 name: {
                     "phase_deg": math.degrees(drawn.phase),
@@ -213,16 +208,15 @@ _TILTED_ABOUT: Final = ((0, 2), (1, 2), (0, 1))
 def _wobble(angles_deg: Mapping[Any, float], axis: int, gimbal: GimbalTruth) -> FloatArray:
     """Return the rotation by which an axis tilts at its reading."""
     tilt = [0.0, 0.0, 0.0]
-    if gimbal.wobble_deg != 0.0:
-        a = math.radians(angles_deg.get(AXES[axis], 0.0))
-        size = math.sqrt(2.0) * math.radians(gimbal.wobble_deg)
-        for direction, (first, phase, second, other) in zip(
-            _TILTED_ABOUT[axis], drawn_errors(gimbal.seed)[axis].wobble, strict=True
-        ):
-            tilt[direction] = size * (
-                first * (math.sin(a + phase) - math.sin(phase))
-                + second * (math.sin(2.0 * a + other) - math.sin(other))
-            )
+    a = math.radians(angles_deg.get(AXES[axis], 0.0))
+    size = math.sqrt(2.0) * math.radians(gimbal.wobble_deg)
+    for direction, (first, phase, second, other) in zip(
+        _TILTED_ABOUT[axis], drawn_errors(gimbal.seed)[axis].wobble, strict=True
+    ):
+        tilt[direction] = size * (
+            first * (math.sin(a + phase) - math.sin(phase))
+            + second * (math.sin(2.0 * a + other) - math.sin(other))
+        )
     return rotation_matrix(tilt)
 
 
