@@ -1,4 +1,4 @@
-"""What a page is made of."""
+"""What a page is made of, and what the tables of a page show."""
 
 from html.parser import HTMLParser
 
@@ -33,3 +33,36 @@ class Structure(HTMLParser):
     def handle_endtag(self, tag):
         if not self.open or self.open.pop() != tag:
             self.wrong.append((tag, self.getpos()))
+
+
+class Cells(HTMLParser):
+    """Rows of the table with an accessible name: the text of each cell, "[class] " before what stands in a pill."""
+
+    def __init__(self, page, name):
+        super().__init__()
+        self.name, self.rows, self.inside, self.cell = name, [], False, False
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        told = dict(attrs)
+        self.inside |= told.get("aria-label") == self.name
+        if tag == "tr" and self.inside:
+            self.rows.append([])
+        elif tag == "td" and self.inside:
+            self.rows[-1].append("")
+            self.cell = True
+        elif self.cell and (told.get("class") or "").startswith(("pill", "drift")):
+            self.rows[-1][-1] += f"[{told['class'].removeprefix('pill ')}] "
+
+    def handle_data(self, data):
+        if self.cell:
+            self.rows[-1][-1] += data
+
+    def handle_endtag(self, tag):
+        self.cell &= tag != "td"
+        self.inside &= tag != "table"
+
+
+def cells(page, name):
+    """The rows of the table, without its heading."""
+    return [row for row in Cells(page, name).rows if row]

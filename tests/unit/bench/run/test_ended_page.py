@@ -11,7 +11,9 @@ from bench.evidence.verify import verify_folder
 from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import JOURNAL, PAGE_SIGNATURE, REPORT, RunFolder
+from bench.report.text import NOTHING
 from bench.run.launch import remove_ended_page, write_ended_page
+from tests.unit.bench.report.structure import cells
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 ERROR = {
@@ -54,6 +56,28 @@ def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
     assert "0 of 1 recordings accepted" in page
     assert "The picture is dark; stars 0, needed &gt;= 40" in page
     assert "SIMULATED" in page
+
+
+def test_each_recording_shows_whether_it_was_accepted(folder, key):
+    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+        for attempt in (2, 3):
+            stored = {
+                "pose": 1,
+                "pose_name": "left",
+                "attempt": attempt,
+                "capture": f"captures/{attempt}.raw",
+            }
+            journal.append(Event.CAPTURE_STORED, **stored, facts={"events": 1234567})
+        journal.append(
+            Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True, stars=193, reasons=[], gates=[], measured={}
+        )  # fmt: skip
+    write_ended_page(folder, lambda: key, pytest.fail)
+    why = "The picture is dark; stars 0, needed >= 40"
+    assert cells((folder.path / REPORT).read_text(), "Recordings") == [
+        ["left", "1", "[fail] refused", "0", "49\u202f893", why, "captures/a.raw"],
+        ["left", "2", "[pass] accepted", "193", "1\u202f234\u202f567", NOTHING, "captures/2.raw"],
+        ["left", "3", "[marginal] not measured", NOTHING, "1\u202f234\u202f567", NOTHING, "captures/3.raw"],
+    ]
 
 
 def verified(folder, tmp_path):

@@ -1,0 +1,105 @@
+"""The cells of the tables of a page: which value stands in which column, and in which colour."""
+
+import copy
+
+import numpy as np
+import pytest
+from report_sample import SMALL, sample
+
+from bench.history.chart_findings import find_charts
+from bench.report.batch_page import render_batch
+from bench.report.control_chart import render_charts
+from bench.report.html import ReportData, render_report
+from bench.report.text import NOTHING
+from tests.unit.bench.history.test_charts import steady
+from tests.unit.bench.report.structure import cells
+from tests.unit.bench.report.test_batch_page import item, summary
+
+MINUS = "\N{MINUS SIGN}"
+WITH_A_BOARD = {"board": "checkerboard:9x6:25mm"}
+
+
+def printed(**run):
+    """The sample with a pose that was not used, one that was refused, and refused recordings."""
+    data = sample(size=SMALL)
+    results = copy.deepcopy(dict(data.results))
+    results["run"] |= run
+    first, second, third = results["poses"]
+    first["measured_deg"]["pan"] = 1.70042
+    first["attempts"][0] |= {"accepted": False, "reasons": ["few stars", "the target moved"]}
+    second |= {"rms_px": None, "named_by": "gimbal"}
+    third["attempts"][0]["accepted"], third["rms_px"] = False, None
+    results["calibration"]["candidates"] = [
+        {"model": "radial", "parameters": 12, "rms_px": 0.0523, "left_out_rms_px": None, "bic": 12345.678}
+    ]
+    return render_report(ReportData(results, data.views), draw=False)
+
+
+@pytest.fixture(scope="module")
+def page():
+    return printed()
+
+
+def test_a_pose_shows_its_state_angles_stars_and_picture(page):
+    picture = "fired-per-edge, 2 periods, 2.1 events per edge, 50 % ON, 12 hot pixels"
+    tilt = f"tilt {MINUS}0.500"
+    explained = f"{picture} (2.1 events an edge)"
+    assert cells(page, "Poses") == [
+        ["first", f"pan 1.700, {tilt}", f"pan 1.7004, {tilt}0", "1.4", "274", "0.0805", "60.0003", explained],
+        ["second & third [marginal] not used", f"pan 3.400, {tilt}", f"pan 3.4000, {tilt}0", "0.1",
+         "234, identified by the gimbal", NOTHING, "60.0003", picture],
+        ["roll <b>$x$ [fail] refused", f"pan 5.100, {tilt}", f"pan 5.1000, {tilt}0", "0.1", "246", NOTHING, "60.0003",
+         picture],
+    ]  # fmt: skip
+
+
+def test_a_recording_shows_why_it_was_refused(page):
+    rows = cells(page, "Recordings")
+    assert rows[0][:6] == ["first", "1", "1\u202f234\u202f567", "24.7", "8", "50 ms"]
+    assert rows[0][6].endswith("1few stars; the target moved")
+    assert [row[7] for row in rows] == [
+        "[fail] refused",
+        "[fail] refused",
+        "[pass] accepted",
+        "[fail] refused",
+    ]
+
+
+def test_with_a_board_a_recording_is_refused_for_its_points():
+    assert cells(printed(**WITH_A_BOARD), "Recordings")[0][6].endswith("few points; the board moved")
+
+
+def test_the_truth_has_the_digits_of_the_uncertainty(page):
+    fx, _, cx = cells(page, "Comparison with the simulated truth")[:3]
+    assert fx == ["fx", "3346.4", "± 4.3", "3345.1", "1.3", "0.61"]
+    assert cx[4:] == [f"{MINUS}1.6", f"{MINUS}1.22"]
+
+
+def test_a_model_that_was_compared_shows_what_it_cost(page):
+    assert cells(page, "Models compared") == [["radial", "12", "0.0523", NOTHING, "12345.7"]]
+
+
+def test_a_run_of_a_batch_shows_how_it_ended():
+    runs = [
+        item("a", ledger_number=9),
+        item("b", "failed", took_s=None, poses=None, temperature_c=40.25, parameters={}, camera=None),
+        item("c", "aborted", deviations=3, rms_px=None),
+    ]
+    took, fx = "10 min 00 s", "3300.0 ± 1.0"
+    assert cells(render_batch(summary(*runs)), "All runs") == [
+        ["a", "9", "20:00", took, "1", "9 / 9", "10", "1", NOTHING, NOTHING, "0.0500", fx, "[pass] finished"],
+        ["b", NOTHING, "20:00", NOTHING, NOTHING, "9", "10", "1", NOTHING, "40.2", "0.0500", NOTHING, "[fail] failed"],
+        ["c", NOTHING, "20:00", took, "1", "9 / 9", "10", "1", "3", NOTHING, NOTHING, fx, "[marginal] aborted"],
+    ]  # fmt: skip
+
+
+def test_a_chart_counts_the_runs_beyond_each_limit_and_marks_a_drift_that_is_seen():
+    drifting = steady(
+        30, np.random.default_rng(5), ("fx", "k1"), lambda n, name: 0.3 * n if name == "fx" else 0.0
+    )
+    fx, k1 = cells(render_charts(find_charts([drifting])), "Camera 1, EVK4: 30 runs")
+    assert fx == [
+        "fx", "px", "3346.59", "3349.41", "3352.24", "12", "26", "[drift] +0.307 ± 0.041 per hour",
+        "+0.38 ± 0.85 per °C", "[fail] out of control",
+    ]  # fmt: skip
+    assert k1[5:8] == ["0", "0", f"{MINUS}0.003 ± 0.039 per hour"]
