@@ -248,7 +248,7 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
 
     refuse_truncated(path)
     if choices.board is not None:
-        image = recorded_image(path, choices.image).image
+        image = recorded_image(path, choices.image)
         return _detected_board(image, choices.board, path)
     found = measure(
         path,
@@ -277,7 +277,7 @@ def picture_of(path: Path) -> NDArray[Any]:
             " writes RAW files from event files of others.",
         )
     refuse_truncated(path)
-    return recorded_image(path).image
+    return recorded_image(path)
 
 
 def _view(found: Measurement, path: Path) -> View:

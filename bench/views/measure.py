@@ -100,20 +100,18 @@ def whole_image(
     facts.update(_flicker_facts(flicker, triggers, span_us))
     if compare_flicker:
         facts.update(_compare_flicker(flicker, events))
-    images = make_images(*_event_arrays(events), size, flicker, window_us=span_us, periods=periods)
+    images = make_images(*events, size, flicker, window_us=span_us, periods=periods)
     chosen = _choose(images, image, one_phase=one_phase)
     facts.update(_image_facts(images, chosen, origin_us))
     halves = partial(_half_images, events, size, flicker, images.facts, chosen.name)
     return WholeImage(chosen.image, halves)
 
 
-def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
+def recorded_image(path: Path, image: str = "auto") -> NDArray[np.float32]:
     """Return the image, of a kind or ``auto``, to search for a board: all whole flicker periods of a recording."""
-    events, triggers, size, _ = read_events(path)
-    flicker = _flicker(triggers, (events.t, events.p), None)
-    span_us = _span_us(events.t, triggers)
-    images = make_images(*_event_arrays(events), size, flicker, window_us=span_us)
-    return _choose(images, image, one_phase=len(triggers.t) > 0)
+    data = read_events(path)
+    one_phase = len(data.triggers.t) > 0
+    return whole_image(data, image, None, None, {}, one_phase=one_phase, compare_flicker=False).image
 
 
 def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
@@ -136,19 +134,12 @@ def _band_hz(frequency_hz: float) -> tuple[float, float]:
     return min(15.0, 0.6 * frequency_hz), max(1000.0, 1.5 * frequency_hz)
 
 
-def _event_arrays(
-    events: Events,
-) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return times, columns, rows and polarities."""
-    return events.t, events.x, events.y, events.p
-
-
 def _half_images(
     events: Events, size: tuple[int, int], flicker: Flicker, whole: SliceFacts, kind: str
 ) -> Iterator[NDArray[np.float32]]:
     """Yield images of the first and the second half. Raises TooFewEvents if there are too few."""
     for half in half_windows(whole):
-        yield make_images(*_event_arrays(events), size, flicker, window_us=half).named(kind)
+        yield make_images(*events, size, flicker, window_us=half).named(kind)
 
 
 def _flicker(

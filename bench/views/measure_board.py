@@ -228,8 +228,7 @@ def _of_image(
 
 def _of_dots(data: EventData, board: Board, name: str, stored: list[StoredImage]) -> tuple[View, list[View]]:
     """Find blinking dots, in the whole recording and in its halves."""
-    events = data.events
-    t, x, y, p = events.t, events.x, events.y, events.p
+    t, x, y, p = data.events
     found = detect_blinking_dots(t, x, y, p, data.size, board, name=name, keep_image=stored_image(stored))
     middle = int(np.searchsorted(t, 0.5 * (float(t[0]) + float(t[-1]))))
     halves = []
