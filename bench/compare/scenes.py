@@ -78,11 +78,10 @@ def record_moving(
     seen = camera.capture_moving(
         board_at, duration_us, seed=1000 * seed + number, frame_us=1e6 * STEP_PX / motion.speed_px_s
     )
-    events = (seen.events.t, seen.events.x, seen.events.y, seen.events.p)
     pictures = {}
     for two_sided in (True, False):
         (picture,) = reconstruct(
-            [events], seen.image_size, [middle_us], cutoff_hz=motion.cutoff_hz, two_sided=two_sided
+            [seen.events], seen.image_size, [middle_us], cutoff_hz=motion.cutoff_hz, two_sided=two_sided
         )
         pictures[two_sided] = picture.image
     return pictures
@@ -295,10 +294,7 @@ def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDA
     seen = camera.capture(angles_deg, seed=seed)
     period_us = 1e6 / seen.light_hz
     flicker = Flicker(period_us, seen.first_edge_us, 0.5, 0.0, 0, "triggers")
-    events = seen.events
-    images = make_images(
-        events.t, events.x, events.y, events.p, seen.image_size, flicker, window_us=(0.0, seen.duration_us)
-    )
+    images = make_images(*seen.events, seen.image_size, flicker, window_us=(0.0, seen.duration_us))
     return images.best().image
 
 

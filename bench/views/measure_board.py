@@ -73,9 +73,8 @@ class MovingRecording:
 
     def _reconstructed(self) -> Iterator[ReconstructedPicture]:
         raw = RawFile.open(self._path)
-        pieces = ((one.t, one.x, one.y, one.p) for one in raw.chunks())
         times_us = [self._first_us + 1e6 * at_s for at_s in self.at_s]
-        return reconstruct(pieces, (raw.width, raw.height), times_us, cutoff_hz=self._cutoff_hz)
+        return reconstruct(raw.chunks(), (raw.width, raw.height), times_us, cutoff_hz=self._cutoff_hz)
 
 
 def _span_us(path: Path) -> tuple[int, int]:
