@@ -294,7 +294,8 @@ def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDA
     seen = camera.capture(angles_deg, seed=seed)
     period_us = 1e6 / seen.light_hz
     flicker = Flicker(period_us, seen.first_edge_us, 0.5, 0.0, 0, "triggers")
-    images = make_images(*seen.events, seen.image_size, flicker, window_us=(0.0, seen.duration_us))
+    t, x, y, p = seen.events
+    images = make_images(t, x, y, p, seen.image_size, flicker, window_us=(0.0, seen.duration_us))
     return images.best().image
 
 
