@@ -45,7 +45,6 @@ from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import lock_folder, make_folder, storage_errors, sync_folder, write_atomic
 from bench.run.status import read_status, status_text
 from bench.stations.station import load_station
-from bench.stations.station_fields import MessagesConfig
 from sequences.errors import DocumentFaults
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
@@ -116,11 +115,8 @@ class BatchMessages:
             return None
         name = json.dumps(messages.model_dump(), sort_keys=True)
         if name not in self._couriers:
-            self._couriers[name] = self._make(messages)
+            self._couriers[name] = Courier(messages, Outbox(home_folder()), self._clock, self._say)
         return self._couriers[name]
-
-    def _make(self, messages: MessagesConfig) -> Courier:
-        return Courier(messages, Outbox(home_folder()), self._clock, self._say)
 
 
 def _status_of(run: Path, *, asked: bool) -> tuple[str, tuple[int, str] | None]:

@@ -276,7 +276,6 @@ _OFF_PIVOT_MM = {"ideal": 0.0, "S3": 0.0, "like-bench": 2.0}
 _FEWEST_VIEWS = 2
 #: Radius at which the flatness of a reticle is stated, mm; its radial coefficient is bow r / R^2, rectangular.
 _FLAT_AT_MM = 40.0
-#: Coverage factor of methods that state sigmas only.
 
 
 def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:

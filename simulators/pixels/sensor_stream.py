@@ -415,9 +415,9 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         key["temperature_c"] = world.temperature_c(at_s)
     if drift.has_motion(world.truth.mount):
         key["crept"] = drift.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))
-    if (shift_mm := world.camera_shift_mm(at_s)) != (0.0, 0.0):
-        key["shift_mm"] = shift_mm
     setup, start = world.camera_setup(at_s), setup_of(world.truth)
+    if setup.shift_mm != (0.0, 0.0):
+        key["shift_mm"] = setup.shift_mm
     if setup.turn_deg != start.turn_deg:
         key["turn_deg"] = setup.turn_deg
     if setup.lens != start.lens:

@@ -291,10 +291,6 @@ class World:
 
     # ------------------------------------------------------------- read by the camera
 
-    def camera_shift_mm(self, t_s: float) -> tuple[float, float]:
-        """Return where the camera stands across the beam at a time."""
-        return self.camera_setup(t_s).shift_mm
-
     def camera_setup(self, t_s: float) -> CameraSetup:
         """Return how the camera is set up at a time."""
         with self._lock:

@@ -143,6 +143,6 @@ def test_the_world_remembers_where_the_camera_stood():
     now = [10.0]
     world = World(Truth(mount=MountTruth(shift_mm=(1.0, 0.0))), clock=lambda: now[0])
     world.change_setup(lambda setup: replace(setup, shift_mm=(2.0, -1.0)), since_s=5.0)
-    assert [world.camera_shift_mm(t) for t in (4.9, 5.0)] == [(1.0, 0.0), (2.0, -1.0)]
+    assert [world.camera_setup(t).shift_mm for t in (4.9, 5.0)] == [(1.0, 0.0), (2.0, -1.0)]
     assert world.truth_at(6.0).mount.shift_mm == (2.0, -1.0)
     assert world.truth_at(4.0) is world.truth
