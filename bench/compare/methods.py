@@ -157,25 +157,20 @@ def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
         (first, found), (second, _) = (_calibrated(column, part) for part in parts)
     except (BenchError, CalibrationError) as error:
         return row | {"error": str(error)}
-    k = found.coverage_factor if found is not None else _K
-    left_out = _left_out_px(first.camera, parts[1]) if column.data.board else first.left_out_rms_px
+    numbers = _numbers(first, found)
+    if column.data.board:
+        numbers["left_out_px"] = _left_out_px(first.camera, parts[1])
     apart = np.asarray(camera_difference(second.camera, first.camera, _ACROSS).offset_px)
     return row | {
         "views": column.images,
-        "camera": first.camera.to_dict(),
-        "sigma": dict(first.sigma),
-        "k": k,
-        "model": found.model if found is not None else None,
-        "rms_px": first.rms_px,
-        "mean_px": first.mean_px,
-        "left_out_px": left_out,
+        **numbers,
         "errors": {},
         "direction_rms_urad": None,
         "direction_worst_urad": None,
         "centre_urad": None,
         "corner_urad": None,
         "halves_urad": float(1e6 * np.sqrt(np.nanmean(np.sum(apart**2, axis=2)) / 2.0) / first.camera.fx),
-        "covered": _agreement(first, second, k),
+        "covered": _agreement(first, second, numbers["k"]),
         "solve_cpu_s": time.process_time() - began,
     }
 
@@ -290,18 +285,22 @@ def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
     except CalibrationError as error:
         return row | {"error": str(error)}
     row["solve_cpu_s"] = time.process_time() - began
-    k = calibration.coverage_factor if calibration is not None else _K
-    row |= {
+    row |= _numbers(result, calibration)
+    row["gimbal_ratio_error"] = gimbal_ratio_error(result.camera, images.views, images.readings_deg)
+    return row | compare_with_truth(result.camera, images.camera, result.sigma, row["k"], calibration)
+
+
+def _numbers(result: MethodResult, calibration: Calibration | None) -> dict[str, Any]:
+    """Return what a row of any column states about a result, and the engine's calibration if it is the engine's."""
+    return {
         "camera": result.camera.to_dict(),
         "sigma": dict(result.sigma),
-        "k": k,
+        "k": calibration.coverage_factor if calibration is not None else _K,
         "model": calibration.model if calibration is not None else None,
         "rms_px": result.rms_px,
         "mean_px": result.mean_px,
         "left_out_px": result.left_out_rms_px,
-        "gimbal_ratio_error": gimbal_ratio_error(result.camera, images.views, images.readings_deg),
     }
-    return row | compare_with_truth(result.camera, images.camera, result.sigma, k, calibration)
 
 
 def compare_with_truth(
