@@ -35,9 +35,9 @@ def test_a_door_is_closed_only_if_its_sensor_reports_so(tmp_path):
 @pytest.mark.parametrize(
     ("max_age_s", "later_s", "why"),
     [
-        (10, 9.0, ""),
+        (10, 10.0, ""),
         (10, 11.0, "reported nothing for 11 s"),
-        (10, -9.0, ""),
+        (10, -10.0, ""),
         (10, -3600.0, "clock of this computer was set back"),
         (None, -3600.0, ""),
     ],
@@ -69,9 +69,12 @@ def test_each_interlock_clears_at_a_stricter_limit(tmp_path):
     celsius[0] = 49.0
     assert warm.why(held=True) == ""
     assert CameraTemperature(warm.config, lambda: None).why(held=False) == ""
-    rate = EventRate(EventRateConfig(max_mev_s=50, release_mev_s=5), lambda: 60.0, lambda _s: 6.0)
+    limits = EventRateConfig(max_mev_s=50, release_mev_s=5, probe_ms=200)
+    rate = EventRate(limits, lambda: 60.0, lambda probe_s: 30.0 * probe_s)
     assert "60 Mev/s in the last recording" in rate.why(held=False)
     assert "6 Mev/s in the dark" in rate.why(held=True)
+    at_the_limits = EventRate(limits, lambda: 50.0, lambda probe_s: 25.0 * probe_s)
+    assert [at_the_limits.why(held=held) for held in (False, True)] == ["", ""]
     huge = DiskSpace(DiskSpaceConfig(min_free_gb=1e-6, release_gb=1e9), tmp_path)
     assert [huge.why(held=held) != "" for held in (False, True)] == [False, True]
 
@@ -124,8 +127,10 @@ def test_a_station_file_with_contradictory_interlock_limits_is_refused(said, wro
 
 
 def test_a_station_has_the_interlocks_that_it_names(tmp_path):
-    text = "{door: {path: /x}, device_lost: {}, disk_space: {min_free_gb: 1, release_gb: 2}}"
+    text = "{door: {path: /x}, device_lost: {retry_s: 7}, disk_space: {min_free_gb: 1, release_gb: 2, max_hold_s: 90}}"
     said = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
     sensors = SimpleNamespace(camera_c=None, last_mev_s=None, dark_mev_s=None, reopen=None)
-    assert [i.name for i in interlocks_of(said, tmp_path, sensors)] == ["door", "disk_space", "device_lost"]
+    door, space, lost = interlocks_of(said, tmp_path, sensors)
+    assert [i.name for i in (door, space, lost)] == ["door", "disk_space", "device_lost"]
+    assert (door.poll_s, lost.poll_s, space.max_hold_s) == (0.1, 7, 90)
     assert interlocks_of(InterlocksConfig(), tmp_path, sensors) == []
