@@ -89,7 +89,10 @@ def posed(
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
     hyper = amp.hyperprior(options.parallax_sigma, discs=bool(discs))
-    blocks = layout.random_blocks(hyper, knowledge.in_passport, parallax_known=knowledge.parallax_known)
+    corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
+    blocks = layout.random_blocks(
+        hyper, knowledge.in_passport, corner, parallax_known=knowledge.parallax_known
+    )
     poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
     around: Sequence[Disc | None] = discs or [None] * len(views)
@@ -139,16 +142,15 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
 def _searched(
     views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], start: AdjustmentParameters
 ) -> Optimum:
-    problem, state = posed(views, options, start, lens)
-    rounds = options.max_iterations
+    rounds, bounded = options.max_iterations, options.gimbal and options.gimbal.parallax is not None
+    discs: tuple[Disc, ...] = ()
+    pupils: Pupils | None = None
+    if not bounded:  # a bound of the parallax says that the pupil is on a gimbal
+        poses = np.array(poses_of(start.rotations), np.int64)
+        discs, pupils = rims_and_pupils(views, poses, start.collimator.r)
+    problem, state = posed(views, options, start, lens, discs, pupils)
     near = approached(problem, state, rounds)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
-    camera = problem.bench.camera(near.shared)
-    start = AdjustmentParameters(
-        camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
-    )
-    if problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
-        return search(*posed(views, options, start, lens), rounds)
-    poses = np.array(poses_of(start.rotations), np.int64)
-    discs, pupils = rims_and_pupils(views, poses, start.collimator.r)
+    camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
+    start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
     return search(*posed(views, options, start, lens, discs, pupils), rounds)

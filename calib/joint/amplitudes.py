@@ -27,7 +27,8 @@ TURN = tuple(f"field by turn, degree {d}" for d in range(1, TURN_DEGREE + 1))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(TURN_2_DEGREE + 1))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
 SCALE_TURN_2 = "scale by turn squared"
-PARALLAX, TANGENTIAL, PRISM, RIM, DISCS = "parallax", "tangential", "prism", "rim", "discs"
+PARALLAX, RIM, DISCS = "parallax", "rim", "discs"
+DISTORTION, TANGENTIAL, PRISM = "lens distortion", "tangential", "prism"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
 
@@ -73,6 +74,7 @@ FAMILIES = (
     Family(
         (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 0.5, 1e-3, 4e-4, 4e-6), 1.3, 0.5
     ),
+    Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 0.3, 0.0),
     Family((RIM,), (2e-3,), 1.3, 0.0),
@@ -91,6 +93,18 @@ class Hyperprior:
     names: tuple[str, ...]
     mean: Array  # (A,)
     covariance: Array  # (A, A)
+
+    @cached_property
+    def stiff(self) -> Array:
+        """(A,) logarithms that a search begins with: errors that are smaller than expected, by 1-sigma.
+
+        They grow where the stars ask for it. A search that begins with large ones ends where they have explained what
+        is an error of camera or centre.
+        """
+        begin = self.mean - np.sqrt(np.diag(self.covariance))
+        noise = [at for at, name in enumerate(self.names) if name in (STAR, READING, DISCS)]
+        begin[noise] = self.mean[noise]
+        return np.asarray(begin)
 
     @cached_property
     def information(self) -> Array:

@@ -39,10 +39,9 @@ SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a 
 ASPECT, READINGS = "square pixels", "readings of the gimbal"
 STEADY = "steady focal length"
 
-#: 1-sigma of lens coefficients: the share of the distance from the axis by which they move a point at the corner of the
-#: sensor. p1 and p2 have an amplitude (`calib.joint.amplitudes`).
-_LENS_SHARE = {"k1": 0.3, "k2": 0.1, "k3": 0.01, "k4": 0.1, "k5": 0.05, "k6": 0.01}
-_FISHEYE_SHARE = {"kb1": 0.3, "kb2": 0.1, "kb3": 0.03, "kb4": 0.01}
+#: 1-sigma of the coefficients of a denominator: the share of the distance from the axis by which they move a point at
+#: the corner of the sensor. All others of a lens have an amplitude (`calib.joint.layout`).
+_DENOMINATOR = {"k4": 0.1, "k5": 0.05, "k6": 0.01}
 _SKEW_PX = 5.0
 #: Pixels are square to this share; if not, to the second.
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
@@ -205,10 +204,8 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     for name in layout.camera[4:]:
         if name == "skew":
             sigma = _SKEW_PX
-        elif name in _LENS_SHARE:
-            sigma = _LENS_SHARE[name] * corner ** (-2.0 * ((int(name[1]) - 1) % 3 + 1))
-        elif name in _FISHEYE_SHARE:
-            sigma = _FISHEYE_SHARE[name] * np.arctan(corner) ** (-2.0 * int(name[2]))
+        elif name in _DENOMINATOR:
+            sigma = _DENOMINATOR[name] * corner ** (-2.0 * (int(name[1]) - 3))
         else:
             continue
         found.append(

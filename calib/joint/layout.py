@@ -34,6 +34,8 @@ RIM, RIM_POWERS = ("rim_4", "rim_10"), np.array([4, 10])
 _RIM_RATIO = 0.3
 #: They differ from pose to pose by these shares of the amplitude of rim_4.
 RIM_OWN = 0.2 * np.array([1.0, _RIM_RATIO])
+#: Radial terms of a lens: how far each moves a point at the corner of the sensor, as a share of what the first does.
+_LENS_RATIOS = {"k1": 1.0, "k2": 0.4, "k3": 0.15, "kb1": 1.0, "kb2": 0.4, "kb3": 0.15, "kb4": 0.05}
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
 #: radial_4 is typically so many times radial.
@@ -191,14 +193,18 @@ class Layout:
         return TurnFields(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def random_blocks(
-        self, hyper: amp.Hyperprior, known: frozenset[str], *, parallax_known: bool
+        self, hyper: amp.Hyperprior, known: frozenset[str], corner: float, *, parallax_known: bool
     ) -> list[RandomBlock]:
-        """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded."""
+        """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
+
+        ``corner`` is the tangent of the angle between the axis and the sensor's corner.
+        """
         decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
         blocks = [
             RandomBlock(rows.LENS, self.places(names), ((hyper.at(amplitude), np.eye(len(names))),))
             for names, amplitude in ((decentred, amp.TANGENTIAL), (PRISM, amp.PRISM))
         ]
+        blocks.append(self._distortion(hyper, corner))
         if not known & set(RADIAL):
             blocks.append(self._radial(hyper))
         if self.rim:
@@ -209,6 +215,13 @@ class Layout:
         if not parallax_known:
             blocks.append(self._parallax(hyper))
         return [*blocks, self._turn(hyper), self._turn_2(hyper)]
+
+    def _distortion(self, hyper: amp.Hyperprior, corner: float) -> RandomBlock:
+        """Return the radial terms of the lens: powers of the tangent, or of the angle for a fisheye lens."""
+        names = [name for name in self.camera if name in _LENS_RATIOS]
+        at_corner = corner if "k1" in names else float(np.arctan(corner))
+        sizes = [_LENS_RATIOS[name] * at_corner ** (-2.0 * int(name[-1])) for name in names]
+        return RandomBlock(rows.LENS, self.places(names), ((hyper.at(amp.DISTORTION), np.diag(sizes)),))
 
     def _radial(self, hyper: amp.Hyperprior) -> RandomBlock:
         return RandomBlock(

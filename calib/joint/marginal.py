@@ -188,12 +188,19 @@ class Marginal:
 
     # -- solution
     def solve(
-        self, eta: Array, faults: Faults = NO_FAULT, *, slope: bool = True, damped: float = 0.0
+        self,
+        eta: Array,
+        faults: Faults = NO_FAULT,
+        *,
+        slope: bool = True,
+        damped: float = 0.0,
+        held: bool = False,
     ) -> Solution:
         """Return the posterior for given logarithms of the amplitudes and faults of statements, by name.
 
         The gradient is zero without ``slope``. The equations are singular if nothing determines an unknown. ``damped``
         holds what has an amplitude at its present value, with so many times the weight of its prior: a shorter step.
+        ``held`` holds all shared unknowns.
         """
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
@@ -208,7 +215,7 @@ class Marginal:
         flat = between.reshape(n * f, size)
         root, last = inverse_root(normal.information - flat.T @ flat)
         along = root @ (normal.pull - alone.reshape(-1) @ flat)
-        step = along @ root
+        step = np.zeros(size) if held else along @ root
         away = eta - self.problem.hyper.mean
         gain = float(along @ along) + float((alone**2).sum())
         value = normal.constant + logs + last - gain

@@ -53,7 +53,7 @@ _TRUSTED = 0.01
 #: Other amplitudes are taken if twice the logarithm of the odds is so much better. Without this, a search between two
 #: that are as good as each other goes from one to the other and back.
 _CLEARLY = 1.0
-#: Beyond this share the rotations are found again after a step, and below the second a step is corrected by others.
+#: Beyond this share the rotations are found again after a step; below the second, all that a pose has for itself.
 _CURVED, _CORRECTED = 1e-3, 0.05
 _CORRECTIONS = 3
 #: A step is corrected whole, and after so many halvings: where it bends, a quarter of it can be, and not the whole.
@@ -78,7 +78,7 @@ class Optimum:
 
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
-    eta, state = problem.hyper.mean, start
+    eta, state = problem.hyper.stiff, start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
     kept = None
@@ -113,8 +113,8 @@ def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
 
 
 def approached(problem: Problem, start: State, rounds: int) -> State:
-    """Return a state near the optimum: at most ``rounds`` steps at the expected amplitudes, with wide robust limits."""
-    state, bench, eta = start, problem.bench, problem.hyper.mean
+    """Return a state near the optimum: at most ``rounds`` steps at the first amplitudes, with wide robust limits."""
+    state, bench, eta = start, problem.bench, problem.hyper.stiff
     lengths = bench.whitened(state)
     for _ in range(rounds):
         marginal = Marginal(problem, bench.linearised(state, 3.0 * robust_sigma(lengths)), state)
@@ -190,7 +190,7 @@ def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
 def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, list[Array]]:
     """Return the state after a step, shorter and shorter while the cost rises, and the lengths of its residuals.
 
-    The centre and the rotations move along a curve, so a whole step is tried with others behind it first.
+    Centre, rotations and the middles of the discs move along a curve, so a whole step is tried with these behind it.
     """
     bench = marginal.problem.bench
     before = cost(marginal, eta, marginal.state, marginal.equations.lengths)
@@ -213,11 +213,14 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, l
 
 
 def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, list[Array]]:
-    """Return a state after further steps with the same weights and amplitudes."""
+    """Return a state after further steps of what each pose has for itself, with the same weights and amplitudes.
+
+    Variable projection (Golub and Pereyra, 1973).
+    """
     bench = marginal.problem.bench
     for _ in range(_CORRECTIONS):
         behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
-        state = _moved(behind, eta, solved(behind, eta), 1.0)
+        state = _moved(behind, eta, behind.solve(eta, slope=False, held=True), 1.0)
     return state, bench.whitened(state)
 
 
