@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -17,14 +18,14 @@ from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
 from calib.joint.layout import RIM, Layout
 from calib.joint.marginal import Problem
-from calib.joint.pupils import Pupils, rims_and_pupils
+from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
-from calib.model.rim_fit import Disc
+from calib.model.rim_fit import Discs
 from calib.view import View
 
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
@@ -59,10 +60,9 @@ def posed(
     options: CalibrationOptions,
     start: AdjustmentParameters,
     lens: Sequence[str],
-    discs: Sequence[Disc] = (),
-    pupils: Pupils | None = None,
+    discs: Discs | None = None,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state; discs if their rim counts, pupils if they wander."""
+    """Return the problem and its first state; with the discs of the poses if their rim counts."""
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -88,24 +88,25 @@ def posed(
     for name in layout.gimbal:
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
-    hyper = amp.hyperprior(options.parallax_sigma, discs=bool(discs))
+    hyper = amp.hyperprior(options.parallax_sigma, discs=discs is not None)
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
     blocks = layout.random_blocks(
         hyper, knowledge.in_passport, corner, parallax_known=knowledge.parallax_known
     )
     poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
-    around: Sequence[Disc | None] = discs or [None] * len(views)
+    rims = [discs.of_views[pose] for pose in poses] if discs else []
+    pupils = pupils_of(discs, centre.r) if discs else None
     bench = Bench(
         layout,
         views[0].image_size,
-        tuple(ViewStars.of(view, layout, disc) for view, disc in zip(views, around, strict=True)),
+        tuple(ViewStars.of(view, layout, disc) for view, disc in zip_longest(views, rims)),
         poses,
         readings,
         turns,
         axes,
         pupils.shown if pupils else turns,
-        tuple(discs),
+        tuple(rims),
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(layout.pose_places))), start.rotations, gimbal)
@@ -142,15 +143,13 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
 def _searched(
     views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], start: AdjustmentParameters
 ) -> Optimum:
-    rounds, bounded = options.max_iterations, options.gimbal and options.gimbal.parallax is not None
-    discs: tuple[Disc, ...] = ()
-    pupils: Pupils | None = None
-    if not bounded:  # a bound of the parallax says that the pupil is on a gimbal
-        poses = np.array(poses_of(start.rotations), np.int64)
-        discs, pupils = rims_and_pupils(views, poses, start.collimator.r)
-    problem, state = posed(views, options, start, lens, discs, pupils)
-    near = approached(problem, state, rounds)
+    poses = np.array(poses_of(start.rotations), np.int64)
+    # A bound of the parallax says that the pupil is on a gimbal.
+    bounded = options.gimbal is not None and options.gimbal.parallax is not None
+    discs = None if bounded else discs_of_poses(views, poses)
+    problem, state = posed(views, options, start, lens, discs)
+    near = approached(problem, state, options.max_iterations)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    return search(*posed(views, options, start, lens, discs, pupils), rounds)
+    return search(*posed(views, options, start, lens, discs), options.max_iterations)

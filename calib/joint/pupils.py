@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.beam import discs_of
-from calib.model.rim_fit import Disc
+from calib.model.rim_fit import Discs
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -36,32 +36,27 @@ class Pupils:
     information: Array  # (2 n, 2 n) of that
 
 
-def rims_and_pupils(
-    views: Sequence[View], poses: NDArray[np.int64], r_mm: float
-) -> tuple[tuple[Disc, ...], Pupils | None]:
-    """Return the visible discs, none if out of view, and the pupils if they wander farther than on a gimbal.
+def discs_of_poses(views: Sequence[View], poses: NDArray[np.int64]) -> Discs | None:
+    """Return the visible discs of the poses, None if out of view. Repeats of a pose show the same rim."""
+    return discs_of([views[v] for v in np.unique(poses, return_index=True)[1]])
 
-    On a gimbal the pupil follows the turn, which is known far better than a disc.
-    """
-    first = np.unique(poses, return_index=True)[1]  # repeats of a pose show the same rim
-    found = discs_of([views[v] for v in first])
-    if found is None:
-        return (), None
+
+def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
+    """Return the pupils if they wander farther than on a gimbal, where the turn shows them far better than a disc."""
     of_poses = found.of_views
-    discs = tuple(of_poses[pose] for pose in poses)
     middles = np.array([disc.centre_mm for disc in of_poses])
     aside = middles - np.array([disc.expected_mm for disc in of_poses])
     wander = _rms(aside - aside.mean(axis=0))
     sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in of_poses]))
     if wander < max(_WANDERS * r_mm, _SEEN * sigma):
-        return discs, None
+        return None
     as_turns = _AS_TURNS / r_mm
     n = len(middles)
     about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
     covariance = as_turns**2 * about @ found.covariance_mm2 @ about
     covariance += _SAME**2 * (np.eye(2 * n) - about)
     shown = as_turns * (middles - middles.mean(axis=0))
-    return discs, Pupils(shown, np.asarray(np.linalg.inv(covariance)))
+    return Pupils(shown, np.asarray(np.linalg.inv(covariance)))
 
 
 def _rms(vectors: Array) -> float:
