@@ -23,7 +23,6 @@ from bench.records.events import (
 )
 from bench.records.history import RunLog, replay
 from bench.records.journal import Journal
-from bench.views.views_file import KeptEntries
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -151,21 +150,3 @@ def test_what_counts_lasts_when_it_is_told(log, monkeypatch, payload, data):
 def test_what_only_tells_of_the_way_lasts_with_the_next_line(log, monkeypatch, payload, data):
     assert syncs(log, monkeypatch, payload, data) == 0
     assert syncs(log, monkeypatch, Entering, {"state": "slewing", **POSE}) == 1
-
-
-# ---------------------------------------------------------------- replaced entries
-
-KEY = "ab" * 32
-
-
-def test_an_entry_larger_than_any_is_not_read(tmp_path):
-    kept = KeptEntries(tmp_path / "kept", 1 << 20)
-    kept.write_entry(KEY, b"content")
-    assert kept.read_entry(KEY) == b"content"
-    (path,) = (tmp_path / "kept").rglob("*.entry")
-    with path.open("r+b") as file:
-        file.truncate(10 << 30)
-    assert kept.read_entry(KEY) is None
-    assert not path.exists()
-    (remark,) = kept.remarks
-    assert "a kept entry is broken (it is larger than any entry)" in remark

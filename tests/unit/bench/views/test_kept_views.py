@@ -119,6 +119,17 @@ def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
     assert find.calls == 2, "the broken entry was replaced"
 
 
+def test_an_entry_larger_than_any_is_not_read(kept, recording):
+    find = Finder(a_view())
+    kept.view(recording, OPTIONS, find)
+    (entry,) = kept.folder.glob("*/*.view")
+    with entry.open("r+b") as file:
+        file.truncate(10 << 30)
+    assert same(kept.view(recording, OPTIONS, find), find.view)
+    (remark,) = kept.remarks
+    assert "a kept view is broken (it is larger than any entry)" in remark
+
+
 def test_a_recording_that_is_replaced_meanwhile_is_not_kept(kept, recording):
     def find():
         recording.write_bytes(b"other events")
