@@ -19,7 +19,7 @@ INNER: Final[dict[str, Any]] = {
 }
 """Compiler options of a function that only loops call, and that makes no arrays: references to its arguments are not
 counted. Without an entry for Python, less is compiled; a call from Python would crash the process. A loop whose sums
-may be reordered is inlined by force: compiled alone as well, it gave the compiling process other last bits."""
+may be reordered is always inlined. Else the process that compiles it gets other last bits than all later processes."""
 
 
 # Linear algebra on one thread: the engine's matrices are small, and a second thread waits longer than it works.

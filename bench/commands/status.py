@@ -192,9 +192,10 @@ def follow(
     ticks: bool = False,
     monotonic: Callable[[], float] = time.monotonic,
 ) -> Iterator[tuple[Status, Sequence[str]]]:
-    """Yield a run's status and new journal lines as text after every change; with ``ticks`` also without a change.
+    """Yield the status of a run, and the new lines of its journal as text, after every change.
 
-    The first lines are those of the status. It ends when no process works on the run any more.
+    With ``ticks`` it also yields the status without a change. The first lines are the last ones of the status. It ends
+    when no process works on the run any more.
     """
     seen, told, pause_s = -1, -1, FOLLOW_S
     while True:

@@ -179,7 +179,7 @@ def _panel(
     trend: Json,
     slope: float | None,
 ) -> None:
-    """Draw a parameter: its values with bars, the weighted mean with its band, and a significant slope.
+    """Draw the values of a parameter with bars, the weighted mean with its band, and the slope if it is significant.
 
     ``points``, (3, N), are the places, the values and their standard uncertainties.
     """

@@ -44,7 +44,7 @@ GUARDED = frozenset(
 
 
 class Interlock(ABC):
-    """A condition that makes a run hold; ``config`` is its section of the station file."""
+    """A condition under which a run holds. ``config`` is its section of the station file."""
 
     name: ClassVar[InterlockName]
     poll_s: float = 1.0  # Time between two checks whether the run may continue, s

@@ -185,7 +185,7 @@ def _rate_mev_s(facts: Mapping[str, Any]) -> float:
 
 
 def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -> list[Interlock]:
-    """Create the interlocks of a station's section ``interlocks``, in a fixed order."""
+    """Create the interlocks that the section ``interlocks`` of a station names. Their order is fixed."""
     found: list[Interlock] = []
     if config.door is not None:
         found.append(Door(config.door))

@@ -304,16 +304,16 @@ class ThermalConfig(StrictModel):
         of_glass, certificate = kind == "collimator_thermal", collimator.certificate
         certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
         references = (self.reference_c, certificate_c if of_glass else None, _REFERENCE_C)
-        reference = next(one for one in references if one is not None)
+        reference_c = next(one for one in references if one is not None)
         temperatures = (self.temperature_c, collimator.temperature_c)
-        measured = next((one for one in temperatures if one is not None), reference)
+        measured_c = next((one for one in temperatures if one is not None), reference_c)
         return TypeBTerm.thermal(
             kind,
             f"thermal expansion of the {'collimator' if of_glass else 'print'}",
             self.source,
             expansion_per_c=self.expansion_per_c,
             expansion_sigma_per_c=self.expansion_sigma_per_c,
-            difference_c=measured - reference,
+            difference_c=measured_c - reference_c,
             difference_sigma_c=self.sigma_c,
         )
 

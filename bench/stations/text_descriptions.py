@@ -27,13 +27,10 @@ _D = TypeVar("_D", bound="DataclassInstance")
 
 
 def made_of(kind: type[_D], *sections: StrictModel, **others: Any) -> _D:
-    """Return a driver's object: a field that is not given is the key of its name in the first section that has it."""
-    found = {
-        one.name: _for_driver(next(getattr(part, one.name) for part in sections if hasattr(part, one.name)))
-        for one in fields(kind)
-        if one.name not in others
-    }
-    return kind(**found, **others)
+    """Return a driver's object. Each field that ``others`` does not give comes from the first section that has it."""
+    names = [one.name for one in fields(kind) if one.name not in others]
+    found = {name: next(getattr(part, name) for part in sections if hasattr(part, name)) for name in names}
+    return kind(**{name: _for_driver(value) for name, value in found.items()}, **others)
 
 
 def _for_driver(value: Any) -> Any:

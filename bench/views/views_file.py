@@ -195,7 +195,7 @@ DETECTOR_SOURCES = (
     "bench/results/view_sources.py",
     "bench/views",
 )
-"""Files and folders of the program that decide which view a recording gives. A change of any makes a new version."""
+"""Sources of the program that decide which view a recording gives. If one changes, the detector has a new version."""
 _LIBRARIES = ("numpy", "opencv-python-headless", "numba", "scipy", "h5py")
 
 _ARRAYS = ("ids", "points_px", "target_mm", "covariances_px2")
@@ -204,7 +204,7 @@ _RIM = ("points_mm", "sigmas_mm", "lit_mm")
 
 @dataclass
 class KeptViews:
-    """A folder of views; several processes may use it at once."""
+    """A folder of views. Several processes may use it at the same time."""
 
     folder: Path  # The folder; it is made at the first entry, readable for its owner only
     # Size of all entries together. The entries that were used least recently are deleted first.

@@ -125,10 +125,10 @@ def approached(problem: Problem, start: State, rounds: int) -> State:
     return state
 
 
-def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
+def solved(marginal: Marginal, eta: Array, damped: float = 0.0, *, held: bool = False) -> Solution:
     """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, slope=False, damped=damped)
+        return marginal.solve(eta, slope=False, damped=damped, held=held)
     except np.linalg.LinAlgError as error:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
@@ -220,7 +220,7 @@ def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, lis
     bench = marginal.problem.bench
     for _ in range(_CORRECTIONS):
         behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
-        state = _moved(behind, eta, behind.solve(eta, slope=False, held=True), 1.0)
+        state = _moved(behind, eta, solved(behind, eta, held=True), 1.0)
     return state, bench.whitened(state)
 
 

@@ -56,7 +56,7 @@ class RateController:
         self._window = np.array([_LONG_AGO, 0], np.int64)  # its number, and the events in it
 
     def passed(self, t: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which events of the next slice, (N,) us in order of time, are within their window's quota."""
+        """Return which events of the next slice pass: each window of time has a quota. ``t``: (N,) us, rising."""
         return np.asarray(_within_quota(t, self._window))
 
 
