@@ -127,12 +127,17 @@ class HeartbeatWriter:
         self._state, self._since_s = state, time.monotonic()
 
     def beat(self) -> None:
-        """Write a heartbeat, unless the work has stalled."""
+        """Write a heartbeat, unless the work has stalled.
+
+        It replaces the last one as a whole: a process that is stopped here leaves one that says when it was alive.
+        """
         if self.stalled_s() > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
         text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
         with storage_errors(self._path), suppress(FileNotFoundError):
-            self._path.write_bytes(text.encode())
+            part = self._path.with_name(f"{HEARTBEAT}{TEMPORARY}")
+            part.write_bytes(text.encode())
+            part.replace(self._path)
 
     def stalled_s(self) -> float:
         """Return how long ago the work last made progress."""

@@ -143,6 +143,19 @@ def test_only_the_process_that_wrote_the_heartbeat_is_opened():
     assert open_process(Heartbeat(process.pid, 1, 0)) is None
 
 
+def test_a_heartbeat_is_whole_at_any_moment_so_that_a_process_stopped_while_it_writes_is_seen_to_hang(tmp_path):
+    (tmp_path / CONTROL).mkdir()
+    writer = HeartbeatWriter(tmp_path, BenchClock())
+    writer.beat()
+    beats = threading.Thread(target=lambda: [writer.beat() for _ in range(500)])
+    beats.start()
+    seen = []
+    while beats.is_alive():
+        seen.append(read_heartbeat(tmp_path))
+    assert len(set(seen)) > 1
+    assert None not in seen
+
+
 def test_a_lost_supervisor_is_reported_once(monkeypatch, tmp_path):
     monkeypatch.setenv(SUPERVISOR, str(os.getppid()))
     pulse = HeartbeatWriter(tmp_path, BenchClock())
