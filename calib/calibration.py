@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import InputMismatch
 from calib.model.boresight import Boresight, RotationErrors
 from calib.model.camera import CameraModel, distortion_names
@@ -18,7 +18,6 @@ from calib.model.passport import Passport
 from calib.model.result_parts import Amplitude, BudgetRow, GimbalEstimate, Witness
 from calib.model.type_b_terms import TypeBTerm
 
-Array = NDArray[np.float64]
 ModelName = Literal[
     "auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"
 ]

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
@@ -22,6 +21,7 @@ from calib.adjustment.parameters import (
     require_constrained,
     require_distinct_poses,
 )
+from calib.arrays import Array, Bools
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.checks import check_adjustment
 from calib.diagnosis.gross_stars import GrossStars, used_stars
@@ -44,8 +44,6 @@ from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave
 from calib.uncertainty.projection_uncertainty import worst_point
 from calib.view import View
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -58,7 +56,7 @@ class Fit:
     refined: Refinement[AdjustmentParameters]
     loss: Loss
     whole: Bundle  # Bundle of all stars, also of those that were not used
-    used: NDArray[np.bool_]  # (N,) bool, which stars of `whole` were used
+    used: Bools  # (N,) bool, which stars of `whole` were used
     uncertainty: Uncertainty
     # Results for views left out; None if the views are consistent, or if there are too few.
     cross_validation: CrossValidation | None
@@ -159,9 +157,7 @@ def refine_robustly(
 
 
 def initialize(
-    views: Sequence[View],
-    options: CalibrationOptions,
-    model: str,
+    views: Sequence[View], options: CalibrationOptions, model: str
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Return the ideal bundle, and its start; ``planar`` frees each view's centre, ``spherical`` shares one."""
     size, distortion = views[0].image_size, tuple(options.distortion)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools, Ints
 from calib.errors import InputMismatch
 
 T = TypeVar("T")
@@ -19,10 +19,10 @@ class RimPoints:
     """The rim of the beam as the image of a pose shows it: finite points on the target's plane."""
 
     # (K, 2) float64, mm, points at which the light ends; K is 0 if the rim is out of the frame.
-    points_mm: NDArray[np.float64]
-    sigmas_mm: NDArray[np.float64]  # (K,) float64, mm, 1-sigma of each point across the rim
+    points_mm: Array
+    sigmas_mm: Array  # (K,) float64, mm, 1-sigma of each point across the rim
     # (L, 2) float64, mm, points at the border of the frame that are bright: the rim lies farther out.
-    lit_mm: NDArray[np.float64]
+    lit_mm: Array
     # 1-sigma of the rim's centre along each axis, mm, because the light is not even over the beam.
     level_sigma_mm: float
 
@@ -64,10 +64,10 @@ class View:
 
     name: str
     image_size: tuple[int, int]
-    ids: NDArray[np.int64]
-    points_px: NDArray[np.float64]
-    target_mm: NDArray[np.float64]
-    covariances_px2: NDArray[np.float64]
+    ids: Ints
+    points_px: Array
+    target_mm: Array
+    covariances_px2: Array
     rim: RimPoints | None = None
     _remembered: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -87,7 +87,7 @@ class View:
         """Number of stars."""
         return len(self.ids)
 
-    def part(self, kept: NDArray[np.bool_]) -> View:
+    def part(self, kept: Bools) -> View:
         """Return the view with some of its stars.
 
         Parameters

@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bytes, Ints
+
 #: Starts that a pixel must have, so that its period has three intervals.
 LEAST_STARTS = 4
 #: An interval may differ from a whole number of periods by this share of a period.
@@ -22,16 +24,12 @@ _REGULAR_SHARE = 0.6
 class BlinkPeriods(NamedTuple):
     """Periods of all pixels, each (H, W)."""
 
-    frequency_hz: NDArray[np.float64]  # float64, Hz; nan for a pixel that does not blink regularly
+    frequency_hz: Array  # float64, Hz; nan for a pixel that does not blink regularly
     starts: NDArray[np.int32]  # int32, number of periods that started
 
 
 def blink_periods(
-    t_us: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    size: tuple[int, int],
+    t_us: Ints, x: NDArray[np.uint16], y: NDArray[np.uint16], p: Bytes, size: tuple[int, int]
 ) -> BlinkPeriods:
     """Measure the period of each pixel from (N,) events in the order of their times, us; polarity 1 is ON.
 
@@ -98,13 +96,13 @@ def _frequencies(times: Any, ends: Any, counts: Any) -> Any:
 
 
 def lock_in(
-    t_us: NDArray[np.int64],
+    t_us: Ints,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    dot_of_pixel: NDArray[np.int64],
-    frequencies_hz: NDArray[np.float64],
-) -> NDArray[np.float32]:
+    p: Bytes,
+    dot_of_pixel: Ints,
+    frequencies_hz: Array,
+) -> Array32:
     """Return (H, W) how strongly each pixel blinks at the frequency, Hz, of its dot: about its events a period.
 
     Length of the sum of polarity times exp(-2 pi i f t), divided by the number of periods in the recording: lock-in

@@ -16,14 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bytes, Ints
 from calib.boards.blink_periods import LEAST_STARTS, BlinkPeriods, blink_periods, lock_in
 from calib.boards.board import Board
 from calib.boards.detect import locate_points
 from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents
 from calib.model.homography import apply_homography
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Ratios of the camera's clock to that of the dots that are tried: clocks of cheap controllers err by up to 3 %.
 _CLOCK_RATIOS = np.linspace(0.97, 1.03, 301)
@@ -51,30 +50,30 @@ _DRAWN_PITCH, _LARGEST_PICTURE = 48, 8000
 class _Dots(NamedTuple):
     """Places that blink: the index of the frequency, the centre, px, and the number of pixels of each."""
 
-    kind: NDArray[np.int64]
+    kind: Ints
     centres: Array
-    areas: NDArray[np.int64]
+    areas: Ints
 
 
 @dataclass(frozen=True)
 class _Named:
     """Dots with their ids, and the map of the grid to the image."""
 
-    ids: NDArray[np.int64]
+    ids: Ints
     centres: Array
     homography: Array
 
 
 def detect_blinking_dots(
-    t_us: NDArray[np.int64],
+    t_us: Ints,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    p: Bytes,
     size: tuple[int, int],
     board: Board,
     *,
     name: str = "view",
-    keep_image: Callable[[NDArray[np.float32]], None] = lambda _image: None,
+    keep_image: Callable[[Array32], None] = lambda _image: None,
 ) -> View:
     """Detect blinking dots as a view; with one frequency a dot, half of the dots are enough.
 
@@ -114,7 +113,7 @@ def detect_blinking_dots(
     return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
 
 
-def _require_long_enough(t_us: NDArray[np.int64], board: Board, where: str) -> None:
+def _require_long_enough(t_us: Ints, board: Board, where: str) -> None:
     """Refuse a recording in which the slowest dot does not blink often enough."""
     if len(t_us) == 0:
         raise TooFewEvents("The recording has no events.", where=where, remedy="Take off the lens cap.")
@@ -146,7 +145,7 @@ def _clock_ratio(periods: BlinkPeriods, frequencies: Array, where: str) -> float
     return float(_CLOCK_RATIOS[best[np.argmin(np.abs(_CLOCK_RATIOS[best] - 1.0))]])
 
 
-def _nearest(values: Array, frequencies: Array) -> tuple[NDArray[np.int64], Array]:
+def _nearest(values: Array, frequencies: Array) -> tuple[Ints, Array]:
     """Return for each value the index of the nearest of rising frequencies, and that frequency."""
     above = np.clip(np.searchsorted(frequencies, values), 1, len(frequencies) - 1)
     index = above - (values - frequencies[above - 1] < frequencies[above] - values)
@@ -215,7 +214,7 @@ def _refuse_two_boards(dots: _Dots, where: str) -> None:
         )
 
 
-def _named_by_frequency(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, where: str) -> _Named:
+def _named_by_frequency(dots: _Dots, kind_of_dot: Ints, board: Board, where: str) -> _Named:
     """Name each dot by its own frequency, and leave out what does not lie on the plane of the others."""
     id_of_kind = np.argsort(kind_of_dot)
     ids = id_of_kind[dots.kind]
@@ -230,9 +229,9 @@ def _named_by_frequency(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Boar
     return _Named(ids[kept], dots.centres[kept], h)
 
 
-def _named_by_grid(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, where: str) -> _Named:
+def _named_by_grid(dots: _Dots, kind_of_dot: Ints, board: Board, where: str) -> _Named:
     """Name the dots by their grid; the frequencies say which of its corners is the first."""
-    best: tuple[int, NDArray[np.int64]] = (0, np.zeros(0, np.int64))
+    best: tuple[int, Ints] = (0, np.zeros(0, np.int64))
     for size in {(board.columns, board.rows), (board.rows, board.columns)}:
         grid = _grid_of_dots(dots.centres, size)
         if grid is None:
@@ -265,7 +264,7 @@ def _seen_from_front(grid: Array) -> bool:
     return bool(along[0] * down[1] - along[1] * down[0] > 0)
 
 
-def _grid_of_dots(centres: Array, size: tuple[int, int]) -> NDArray[np.int64] | None:
+def _grid_of_dots(centres: Array, size: tuple[int, int]) -> Ints | None:
     """Return (rows, columns) the indices of dots that form a grid, in any of its orders; OpenCV looks for it.
 
     OpenCV takes a picture: the dots are drawn as discs, a quarter of their distance wide.
@@ -288,7 +287,7 @@ def _grid_of_dots(centres: Array, size: tuple[int, int]) -> NDArray[np.int64] | 
     return np.asarray(away.argmin(axis=1), np.int64).reshape(size[1], size[0])
 
 
-def _plane(board: Board, ids: NDArray[np.int64], centres: Array, where: str) -> Array:
+def _plane(board: Board, ids: Ints, centres: Array, where: str) -> Array:
     """Return the homography from the grid to the image; refuse dots that form no plane, or a mirrored one."""
     nodes = board.nodes[ids].astype(np.float64)
     h, inside = None, 0
@@ -361,11 +360,11 @@ def _wholly_in_view(named: _Named, board: Board, size: tuple[int, int]) -> _Name
 
 
 def _blinking_image(
-    events: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
+    events: tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], Bytes],
     size: tuple[int, int],
     named: _Named,
     frequencies: Array,
-) -> NDArray[np.float32]:
+) -> Array32:
     """Return how strongly each pixel blinks at the frequency of the nearest dot, (H, W)."""
     seeds = np.full((size[1], size[0]), 255, np.uint8)
     columns, rows = np.round(named.centres).astype(int).T

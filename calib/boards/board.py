@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Ints
 from calib.errors import InputMismatch
 
 Kind = Literal["checkerboard", "circles", "asymmetric-circles", "blinking-dots"]
@@ -124,7 +124,7 @@ class Board:
         return cls(kind, columns, rows, float(found[4]), frequencies)  # type: ignore[arg-type]  # checked above
 
     @property
-    def nodes(self) -> NDArray[np.int64]:
+    def nodes(self) -> Ints:
         """(N, 2) int64 column and row of each point on a square lattice, row by row; N = columns x rows."""
         row, column = np.mgrid[: self.rows, : self.columns].astype(np.int64)
         if self.kind == "asymmetric-circles":
@@ -132,7 +132,7 @@ class Board:
         return np.column_stack([column.ravel(), row.ravel()])
 
     @property
-    def points_mm(self) -> NDArray[np.float64]:
+    def points_mm(self) -> Array:
         """(N, 2) float64 positions of the points on the board, mm, row by row; X right, Y down."""
         return np.asarray(self.pitch_mm * self.nodes.astype(np.float64))
 

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools
 from calib.boards.board import Board
 from calib.model.homography import fit_homography
-
-Array = NDArray[np.float64]
 
 #: Cells of the image along x and y.
 CELLS = 3
@@ -46,7 +44,7 @@ class Seen:
         return _LEAST_SHIFT * float(np.hypot(*self.image_size))
 
     @property
-    def cells(self) -> NDArray[np.bool_]:
+    def cells(self) -> Bools:
         """(3, 3) bool, the covered cells of the image, row by row."""
         place = np.floor((self.points_px + 0.5) / np.array(self.image_size) * CELLS).astype(int)
         place = place[((place >= 0) & (place < CELLS)).all(axis=1)]

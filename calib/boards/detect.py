@@ -11,16 +11,14 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound
 from calib.events.grey_image import to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
 from calib.stars.grid_map import fit_grid_map
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Blur before the points are located, px: it lowers the noise of single pixels.
 _BLUR_PX = 0.7
@@ -50,7 +48,7 @@ _TOO_WIDE_PX = (5, 9, 15, 23)
 _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
-def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view") -> View:
+def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
     """Detect the points of a board as a view, in the order of their ids, row by row, with covariances.
 
     The (H, W) image may be of any number type, and the board bright on dark or dark on bright. A board that looks the
@@ -87,7 +85,7 @@ def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view"
     )
 
 
-def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View:
+def relocate_board(image: AnyArray, view: View, board: Board) -> View:
     """Locate the points of a board again, where ``view`` found them, in another (H, W) image of the same placement."""
     plain = np.nan_to_num(np.asarray(image, np.float32))
     points, covariances = locate_points(plain, view.points_px, board, view.ids)
@@ -99,7 +97,7 @@ def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View
     )
 
 
-def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> Array:
+def find_board(grey: Bytes, board: Board, *, name: str = "view") -> Array:
     """Find a board to about half a pixel: (N, 2) image points, px, row by row; else say what was found instead.
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
@@ -112,7 +110,7 @@ def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> 
     return found
 
 
-def _found(grey: NDArray[np.uint8], board: Board) -> Array | None:
+def _found(grey: Bytes, board: Board) -> Array | None:
     """Return (N, 2) points of the board, bright on dark or dark on bright, or None."""
     size = (board.columns, board.rows)
     for shown in (grey, np.asarray(255 - grey, np.uint8)):
@@ -148,7 +146,7 @@ def _blobs(shape: tuple[int, ...]) -> Any:
 
 
 def locate_points(
-    image: NDArray[np.float32], coarse: Array, board: Board, ids: NDArray[np.int64] | None = None
+    image: Array32, coarse: Array, board: Board, ids: Ints | None = None
 ) -> tuple[Array, Array]:
     """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
 
@@ -181,7 +179,7 @@ def locate_points(
     return np.where(good[:, None], points, np.nan), covariances * factor + _COMMON_PX**2 * np.eye(2)
 
 
-def _refuse_second(grey: NDArray[np.uint8], points: Array, board: Board, name: str) -> None:
+def _refuse_second(grey: Bytes, points: Array, board: Board, name: str) -> None:
     """Refuse an image that shows the board twice; the first one is painted over for the search."""
     hull = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2)
     middle = hull.mean(axis=0)
@@ -197,7 +195,7 @@ def _refuse_second(grey: NDArray[np.uint8], points: Array, board: Board, name: s
         )
 
 
-def _remedy(grey: NDArray[np.uint8], board: Board) -> str:
+def _remedy(grey: Bytes, board: Board) -> str:
     """Return what to do when the board was not found: what the image shows, if it shows another board."""
     general = (
         "The whole board must be in view, in focus, and evenly lit, with a margin of one square around it."
@@ -224,7 +222,7 @@ def _remedy(grey: NDArray[np.uint8], board: Board) -> str:
     return f"{columns} x {rows} inner corners are in view. Show all of the board, or correct its description."
 
 
-def _too_wide_px(grey: NDArray[np.uint8], board: Board) -> int | None:
+def _too_wide_px(grey: Bytes, board: Board) -> int | None:
     """Return by how much the bright (or the dark) squares must shrink so that the board is found; None if not at all.
 
     Own test by erosion (Serra, 1982): the finder needs corners at which four squares meet.
@@ -239,7 +237,7 @@ def _too_wide_px(grey: NDArray[np.uint8], board: Board) -> int | None:
     return None
 
 
-def edge_width_px(grey: NDArray[np.uint8]) -> float | None:
+def edge_width_px(grey: Bytes) -> float | None:
     """Return the width, px, of the sharpest edges of an (H, W) image; None if it has hardly any contrast.
 
     Own measure: contrast of the smoothed image over its steepest slope. A step has 4 px because of the smoothing; a
@@ -270,9 +268,7 @@ _WINDOW_PX = 11
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
 
 
-def opencv_corners(
-    image: NDArray[np.generic], board: Board, *, finder: Finder = "subpixel", name: str = "view"
-) -> View:
+def opencv_corners(image: AnyArray, board: Board, *, finder: Finder = "subpixel", name: str = "view") -> View:
     """Find the corners of a checkerboard by OpenCV alone.
 
     ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018); else ``findChessboardCorners``, ``cornerSubPix``.
@@ -290,7 +286,7 @@ def opencv_corners(
     )
 
 
-def _by_subpixel(grey: NDArray[np.uint8], board: Board, name: str) -> NDArray[np.float64]:
+def _by_subpixel(grey: Bytes, board: Board, name: str) -> Array:
     """Return (N, 2) px corners by ``findChessboardCorners`` and ``cornerSubPix``, for either contrast."""
     size, smooth = (board.columns, board.rows), cv2.medianBlur(grey, 3)
     for shown in (smooth, np.asarray(255 - smooth, np.uint8)):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools
 from calib.errors import InputMismatch
 from calib.model.beam import inside_guard_band, visible_discs
 from calib.model.homography import (
@@ -20,9 +20,6 @@ from calib.model.homography import (
 from calib.model.local_consistency import LIMIT_PX, local_sigma_px, local_spacing
 from calib.stars.grid_map import predict_locally
 from calib.view import View
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: A view with a larger share of gross errors is refused.
 MAX_SHARE = 0.2

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array
 from calib.diagnosis.gross_stars import typical_noise_px
 from calib.diagnosis.linearised import (
     ShiftEquations,
@@ -26,8 +26,6 @@ from calib.diagnosis.linearised import (
 )
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 HALF_PX = 0.5
 _STARS = 400

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 #: Residuals above this multiple of the noise that neighbouring stars show are mostly systematic. They vary slowly over
 #: a view and resemble each other in all views, so they count as this number of independent components: for 72 places,

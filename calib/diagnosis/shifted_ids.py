@@ -10,19 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array
 from calib.diagnosis.gross_stars import typical_noise_px
 from calib.diagnosis.linearised import independent_components, plain_bundle, rms_px, target_shifts
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Shifts up to this number of columns and rows are tried.
 MAX_SHIFT = 2

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bools, Bytes, Ints
 from calib.compiled import KERNEL
 from calib.errors import TooFewEvents
 from calib.events.flicker import EventTimes, Flicker, event_times
@@ -34,14 +35,14 @@ class BurstWindow(NamedTuple):
     length_us: float  # Length, us
 
 
-def folded_rate(times: EventTimes, start_us: float, period_us: float) -> NDArray[np.float64]:
+def folded_rate(times: EventTimes, start_us: float, period_us: float) -> Array:
     """Return (2, FOLD_BINS) OFF and ON events over the phase of a period (epoch folding; Leahy et al., 1983)."""
     turns = (times.t - start_us) / period_us
     at = np.minimum(((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64), FOLD_BINS - 1)
     return np.array([np.bincount(at, count, FOLD_BINS) for count in (times.off, times.on)])
 
 
-def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float) -> BurstWindow:
+def burst_window(folded: Array, start_us: float, period_us: float) -> BurstWindow:
     """Find the shortest part of the period that holds the share `BURST_SHARE` of a burst; all of it without a burst.
 
     The background is the lower quartile of the bins. A bin counts by what exceeds it by more than three standard
@@ -65,10 +66,7 @@ def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float)
 
 
 def whole_period_window(
-    t: NDArray[np.int64],
-    flicker: Flicker,
-    window_us: tuple[float, float] | None,
-    periods: int | None,
+    t: Ints, flicker: Flicker, window_us: tuple[float, float] | None, periods: int | None
 ) -> tuple[float, float, int]:
     """Choose a window of whole periods within a recording: start and end, us, and number of periods.
 
@@ -118,8 +116,8 @@ class PixelSums(NamedTuple):
     off_burst: NDArray[np.int32]
     # float32, us, sum over the ON bursts of the time from the start of the burst to the pixel's first ON
     # event.
-    on_latency: NDArray[np.float32]
-    lock_in: NDArray[np.float32]  # float32, sum of polarity times cosine of the flicker's phase
+    on_latency: Array32
+    lock_in: Array32  # float32, sum of polarity times cosine of the flicker's phase
     # on_fired, off_fired: uint16, number of bursts in which the pixel fired.
     on_fired: NDArray[np.uint16]
     off_fired: NDArray[np.uint16]
@@ -130,7 +128,7 @@ class PixelSums(NamedTuple):
         """Return the sums before the first event, all 0; size is width and height, px."""
         return cls(*(np.zeros(size[::-1], kind) for kind in _KINDS))
 
-    def mean_latency_us(self) -> NDArray[np.float32]:
+    def mean_latency_us(self) -> Array32:
         """Return (H, W) the mean latency of each pixel's first ON events, us; nan where no ON burst held an event."""
         mean = np.full(self.on_latency.shape, np.nan, np.float32)
         np.divide(self.on_latency, self.on_fired, out=mean, where=self.on_fired > 0)
@@ -138,10 +136,10 @@ class PixelSums(NamedTuple):
 
 
 def accumulate(
-    t: NDArray[np.int64],
+    t: Ints,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    p: Bytes,
     size: tuple[int, int],
     start_us: float,
     period_us: float,
@@ -219,14 +217,14 @@ class LitPixels(NamedTuple):
     """Pixels that the flicker reaches, and what they tell about a slice."""
 
     # (K,) float32, us, mean latency of the first ON event of a burst of each lit pixel, row by row.
-    latency_us: NDArray[np.float32]
+    latency_us: Array32
     on: int
     off: int
     all_on: int
     silent_rows: int  # Number of rows without any event between rows with lit pixels
 
 
-def lit_pixels(sums: PixelSums, hot: NDArray[np.bool_], least: float) -> LitPixels:
+def lit_pixels(sums: PixelSums, hot: Bools, least: float) -> LitPixels:
     """Find the pixels that fire in enough bursts of both polarities; ``hot`` pixels do not count."""
     lit = (sums.on_fired >= least) & (sums.off_fired >= least) & ~hot
     rows = np.flatnonzero(lit.any(axis=1))
@@ -240,15 +238,13 @@ def lit_pixels(sums: PixelSums, hot: NDArray[np.bool_], least: float) -> LitPixe
     )
 
 
-def hot_pixels(
-    on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allowed: int
-) -> NDArray[np.bool_]:
+def hot_pixels(on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allowed: int) -> Bools:
     """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each."""
     count = on_count + off_count
     around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
     return np.asarray(count > 2.5 * around + allowed)
 
 
-def without_hot_pixels(image: NDArray[np.float32], hot: NDArray[np.bool_]) -> NDArray[np.float32]:
+def without_hot_pixels(image: Array32, hot: Bools) -> Array32:
     """Replace hot pixels by the median of the 3 x 3 pixels around them; at the rim, the last pixels are repeated."""
     return np.where(hot, cv2.medianBlur(image, 3), image)

@@ -35,6 +35,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array32, Bools, Bytes, Ints
 from calib.errors import InputMismatch, TooFewEvents, TooFewStars
 from calib.events.accumulation import (
     BurstWindow,
@@ -58,7 +59,7 @@ class ChosenImage(NamedTuple):
     """The image in which stars are searched."""
 
     name: str  # Kind of image, as `EventImages.named` takes it
-    image: NDArray[np.float32]  # (H, W) float32, brighter where the target is brighter
+    image: Array32  # (H, W) float32, brighter where the target is brighter
     reason: str  # Why this kind was chosen, a phrase or sentence for the report
 
 
@@ -96,10 +97,10 @@ class EventImages:
     # on_fired, off_fired: uint16, number of edges on which the pixel fired within the burst.
     on_fired: NDArray[np.uint16]
     off_fired: NDArray[np.uint16]
-    lock_in: NDArray[np.float32]  # float32, in-phase sum at the flicker's frequency, dimensionless
+    lock_in: Array32  # float32, in-phase sum at the flicker's frequency, dimensionless
     # bool, pixels that fire far more often than their surroundings. `best` and most images of `named` replace
     # them by the median of their surroundings.
-    hot: NDArray[np.bool_]
+    hot: Bools
     facts: SliceFacts
     sums: PixelSums
 
@@ -109,17 +110,17 @@ class EventImages:
         return self.on_count + self.off_count
 
     @property
-    def fired(self) -> NDArray[np.bool_]:
+    def fired(self) -> Bools:
         """(H, W) bool, whether a pixel sent any event."""
         return self.last_polarity != 0
 
     @cached_property
-    def on_latency_us(self) -> NDArray[np.float32]:
+    def on_latency_us(self) -> Array32:
         """(H, W) float32, us, mean latency of the first ON event of a burst; nan if there was none."""
         return self.sums.mean_latency_us()
 
     @cached_property
-    def fired_per_edge(self) -> NDArray[np.float32]:
+    def fired_per_edge(self) -> Array32:
         """(H, W) float32, 0 to 1, share of the edges on which the pixel fired; hot pixels are replaced."""
         edges = 2.0 * self.facts.periods
         share = (self.on_fired.astype(np.float32) + self.off_fired) / np.float32(edges)
@@ -147,7 +148,7 @@ class EventImages:
         )
         return ChosenImage("fired-per-edge", self.fired_per_edge, reason)
 
-    def named(self, name: str) -> NDArray[np.float32]:
+    def named(self, name: str) -> Array32:
         """Return the (H, W) image of one kind, brighter where the target is brighter.
 
         Names: ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` and ``on-latency``. The latter is
@@ -165,16 +166,16 @@ class EventImages:
             raise InputMismatch(f"No event image is called {name!r}. The kinds are {', '.join(makers)}.")
         return makers[name]()
 
-    def _inverted_latency(self) -> NDArray[np.float32]:
+    def _inverted_latency(self) -> Array32:
         length = np.float32(self.facts.on_window.length_us)
         return np.where(np.isnan(self.on_latency_us), np.float32(0), 1.0 - self.on_latency_us / length)
 
 
 def make_images(
-    t: NDArray[np.int64],
+    t: Ints,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    p: Bytes,
     size: tuple[int, int],
     flicker: Flicker,
     *,
@@ -243,17 +244,13 @@ def make_images(
     )
 
 
-def _hot_pixels(sums: PixelSums, edges: int) -> NDArray[np.bool_]:
+def _hot_pixels(sums: PixelSums, edges: int) -> Bools:
     """Find the pixels with more than 2.5 m + 4 + 2 E events (own rule): m the median of 5 x 5 pixels, E edges."""
     return hot_pixels(sums.on_count, sums.off_count, 4 + 2 * edges)
 
 
 def _facts(
-    sums: PixelSums,
-    hot: NDArray[np.bool_],
-    window: tuple[float, float, int],
-    events: int,
-    on_window: BurstWindow,
+    sums: PixelSums, hot: Bools, window: tuple[float, float, int], events: int, on_window: BurstWindow
 ) -> SliceFacts:
     """Collect the facts of the slice; ``window`` is its start and end, us, and number of periods."""
     start, end, periods = window
@@ -301,7 +298,7 @@ class QuickImage(NamedTuple):
 
     name: str  # ``fired-per-edge`` or ``events-per-edge``
     # (H, W) float32, brighter where the target is brighter; hot pixels are replaced.
-    image: NDArray[np.float32]
+    image: Array32
     hot_pixels: int  # Number of pixels that fire far more often than their surroundings
 
 

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools, Ints
 from calib.errors import FlickerNotFound, TooFewEvents
 
 # Events by their time: hundreds share a microsecond, and what depends on it is computed once; no pixel positions.
@@ -19,17 +20,17 @@ from calib.errors import FlickerNotFound, TooFewEvents
 class EventTimes(NamedTuple):
     """The K different times of N events."""
 
-    t: NDArray[np.int64]  # (K,) int64, us, ascending
-    first: NDArray[np.int64]  # (K + 1,) int64, number of the first event at each time; the last value is N
-    on: NDArray[np.int64]  # (K,) int64, number of ON events at each time
+    t: Ints  # (K,) int64, us, ascending
+    first: Ints  # (K + 1,) int64, number of the first event at each time; the last value is N
+    on: Ints  # (K,) int64, number of ON events at each time
 
     @property
-    def off(self) -> NDArray[np.int64]:
+    def off(self) -> Ints:
         """(K,) int64, number of OFF events at each time."""
         return np.diff(self.first) - self.on
 
 
-def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
+def event_times(t: Ints, p: NDArray[np.integer]) -> EventTimes:
     """Gather (N,) events by their time, each time once; times are us, ascending, N >= 1; polarity 1 is ON."""
     first = np.concatenate([[0], np.flatnonzero(t[1:] != t[:-1]) + 1, [len(t)]])
     return EventTimes(
@@ -87,7 +88,7 @@ class Flicker:
         behind = self.phase_us - other.phase_us
         return float(behind - other.period_us * np.round(behind / other.period_us))
 
-    def rising_edges_us(self, start_us: float, end_us: float) -> NDArray[np.float64]:
+    def rising_edges_us(self, start_us: float, end_us: float) -> Array:
         """Return (K,) times, us, of the rising edges, phase + k period, from a start to before an end.
 
         Examples
@@ -102,7 +103,7 @@ class Flicker:
 
 
 def flicker_from_triggers(
-    t_us: NDArray[np.int64], value: NDArray[np.integer], *, expected_hz: float | None = None
+    t_us: Ints, value: NDArray[np.integer], *, expected_hz: float | None = None
 ) -> Flicker:
     """Fit a periodic train of edges to the times of the light's sync signal.
 
@@ -156,7 +157,7 @@ def flicker_from_triggers(
 
 
 def flicker_from_events(
-    t_us: NDArray[np.int64], p: NDArray[np.integer], *, band_hz: tuple[float, float] = (15.0, 1000.0)
+    t_us: Ints, p: NDArray[np.integer], *, band_hz: tuple[float, float] = (15.0, 1000.0)
 ) -> Flicker:
     """Estimate the flicker from the events, for recordings without triggers.
 
@@ -214,7 +215,7 @@ def flicker_from_events(
     )
 
 
-def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz: float | None) -> float:
+def _period_guess(t: Array, rising: Bools, expected_hz: float | None) -> float:
     """Return the median distance of neighbouring edges of one direction, us.
 
     If an expected frequency is given, only distances near its period count; a single edge gives that period. Own
@@ -237,7 +238,7 @@ def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz
     return float(np.median(distances))
 
 
-def _train(t: NDArray[np.float64], period: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _train(t: Array, period: float) -> tuple[Array, Array]:
     """Select the edges of one direction that fit a periodic train; return their times and their numbers of periods.
 
     The search starts at the edge that agrees with most of its neighbours and extends in steps. Each step refits the
@@ -262,9 +263,7 @@ def _train(t: NDArray[np.float64], period: float) -> tuple[NDArray[np.float64], 
 
 
 def _fit_trains(
-    rising: tuple[NDArray[np.float64], NDArray[np.float64]],
-    falling: tuple[NDArray[np.float64], NDArray[np.float64]],
-    period: float,
+    rising: tuple[Array, Array], falling: tuple[Array, Array], period: float
 ) -> tuple[float, float, float, float]:
     """Fit period, phase of the rising edges and phase of the falling edges by least squares.
 
@@ -302,7 +301,7 @@ def _check_expected(period_us: float, expected_hz: float | None) -> None:
         )
 
 
-def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[float, float]) -> float:
+def _search_frequency(rates: Array, bin_us: float, band_hz: tuple[float, float]) -> float:
     """Return the flicker's frequency, Hz, from the (2, bins) numbers of ON and OFF events.
 
     The power is divided by the number of events: mean 1 for random times, half that of Leahy et al. (1983).
@@ -335,9 +334,7 @@ def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[
     return float(fine[np.argmax(_harmonic_power(centred, bin_us, fine))])
 
 
-def _harmonic_power(
-    rates: NDArray[np.float64], bin_us: float, frequencies_hz: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _harmonic_power(rates: Array, bin_us: float, frequencies_hz: Array) -> Array:
     """Return the sum of the powers of the first harmonics of each frequency, (frequencies,).
 
     Up to a factor the Z^2_n statistic of Buccheri et al. (1983) for binned times, added over ON and OFF events.
@@ -355,14 +352,14 @@ def _harmonic_power(
     return power
 
 
-def _folded(t_us: NDArray[np.float64], count: NDArray[np.int64], period_us: float) -> NDArray[np.float64]:
+def _folded(t_us: Array, count: Ints, period_us: float) -> Array:
     """Count the events, ``count`` at each time, over the phase of one period (Leahy et al., 1983), in `ONSET_BINS`."""
     turns = t_us / period_us
     at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
     return np.bincount(np.minimum(at, ONSET_BINS - 1), count, ONSET_BINS).astype(float)
 
 
-def _onset(folded: NDArray[np.float64]) -> float:
+def _onset(folded: Array) -> float:
     """Return the phase, in periods, at which the burst with the highest bin starts.
 
     Own rule: from the highest bin, go back to the first bin with less than a tenth of the highest bin's excess over the

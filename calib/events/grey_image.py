@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array32, Bytes
 from calib.errors import InputMismatch
 
 #: Share of the pixels that may be clipped at each end of the grey scale.
 CLIPPED_SHARE = 0.005
 
 
-def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+def to_uint8(image: AnyArray) -> Bytes:
     """Stretch an (H, W) image to 0..255 between its quantiles `CLIPPED_SHARE` and 1 - `CLIPPED_SHARE`.
 
     Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255. A nan counts as the darkest value; all are 0
@@ -37,7 +37,7 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     return np.asarray(np.fmin(np.fmax(grey, 0.0, out=grey), 255.0, out=grey).astype(np.uint8))
 
 
-def _clipped_ends(values: NDArray[np.float32], share: float) -> tuple[float, float]:
+def _clipped_ends(values: Array32, share: float) -> tuple[float, float]:
     """Return the quantiles ``share`` and 1 - ``share`` of the finite of (N,) values; if equal, the ends of the values.
 
     Quantiles: Hyndman and Fan (1996), definition 7. Both are 0 if no value is finite.

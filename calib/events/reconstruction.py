@@ -30,6 +30,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bytes, Ints
 from calib.errors import InputMismatch, TooFewEvents
 
 DEFAULT_CUTOFF_HZ = 10.0
@@ -41,7 +42,7 @@ _LEAST_ACTIVE = 0.002
 _HOT_FACTOR, _HOT_OFFSET = 2.5, 8.0
 _MOST_PX = 10_000
 
-EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+EventArrays = tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], Bytes]
 """Times, us; columns; rows; polarities, 1 = ON."""
 
 
@@ -51,7 +52,7 @@ class ReconstructedPicture:
 
     at_us: float  # The time, us on the clock of the events
     # (H, W) float32, relative log intensity in units of the contrast of an ON event; brighter is larger.
-    image: NDArray[np.float32]
+    image: Array32
     active_share: float
     # Number of pixels that fired far more often than their surroundings; they are replaced by the median
     # around.
@@ -88,7 +89,7 @@ class HighPassFilter:
             self._sums = self.sums_at(last_us) + _weighted(events, last_us, self.alpha_us, self._sums.shape)
             self._at_us = last_us
 
-    def sums_at(self, at_us: float) -> NDArray[np.float64]:
+    def sums_at(self, at_us: float) -> Array:
         """Return the decayed sums of OFF, then ON events, at a time, us, not before the last; new events count 1."""
         return np.asarray(self._sums * np.exp(-self.alpha_us * (at_us - self._at_us)))
 
@@ -134,7 +135,7 @@ def reconstruct(
 class _OpenPicture:
     """A picture whose later events are still to come."""
 
-    def __init__(self, at_us: float, sums: NDArray[np.float64], two_sided: bool) -> None:
+    def __init__(self, at_us: float, sums: Array, two_sided: bool) -> None:
         self.at_us = at_us
         self._past = sums
         self._later = np.zeros_like(sums) if two_sided else None
@@ -196,9 +197,7 @@ def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:
         )
 
 
-def _weighted(
-    events: EventArrays, at_us: float, alpha_us: float, shape: tuple[int, ...]
-) -> NDArray[np.float64]:
+def _weighted(events: EventArrays, at_us: float, alpha_us: float, shape: tuple[int, ...]) -> Array:
     """Return (2, H, W) sums of OFF and of ON events with the weights that they have at an earlier or later time, us."""
     t, x, y, p = events
     place = ((p > 0).astype(np.int64) * shape[1] + y) * shape[2] + x

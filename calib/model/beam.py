@@ -12,14 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools, Ints
 from calib.model.homography import apply_homography, view_homography
 from calib.model.rim_fit import Disc, Discs, fit_rims
 from calib.view import RimPoints, View
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: Least number of rim points for a fit.
 _FEWEST_POINTS = 3
@@ -53,7 +50,7 @@ def _look_mm(view: View) -> Array:
     return np.asarray(apply_homography(back, middle[None, :])[0])
 
 
-def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
+def inside_guard_band(view: View, disc: Disc, share: float) -> Bools:
     """Tell which stars, (N,), lie within a share of the disc's radius from its centre; all from a share of 1 on."""
     away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
     return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))
@@ -137,7 +134,7 @@ def _rim(view: View, grid: _Grid, not_printed: Bools) -> RimPoints:
     return RimPoints(rim, np.full(len(rim), _SIGMA * grid.pitch_mm), nodes[lit], 0.0)
 
 
-def _around(state: NDArray[np.int64]) -> NDArray[np.int64]:
+def _around(state: Ints) -> Ints:
     """Return (4, ...) the states of the four neighbours of each node; the border's outer ones are out of the frame."""
     wide = np.pad(state, 1, constant_values=_OUT_OF_FRAME)
     return np.stack([np.roll(wide, tuple(-step), (0, 1))[1:-1, 1:-1] for step in _NEIGHBOURS])

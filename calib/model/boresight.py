@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.rotation import log_map, skew
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

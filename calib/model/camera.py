@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Ints
 from calib.errors import InputMismatch
 from calib.model.lens import BROWN, FISHEYE, distort, distort_with_jacobians, is_fisheye
 
@@ -31,8 +31,6 @@ __all__ = [
 ]
 
 # An image without distortion: the ray of each pixel, its place in the rectified image, and the map back.
-
-Array = NDArray[np.float64]
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 #: Name of the skew: the element K[0, 1] of the camera matrix, px. MATLAB can estimate it; OpenCV's model has none. It
@@ -325,8 +323,6 @@ def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel
     return found, float(np.linalg.norm(found.project(rays) - pixels, axis=1).max())
 
 
-Table = NDArray[np.float32]
-
 #: Pixels that are worked on at once.
 _BLOCK = 200_000
 #: A point of the rectified image farther out than every ray of the sensor would fold back into the image.
@@ -338,10 +334,10 @@ _OUTSIDE = -1.0
 class Undistortion:
     """Tables of a camera for its image without distortion."""
 
-    rays: Table  # (H, W, 3) float32 unit vector of each pixel in the camera's frame; NaN without a ray
-    rectified_px: Table  # (H, W, 2) float32 place of each pixel in the rectified image; NaN without a ray
+    rays: Array32  # (H, W, 3) float32 unit vector of each pixel in the camera's frame; NaN without a ray
+    rectified_px: Array32  # (H, W, 2) float32 place of each pixel in the rectified image; NaN without a ray
     # (H, W, 2) float32 where the rectified image takes each pixel from, as ``cv2.remap`` has it; -1 from nowhere.
-    map_px: Table
+    map_px: Array32
     camera: CameraModel  # The camera of the rectified image: a pinhole
 
     @property
@@ -407,7 +403,7 @@ def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> Camera
     return CameraModel(fx, fy, cx, cy, image_size)
 
 
-def straightness_px(points: Array, lines: Sequence[NDArray[np.int64]]) -> float:
+def straightness_px(points: Array, lines: Sequence[Ints]) -> float:
     """Return the RMS distance, px, of (N, 2) points from their straight lines; lines of two points say nothing.
 
     Total least squares: the smallest singular value of each line's points about their mean.

@@ -13,12 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.collimator import Collimator
 from calib.model.rotation import nearest_rotation, skew
-
-Array = NDArray[np.float64]
 
 _UPPER = np.triu_indices(3)
 #: Entries of K K^T that may be unknown; (2, 2) is 1.

@@ -12,11 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation
-
-Array = NDArray[np.float64]
 
 MOUNTING = ("mounting_x", "mounting_y", "mounting_z")
 STANDING = ("standing_x", "standing_y", "standing_z")

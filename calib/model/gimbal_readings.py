@@ -12,11 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import InputMismatch
-
-Array = NDArray[np.float64]
 
 #: Names of the axes in readings, in the order of the rotations Ry(pan), Rx(tilt), Rz(roll).
 AXES = ("pan_deg", "tilt_deg", "roll_deg")

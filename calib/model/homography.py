@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
 from calib.model.median import median
 from calib.view import View
@@ -18,8 +18,6 @@ from calib.view import View
 if TYPE_CHECKING:
     from calib.model.local_consistency import Nearest
 
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 MIN_STARS = 4
 _REWEIGHTING_ROUNDS = 15
@@ -29,7 +27,7 @@ _OUTLIER_RATIO = 4.0
 _SAMPLES, _CONFIDENCE = 2000, 1.0 - 1e-9
 
 
-def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def fit_homography(grid: Array, points: Array) -> Array:
     """Fit the homography of (N, 2) grid positions and points, px (OpenCV's ``findHomography``), or `TooFewStars`."""
     import cv2
 
@@ -42,7 +40,7 @@ def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> ND
     return np.asarray(h, np.float64)
 
 
-def fit_affine(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def fit_affine(grid: Array, points: Array) -> Array:
     """Fit an affine map, (3, 3) with last row 0 0 1, to N >= 3 points (Hartley and Zisserman, 2004, section 2.4)."""
     design = np.column_stack([grid, np.ones(len(grid))])
     solution = np.linalg.lstsq(design, points, rcond=None)[0]

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 #: Coefficients of Brown's model in OpenCV's order; k4 to k6 are those of the denominator (rational model).
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -11,12 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools, Ints
 from calib.model.median import RAYLEIGH_MEDIAN, median
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: Fewer stars than this cannot be compared with their neighbours.
 MIN_STARS = 8
@@ -55,7 +52,7 @@ class Nearest:
     """The neighbours of N stars on the target."""
 
     target: Array  # (N, 2) float64 positions on the target, any unit
-    which: NDArray[np.int64]  # (N, K) int64 indices of the nearest stars of each star, nearest first
+    which: Ints  # (N, K) int64 indices of the nearest stars of each star, nearest first
     distance: Array  # (N, K) float64 their distances
     spacing: float  # Typical distance of a star from the nearest one: the pitch of a lattice
 
@@ -185,9 +182,7 @@ def _plain_deviations(nearest: Nearest, off: Array, *, quadratic: bool = False) 
     return np.asarray(np.linalg.norm(off - solution[:, 0], axis=1) / np.sqrt(1.0 + leverage))
 
 
-def _robust_deviations(
-    nearest: Nearest, off: Array, stars: NDArray[np.int64], trusted: Bools
-) -> tuple[Array, Array]:
+def _robust_deviations(nearest: Nearest, off: Array, stars: Ints, trusted: Bools) -> tuple[Array, Array]:
     """Return the distances between some stars and robust predictions, and the spread of their neighbours.
 
     Both have the shape of `stars`; distances are in units of equal variance, spreads are standard deviations per axis.

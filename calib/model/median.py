@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from calib.arrays import Array
 
 #: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2) (Rayleigh distribution).
 RAYLEIGH_MEDIAN = 1.1774100225154747
 
 
-def median(values: NDArray[np.float64]) -> float:
+def median(values: Array) -> float:
     """Return the median, NaN with a NaN or no number: `numpy.median` takes four times as long for some hundred.
 
     Examples

@@ -13,12 +13,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import InputMismatch
 from calib.model.collimator import CENTRE, Collimator
-
-Array = NDArray[np.float64]
 
 SCHEMA = "starbench/collimator-passport/1"
 

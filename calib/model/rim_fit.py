@@ -32,8 +32,8 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.view import RimPoints
 
 #: Highest Fourier order of the edge's shape; order 1 is the centre.
@@ -196,8 +196,6 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
 
 
 # What the rims of the views say about their discs, linearised: information and right sides of normal equations.
-
-Array = NDArray[np.float64]
 
 #: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
 #: grid is even in the logarithm, from differences that do not matter to those of the published recordings.

@@ -9,9 +9,9 @@ import math
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calib.arrays import Array
+
 Quaternion = tuple[float, float, float, float]
 T = TypeVar("T", float, Array)
 

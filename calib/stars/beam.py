@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from calib.arrays import AnyArray, Array, Bytes
 
 #: Long side of the reduced image, cells, and side of the square that closes the print's gaps, as a share of it.
 REDUCED, CLOSING = 192, 0.06
@@ -45,11 +46,11 @@ class Beam(NamedTuple):
     # Centre (column, row) of the circle through the rim, px; None if the rim does not show it.
     centre_px: tuple[float, float] | None
     radius_px: float | None  # Radius of the circle, px
-    lit: NDArray[np.uint8]  # (h, w) uint8, 1 where the reduced image is lit
+    lit: Bytes  # (h, w) uint8, 1 where the reduced image is lit
     scale: float  # Size of a cell of ``lit``, px
 
 
-def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: float | None = None) -> Beam:
+def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = None) -> Beam:
     """Find the disc of light in an image of any sharpness, as the head of the module says; a share of 0 without light.
 
     Circle: linear least squares (Kåsa, 1976); with a given radius, least squares of the distances (Gander, Golub &
@@ -86,7 +87,7 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: floa
     return Beam(share, True, centre, radius * scale, lit, scale)
 
 
-def _filled(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _filled(lit: Bytes) -> Bytes:
     """Return the convex hull of the largest lit part: a disc cut by the frame is convex, and the print is not.
 
     A tag at the frame's border is dark up to the border, so that filling holes is not enough. Own procedure.
@@ -101,7 +102,7 @@ def _filled(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return filled
 
 
-def _rim(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _rim(lit: Bytes) -> Array:
     """Return the (N, 2) lit cells that have a dark neighbour; cells within two cells of the frame are omitted."""
     inner = cv2.erode(lit, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     border = (lit > 0) & (inner == 0)
@@ -109,7 +110,7 @@ def _rim(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.argwhere(border)[:, ::-1].astype(float)
 
 
-def _circle(rim: NDArray[np.float64], lit: NDArray[np.uint8]) -> tuple[tuple[float, float], float] | None:
+def _circle(rim: Array, lit: Bytes) -> tuple[tuple[float, float], float] | None:
     """Fit a circle, and again without far points (Kåsa, 1976; own limits); None if it is no arc around the light."""
     kept = rim
     for _ in range(3):
@@ -129,9 +130,7 @@ def _circle(rim: NDArray[np.float64], lit: NDArray[np.uint8]) -> tuple[tuple[flo
     return ((float(x), float(y)), radius) if _arc_deg(kept - (x, y)) >= MIN_ARC_DEG else None
 
 
-def _circle_of(
-    radius: float, rim: NDArray[np.float64], lit: NDArray[np.uint8]
-) -> tuple[tuple[float, float], float] | None:
+def _circle_of(radius: float, rim: Array, lit: Bytes) -> tuple[tuple[float, float], float] | None:
     """Fit the centre, cells, of a circle of a given radius; None if the rim does not lie on one around the light.
 
     Gauss-Newton steps of the sum of squared distances from the circle (Gander, Golub & Strebel, 1994).
@@ -154,12 +153,12 @@ def _circle_of(
     return (float(centre[0]), float(centre[1])), radius
 
 
-def _middle(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _middle(lit: Bytes) -> Array:
     """Return the centroid of the light, (column, row), cells."""
     return np.asarray(np.argwhere(lit > 0)[:, ::-1].mean(axis=0))
 
 
-def _arc_deg(out: NDArray[np.float64]) -> float:
+def _arc_deg(out: Array) -> float:
     """Return the arc that (N, 2) points span around the origin, degrees: the whole turn less the widest gap."""
     angles = np.sort(np.degrees(np.arctan2(out[:, 1], out[:, 0])))
     return 360.0 - float(np.diff(angles, append=angles[0] + 360.0).max())

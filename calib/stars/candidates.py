@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array, Array32, Bools, Ints
 from calib.errors import StarsUnnamed, TargetNotFound
 from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
@@ -29,21 +29,16 @@ NamedBy = Literal["tag", "part of the tag", "expected pose"]
 class Candidates(NamedTuple):
     """Possible stars."""
 
-    nodes: NDArray[np.int64]  # (N, 2) int64, columns and rows of the target
-    points: NDArray[np.float64]  # (N, 2) float64, px
+    nodes: Ints  # (N, 2) int64, columns and rows of the target
+    points: Array  # (N, 2) float64, px
 
-    def select(self, mask: NDArray[np.bool_]) -> Candidates:
+    def select(self, mask: Bools) -> Candidates:
         """Return some of them by an (N,) mask, in the same order."""
         return Candidates(self.nodes[mask], self.points[mask])
 
 
 def find_candidates(
-    image: NDArray[np.generic],
-    smoothed: NDArray[np.float32],
-    target: StarTarget,
-    expected: NDArray[np.float64] | None,
-    *,
-    name: str,
+    image: AnyArray, smoothed: Array32, target: StarTarget, expected: Array | None, *, name: str
 ) -> tuple[Candidates, float, NamedBy]:
     """Find possible stars, starting at the tag if it can be read; the sign is +1 if white is bright, -1 if it is dark.
 
@@ -64,7 +59,7 @@ def find_candidates(
     return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
 
 
-def printed(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+def printed(target: StarTarget, nodes: Ints) -> Bools:
     """Return whether a star is printed at each of (N, 2) nodes, (N,)."""
     return np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
 
@@ -77,9 +72,7 @@ class Unlabelled(NamedTuple):
     labels: StarLabels | StarsUnnamed | None
 
 
-def find_without_tag(
-    image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> Unlabelled:
+def find_without_tag(image: Array32, target: StarTarget, expected: Array | None, name: str) -> Unlabelled:
     """Find possible stars starting at any of them, and label them by the visible part of the tag if possible."""
     start = find_lattice(image, target.segments)
     starts = [start] if start is not None else _starts_as_expected(image, expected)
@@ -99,7 +92,7 @@ def find_without_tag(
         return Unlabelled(grown, start, unnamed)
 
 
-def _is_tag_cut(image: NDArray[np.float32], found: Unlabelled, target: StarTarget) -> bool:
+def _is_tag_cut(image: Array32, found: Unlabelled, target: StarTarget) -> bool:
     """Return whether the stars tell that a corner of the tag lies clearly outside of the image."""
     if not isinstance(found.labels, StarLabels):
         return False
@@ -111,7 +104,7 @@ def _is_tag_cut(image: NDArray[np.float32], found: Unlabelled, target: StarTarge
 
 
 def _label_without_tag(
-    found: Unlabelled, target: StarTarget, expected: NDArray[np.float64] | None, name: str
+    found: Unlabelled, target: StarTarget, expected: Array | None, name: str
 ) -> tuple[Candidates, float, NamedBy]:
     """Return stars with their nodes, labelled by the visible part of the tag or by the pose."""
     grown, start, labels = found
@@ -137,9 +130,7 @@ def _label_without_tag(
     return Candidates(nodes, grown.places()).select(seen), start.sign, named_by
 
 
-def _starts_as_expected(
-    image: NDArray[np.float32], expected: NDArray[np.float64] | None
-) -> list[GrowthStart]:
+def _starts_as_expected(image: Array32, expected: Array | None) -> list[GrowthStart]:
     """Return where growth may start by the expected pose, for either contrast: nodes in the middle of the image.
 
     An image out of focus may show stars, but none that is found without knowing where it is.

@@ -35,8 +35,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bools, Ints
 from calib.compiled import INNER, KERNEL
 from calib.stars.grid_map import LocalMap
 
@@ -160,14 +160,7 @@ def normal_equations(
 
 @njit(**INNER)
 def _copy_inside(
-    width: int,
-    height: int,
-    centre: Any,
-    linear: Any,
-    quadratic: Any,
-    samples: Any,
-    used_to: Any,
-    space: Any,
+    width: int, height: int, centre: Any, linear: Any, quadratic: Any, samples: Any, used_to: Any, space: Any
 ) -> tuple[Any, Any]:
     """Copy used samples with both points over a pixel inside the image; return their number, and that of used ones."""
     n = used = np.int64(0)
@@ -274,15 +267,15 @@ _MAX_CONDITION = 1e12
 class SymmetryFit(NamedTuple):
     """Centres of N stars by symmetry."""
 
-    centres: NDArray[np.float64]  # (N, 2) float64, px
+    centres: Array  # (N, 2) float64, px
     # (N, 2, 2) float64, (brightness / px)^2, J^T J of the centre after elimination of the slopes.
-    information: NDArray[np.float64]
-    mean_square: NDArray[np.float64]  # (N,) float64, brightness^2, mean square of the residuals
+    information: Array
+    mean_square: Array  # (N,) float64, brightness^2, mean square of the residuals
     # (N,) float64, 1/pitch, length of g: relative slope of the light across the star.
-    light_slope: NDArray[np.float64]
-    converged: NDArray[np.bool_]  # (N,) bool, whether the last step was shorter than `LAST_STEP_PX`
+    light_slope: Array
+    converged: Bools  # (N,) bool, whether the last step was shorter than `LAST_STEP_PX`
 
-    def select(self, mask: NDArray[np.bool_]) -> SymmetryFit:
+    def select(self, mask: Bools) -> SymmetryFit:
         """Return the fits of some stars by an (N,) mask, in the same order."""
         return SymmetryFit(
             self.centres[mask],
@@ -293,12 +286,12 @@ class SymmetryFit(NamedTuple):
         )
 
 
-def smooth(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+def smooth(image: Array32, sigma_px: float) -> Array32:
     """Blur an image by a Gaussian, against the noise of single pixels and the effect of the pixel grid."""
     return np.ascontiguousarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
 
 
-def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
+def symmetry_samples(pitch_px: float) -> Array:
     """Return (M, 2) offsets s from the centre, pitches, one of each pair (s, -s), about a pixel apart."""
     side = int(np.clip(np.ceil(2 * SYMMETRY_REACH * pitch_px), 16, 64))
     steps = (np.arange(side) + 0.5) / side * 2.0 - 1.0
@@ -310,11 +303,11 @@ def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
 class _Steps(NamedTuple):
     """Gauss-Newton steps of N stars."""
 
-    regular: NDArray[np.bool_]  # (N,) bool, whether the image determines every unknown; a flat one does not
-    step: NDArray[np.float64]  # (N, 6) float64, 0 where it does not
+    regular: Bools  # (N,) bool, whether the image determines every unknown; a flat one does not
+    step: Array  # (N, 6) float64, 0 where it does not
 
 
-def solve_steps(normal: NDArray[np.float64], right: NDArray[np.float64]) -> _Steps:
+def solve_steps(normal: Array, right: Array) -> _Steps:
     """Solve the (N, 6, 6) normal equations of each star by the eigenvalues of its matrix.
 
     Scaled to a unit diagonal first (van der Sluis, 1969), because the unit of some unknowns is the grey value.
@@ -330,19 +323,14 @@ def solve_steps(normal: NDArray[np.float64], right: NDArray[np.float64]) -> _Ste
     return _Steps(regular, np.einsum("nki,ni->nk", vectors, along) / scale)
 
 
-def centre_information(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def centre_information(normal: Array) -> Array:
     """Return the (N, 2, 2) information of centres, without the slopes, from regular (N, 6, 6) equations."""
     shares = np.linalg.solve(normal[:, 2:, 2:], normal[:, 2:, :2])
     return normal[:, :2, :2] - normal[:, :2, 2:] @ shares
 
 
 def refine_by_symmetry(
-    image: NDArray[np.float32],
-    guesses: NDArray[np.float64],
-    local_map: LocalMap,
-    samples: NDArray[np.float64],
-    used_to: NDArray[np.float64],
-    reach_px: float,
+    image: Array32, guesses: Array, local_map: LocalMap, samples: Array, used_to: Array, reach_px: float
 ) -> SymmetryFit:
     """Find the centre of each star by symmetry, with Gauss-Newton steps of all stars at the same time.
 
@@ -403,9 +391,7 @@ TRUSTED_FROM = 30
 _MAX_SQUARE = 20.0
 
 
-def stencil_residuals(
-    nodes: NDArray[np.int64], points: NDArray[np.float64], nominal: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def stencil_residuals(nodes: Ints, points: Array, nominal: Array) -> tuple[Array, Array]:
     """Compare each star that has all eight neighbours with them: (M, 2) e, px, and (M, 2, 2) covariances, px^2.
 
     The stencil is the mask of Immerkær (1996). The covariance of e is the sum of w^2 V over the stars, with their
@@ -422,9 +408,7 @@ def stencil_residuals(
     return residuals, nominal[whole] + np.einsum("k,mkij->mij", weights**2, nominal[around])
 
 
-def variance_factor(
-    nodes: NDArray[np.int64], points: NDArray[np.float64], nominal: NDArray[np.float64], *, typical: float
-) -> float:
+def variance_factor(nodes: Ints, points: Array, nominal: Array, *, typical: float) -> float:
     """Estimate the factor of the (N, 2, 2) covariances from the scatter of neighbouring stars.
 
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of

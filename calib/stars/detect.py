@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array, Array32, Bools
 from calib.errors import InputMismatch, TooFewStars
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
 from calib.stars.centring import (
@@ -76,11 +76,7 @@ class Detection:
 
 
 def detect_view(
-    image: NDArray[np.generic],
-    target: StarTarget,
-    *,
-    name: str = "view",
-    expected: NDArray[np.float64] | None = None,
+    image: AnyArray, target: StarTarget, *, name: str = "view", expected: Array | None = None
 ) -> View:
     """Detect the target's stars as a view.
 
@@ -110,11 +106,7 @@ def detect_view(
 
 
 def detect_stars(
-    image: NDArray[np.generic],
-    target: StarTarget,
-    *,
-    name: str = "view",
-    expected: NDArray[np.float64] | None = None,
+    image: AnyArray, target: StarTarget, *, name: str = "view", expected: Array | None = None
 ) -> Detection:
     """Detect the target's stars, and report what identified them; see `detect_view`.
 
@@ -155,12 +147,8 @@ def detect_stars(
 
 
 def _best_centres(
-    image: NDArray[np.generic],
-    candidates: Candidates,
-    fit: SymmetryFit,
-    local_map: LocalMap,
-    target: StarTarget,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Callable[[], float]]:
+    image: AnyArray, candidates: Candidates, fit: SymmetryFit, local_map: LocalMap, target: StarTarget
+) -> tuple[Array, Array, Callable[[], float]]:
     """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2.
 
     The third result measures the width of the edges, px.
@@ -187,18 +175,18 @@ def _best_centres(
     return np.where(agree, points, np.nan), by_symmetry, lambda: likely.edge_width_px
 
 
-def _uneven_light(light_slope: NDArray[np.float64]) -> NDArray[np.float64]:
+def _uneven_light(light_slope: Array) -> Array:
     """Return the (N, 2, 2) px^2 covariances by light that falls off across a star: `UNEVEN_LIGHT_PX` times slope."""
     return np.asarray((UNEVEN_LIGHT_PX * light_slope[:, None, None]) ** 2 * np.eye(2))
 
 
-def _typical_variance(covariances: NDArray[np.float64]) -> float:
+def _typical_variance(covariances: Array) -> float:
     """Return the median variance of the stars of a view, px^2."""
     return float(np.median(np.trace(covariances, axis1=1, axis2=2))) / 2.0
 
 
 def refine_candidates(
-    image: NDArray[np.float32], candidates: Candidates, target: StarTarget, sign: float, step_px: float
+    image: Array32, candidates: Candidates, target: StarTarget, sign: float, step_px: float
 ) -> tuple[Candidates, SymmetryFit, LocalMap, bool]:
     """Refine at least `MIN_STARS` centres by symmetry with the view's smooth map, and leave out stars that fail a test.
 
@@ -222,12 +210,8 @@ def refine_candidates(
 
 
 def _scores(
-    image: NDArray[np.float32],
-    fit: SymmetryFit,
-    linear: NDArray[np.float64],
-    target: StarTarget,
-    sign: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    image: Array32, fit: SymmetryFit, linear: Array, target: StarTarget, sign: float
+) -> tuple[Array, Array, bool]:
     """Return the correlation of each star, (N,), its contrast by octants, (N, `OCTANTS`), and whether it is blurred.
 
     If the stars correlate badly with the sharp pattern, they are compared with the pattern learnt from them.
@@ -244,9 +228,7 @@ def _scores(
     return score, contrast, True
 
 
-def _without_outliers(
-    grid: NDArray[np.float64], points: NDArray[np.float64], good: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _without_outliers(grid: Array, points: Array, good: Bools) -> Bools:
     """Return which good stars lie on the smooth map of the others: within `OUTLIER_SIGMAS` or `OUTLIER_PX` (own)."""
     if np.count_nonzero(good) < MIN_STARS:
         return good

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bools, Bytes, Ints
 from calib.compiled import INNER, KERNEL
 from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.grid_map import LocalMap
@@ -24,26 +25,22 @@ class EdgePixels(NamedTuple):
     """All pixels near an edge of N stars with E edges each: star by star, and in each star edge by edge."""
 
     # (N E + 1,) int64: edge e of star k has the pixels from first[k E + e] to first[k E + e + 1].
-    first: NDArray[np.int64]
+    first: Ints
     # (M,) float32, px, signed distance from the nearest edge, computed from the first centres.
-    tau: NDArray[np.float32]
+    tau: Array32
     # along_x, along_y: (M,) float32, dimensionless, derivatives of tau with respect to the centre of the
     # star.
-    along_x: NDArray[np.float32]
-    along_y: NDArray[np.float32]
+    along_x: Array32
+    along_y: Array32
     # u, v: (M,) float32, pitches, place in the star: derivatives of tau with respect to the slope of the
     # threshold.
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-    level: NDArray[np.uint8]  # (M,) uint8, level of brightness
+    u: Array32
+    v: Array32
+    level: Bytes  # (M,) uint8, level of brightness
 
 
 def gather_edge_pixels(
-    levels: NDArray[np.uint8],
-    centres: NDArray[np.float64],
-    local_map: LocalMap,
-    edge_map: EdgeMap,
-    is_open: NDArray[np.bool_] | None = None,
+    levels: Bytes, centres: Array, local_map: LocalMap, edge_map: EdgeMap, is_open: Bools | None = None
 ) -> EdgePixels:
     """Collect the pixels near edges of all stars.
 
@@ -167,11 +164,11 @@ EDGE_UNKNOWNS = 5
 class ScoreTables(NamedTuple):
     """Statistics of a level P(level | tau), tabulated over bins of tau."""
 
-    score: NDArray[np.float32]  # (LEVELS, bins) float32, 1/px, d log P / d tau
-    fisher: NDArray[np.float32]  # (bins,) float32, 1/px^2, Fisher information of a pixel about tau
+    score: Array32  # (LEVELS, bins) float32, 1/px, d log P / d tau
+    fisher: Array32  # (bins,) float32, 1/px^2, Fisher information of a pixel about tau
 
 
-def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
+def quantise(image: NDArray[Any]) -> Bytes:
     """Reduce an image without nan to at most `LEVELS` levels of brightness, from 0.
 
     If the image has no more values than that, each value is a level. Otherwise the levels have equal shares of the

@@ -24,15 +24,13 @@ from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.model.homography import apply_homography
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap
 from calib.stars.likelihood import edge_width_px, typical_pitch_px
 from calib.target import StarTarget
-
-Array = NDArray[np.float64]
 
 #: Blur circles that are tried, px, and enlargements of the tag: bright light makes black print look smaller.
 CIRCLES_PX: Final = (0.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 23.0, 26.0, 30.0)
@@ -57,11 +55,11 @@ class BlurCircle(NamedTuple):
 
 
 def edge_widths_px(
-    image: NDArray[np.generic],
+    image: AnyArray,
     centres: Array,
     local_map: LocalMap,
     target: StarTarget,
-    groups: Sequence[NDArray[np.int64]],
+    groups: Sequence[Ints],
     *,
     start_px: float | None = None,
 ) -> list[float | None]:
@@ -83,7 +81,7 @@ def edge_widths_px(
 
 
 def blur_circle(
-    image: NDArray[np.generic], homography: Array, target: StarTarget, *, enlarged: Sequence[float] = ENLARGED
+    image: AnyArray, homography: Array, target: StarTarget, *, enlarged: Sequence[float] = ENLARGED
 ) -> BlurCircle | None:
     """Measure by which circle the print around the tag is blurred; None if it does not explain the image.
 
@@ -123,7 +121,7 @@ def blur_circle(
     return best if best is not None and best.explained >= MIN_EXPLAINED else None
 
 
-def sharpness(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
+def sharpness(image: AnyArray, lit: Bytes) -> float | None:
     """Return how much detail, about 0.03 to 0.45, an image has inside the beam; None if the beam covers too little.
 
     Own figure: the standard deviation of the image, reduced to half its size and without its wide part, as a share of
@@ -143,7 +141,7 @@ def sharpness(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | Non
     return float((share - wide)[inside].std())
 
 
-def coarse_detail(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
+def coarse_detail(image: AnyArray, lit: Bytes) -> float | None:
     """Return how much coarse detail, about 0.01 to 0.1, an image has inside the beam, for a lens far out of focus.
 
     Own figure: the standard deviation of a difference of Gaussians (Marr and Hildreth, 1980) of 8 and 24 px, as a share
@@ -161,7 +159,7 @@ def coarse_detail(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float |
     return float(detail[inside].std())
 
 
-def contrast(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
+def contrast(image: AnyArray, lit: Bytes) -> float | None:
     """Return Michelson's contrast (1927) inside the beam, 0 to 1, of the quantiles 0.95 and 0.05; None if unlit."""
     values = np.asarray(image[::3, ::3], np.float32)
     inside = cv2.resize(lit, (values.shape[1], values.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
@@ -193,7 +191,7 @@ def _print_spectrum(target: StarTarget) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _blurred_print(target: StarTarget, circle: float, sigma: float) -> NDArray[np.float32]:
+def _blurred_print(target: StarTarget, circle: float, sigma: float) -> Array32:
     """Return the print around the tag, blurred by a circle of a diameter and by a Gaussian, both in pitches.
 
     The transform of a uniform disc is 2 J1(z) / z with z = pi k d (Goodman, 2005).
@@ -210,7 +208,7 @@ def _blurred_print(target: StarTarget, circle: float, sigma: float) -> NDArray[n
     return np.asarray(np.fft.irfft2(spectrum * transfer, s=(count, count)), np.float32)
 
 
-def _explained(values: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
+def _explained(values: Array32, expected: Array32) -> float:
     """Return the correlation ratio (Pearson, 1905) of (N,) values in `GROUPS` equal groups by expected brightness."""
     ordered = values[np.argsort(expected)]
     size = len(ordered) // GROUPS

@@ -12,15 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.homography import apply_homography, fit_homography
 
 
 class LocalMap(NamedTuple):
     """Map from the target plane to the image around each of N stars, without its centre."""
 
-    linear: NDArray[np.float64]  # (N, 2, 2) float64, A, px per pitch
+    linear: Array  # (N, 2, 2) float64, A, px per pitch
     # (N, 2, 3) float64, B, px per pitch^2, coefficients of s_x^2, s_x s_y and s_y^2.
-    quadratic: NDArray[np.float64]
+    quadratic: Array
 
     def select(self, mask: Any) -> LocalMap:
         """Return the maps of some stars, by an (N,) mask or a slice, in the same order."""
@@ -39,12 +40,7 @@ OUTLIER_SIGMAS = 5.0
 _STEP_PITCHES = 0.05
 
 
-def predict_locally(
-    h: NDArray[np.float64],
-    grid: NDArray[np.float64],
-    points: NDArray[np.float64],
-    wanted: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def predict_locally(h: Array, grid: Array, points: Array, wanted: Array) -> Array:
     """Predict (M, 2) image points, px, of grid positions from a homography and the nearest stars' deviations from it.
 
     The deviations are fitted by a local polynomial of degree two, with weights that fall with the distance. Locally
@@ -63,9 +59,7 @@ def predict_locally(
     return base + _local_deviations(off, grid, wanted, near)
 
 
-def _local_deviations(
-    off: NDArray[np.float64], grid: NDArray[np.float64], wanted: NDArray[np.float64], near: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _local_deviations(off: Array, grid: Array, wanted: Array, near: NDArray[np.intp]) -> Array:
     """Return the local fit (Cleveland, 1979) of deviations at each grid position, (M, 2) px; ``near`` (M, k) stars."""
     dx, dy = np.moveaxis(grid[near] - wanted[:, None], -1, 0)
     terms = np.stack([np.ones_like(dx), dx, dy, dx * dx, dx * dy, dy * dy], axis=-1)
@@ -78,19 +72,19 @@ def _local_deviations(
 class GridMap:
     """Map of a whole view: a homography plus a polynomial in scaled grid coordinates."""
 
-    homography: NDArray[np.float64]  # (3, 3) float64, from grid to px
-    centre: NDArray[np.float64]  # (2,) float64, pitches, origin of the polynomial's coordinates
+    homography: Array  # (3, 3) float64, from grid to px
+    centre: Array  # (2,) float64, pitches, origin of the polynomial's coordinates
     scale: float  # Unit of the polynomial's coordinates, pitches
     degree: int  # Degree of the polynomial; 0 if there are few stars
-    coefficients: NDArray[np.float64]  # (terms, 2) float64, px
+    coefficients: Array  # (terms, 2) float64, px
     sigma_px: float  # Robust standard deviation of the stars about the map, px, per axis
 
-    def apply(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, grid: Array) -> Array:
         """Map (N, 2) pitches to px: a homography (Hartley and Zisserman, 2004, 2.3) and a polynomial of the grid."""
         bent = _monomials((grid - self.centre) / self.scale, self.degree) @ self.coefficients
         return apply_homography(self.homography, grid) + bent
 
-    def local_map(self, grid: NDArray[np.float64]) -> LocalMap:
+    def local_map(self, grid: Array) -> LocalMap:
         """Expand to second order around (N, 2) pitches, by central differences (Abramowitz and Stegun, 1972, 25.3)."""
         h = _STEP_PITCHES
         right, down = np.array([h, 0.0]), np.array([0.0, h])
@@ -108,9 +102,7 @@ class GridMap:
         return LocalMap(linear, np.stack([xx, mixed / (4 * h * h), yy], axis=-1))
 
 
-def fit_grid_map(
-    grid: NDArray[np.float64], points: NDArray[np.float64]
-) -> tuple[GridMap, NDArray[np.float64]]:
+def fit_grid_map(grid: Array, points: Array) -> tuple[GridMap, Array]:
     """Fit the map of a whole view without outliers; return also points minus map, (N, 2) px, of all stars.
 
     The scale of the residuals is the median length over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional
@@ -141,7 +133,7 @@ def fit_grid_map(
     return GridMap(h, centre, scale, degree, coefficients, sigma), residuals
 
 
-def _monomials(at: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def _monomials(at: Array, degree: int) -> Array:
     """Return all products x^i y^j up to a degree along a new last axis: 1, x, y, x^2, x y, y^2, ..."""
     x, y = at[..., 0], at[..., 1]
     terms = np.empty((*x.shape, (degree + 1) * (degree + 2) // 2))

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bools, Ints
 from calib.model.homography import apply_homography, fit_affine, fit_homography, linear_at
 from calib.stars.grid_map import predict_locally
 from calib.stars.tag import TagDetection
@@ -21,13 +21,8 @@ from calib.target import StarTarget
 
 
 def search_stars(
-    image: NDArray[np.float32],
-    guesses: NDArray[np.float64],
-    linear: NDArray[np.float64],
-    reach_px: NDArray[np.float64],
-    template: StarTemplate,
-    sign: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    image: Array32, guesses: Array, linear: Array, reach_px: Array, template: StarTemplate, sign: float
+) -> tuple[Array, Array]:
     """Find the best place, px, of a star around each guess, in steps of one pixel, and its correlation, -1 to 1.
 
     Nan if no place lies sufficiently inside the image, (H, W) float32, smoothed. Guesses (N, 2), px; linear maps (N, 2,
@@ -70,21 +65,21 @@ class StarGrid:
     """Stars found so far, by their nodes."""
 
     # Image point, (2,) float64, px, of each node (column, row).
-    points: dict[tuple[int, int], NDArray[np.float64]] = field(default_factory=dict)
+    points: dict[tuple[int, int], Array] = field(default_factory=dict)
     tries: dict[tuple[int, int], int] = field(default_factory=dict)
 
-    def record(self, tried: NDArray[np.int64], found: NDArray[np.int64], places: NDArray[np.float64]) -> None:
+    def record(self, tried: Ints, found: Ints, places: Array) -> None:
         """Add a search: (M, 2) nodes tried, (N, 2) nodes at which a star was found, and these stars' places, px."""
         for column, row in tried:
             key = (int(column), int(row))
             self.tries[key] = self.tries.get(key, 0) + 1
         self.points.update({(int(c), int(r)): place for (c, r), place in zip(found, places, strict=True)})
 
-    def nodes(self) -> NDArray[np.int64]:
+    def nodes(self) -> Ints:
         """Return the (N, 2) nodes, columns and rows, of the stars found."""
         return np.array(list(self.points), np.int64).reshape(-1, 2)
 
-    def places(self) -> NDArray[np.float64]:
+    def places(self) -> Array:
         """Return the stars found as (N, 2) image points, px, in the order of `nodes`."""
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
@@ -93,13 +88,13 @@ class GrowthStart(NamedTuple):
     """Where growth starts."""
 
     # (3, 3) float64, from [column row 1] to [u v 1] px, right near the first nodes.
-    homography: NDArray[np.float64]
+    homography: Array
     sign: float  # +1 if white is bright in the image, -1 if it is dark
-    nodes: NDArray[np.int64]  # (M, 2) int64, nodes that are searched first
+    nodes: Ints  # (M, 2) int64, nodes that are searched first
     # anchor_grid, anchor_px: (K, 2) float64, pitches and px, points known beforehand on the grid and in the
     # image, which take part in all fits.
-    anchor_grid: NDArray[np.float64]
-    anchor_px: NDArray[np.float64]
+    anchor_grid: Array
+    anchor_px: Array
 
 
 def start_at_tag(tag: TagDetection, target: StarTarget) -> GrowthStart:
@@ -113,10 +108,7 @@ def start_at_tag(tag: TagDetection, target: StarTarget) -> GrowthStart:
 
 
 def grow_star_grid(
-    image: NDArray[np.float32],
-    start: GrowthStart,
-    segments: int,
-    exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]],
+    image: Array32, start: GrowthStart, segments: int, exists: Callable[[Ints], Bools]
 ) -> StarGrid:
     """Find the first stars, then those around them, until no more are found; none if the first nodes have no star.
 
@@ -135,9 +127,7 @@ def grow_star_grid(
     return again if len(again.points) > len(grown.points) else grown
 
 
-def _learn_at_start(
-    image: NDArray[np.float32], start: GrowthStart, sharp: StarTemplate
-) -> StarTemplate | None:
+def _learn_at_start(image: Array32, start: GrowthStart, sharp: StarTemplate) -> StarTemplate | None:
     """Learn the pattern from the first nodes; None if they show no stars.
 
     Own procedure: each node's best place with the sharp pattern, then with the one learnt there, and so on.
@@ -157,10 +147,7 @@ def _learn_at_start(
 
 
 def _grow(
-    image: NDArray[np.float32],
-    start: GrowthStart,
-    template: StarTemplate,
-    exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]],
+    image: Array32, start: GrowthStart, template: StarTemplate, exists: Callable[[Ints], Bools]
 ) -> tuple[StarGrid, list[float]]:
     """Grow the grid with one template; return it, and the correlations of its stars."""
     grown = StarGrid()
@@ -185,7 +172,7 @@ def _grow(
     return grown, scores
 
 
-def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> NDArray[np.float64]:
+def _refitted(h: Array, start: GrowthStart, grown: StarGrid) -> Array:
     """Fit the homography again to the stars found and the anchors; with too few of them, return the old one."""
     grid = np.vstack([grown.nodes().astype(float), start.anchor_grid])
     places = np.vstack([grown.places(), start.anchor_px])
@@ -194,9 +181,7 @@ def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> ND
     return fit_affine(grid, places) if len(grid) >= PERSPECTIVE_FROM // 2 else h
 
 
-def _neighbours(
-    nodes: NDArray[np.int64], grown: StarGrid, exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
-) -> NDArray[np.int64]:
+def _neighbours(nodes: Ints, grown: StarGrid, exists: Callable[[Ints], Bools]) -> Ints:
     """Return the (M, 2) nodes next to some stars that have no star yet and may be searched again."""
     around = {(c + i, r + j) for c, r in nodes.tolist() for i, j in _AROUND}
     open_ = [key for key in around if key not in grown.points and grown.tries.get(key, 0) < MAX_TRIES]
@@ -204,7 +189,7 @@ def _neighbours(
     return next_to[exists(next_to)]
 
 
-def _inside(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _inside(points: Array, shape: tuple[int, ...]) -> Bools:
     """Return whether points lie in the image."""
     return np.asarray(
         (points[:, 0] >= 0) & (points[:, 1] >= 0) & (points[:, 0] < shape[1]) & (points[:, 1] < shape[0])

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Ints
 from calib.errors import StarsUnnamed
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.grid_map import predict_locally
@@ -34,20 +34,15 @@ _QUARTER_TURNS = [
 class StarLabels(NamedTuple):
     """Labels of stars as a map of nodes: node of the target = turn @ relative node + shift."""
 
-    turn: NDArray[np.int64]  # (2, 2) int64, rotation by quarter turns
-    shift: NDArray[np.int64]  # (2,) int64, columns and rows
+    turn: Ints  # (2, 2) int64, rotation by quarter turns
+    shift: Ints  # (2,) int64, columns and rows
 
-    def apply(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    def apply(self, nodes: Ints) -> Ints:
         """Return the (N, 2) nodes of the target, columns and rows, of nodes of the relative grid."""
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
 
-def grid_homography(
-    matrix: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-    centre_mm: NDArray[np.float64],
-    pitch_mm: float,
-) -> NDArray[np.float64]:
+def grid_homography(matrix: Array, rotation: Array, centre_mm: Array, pitch_mm: float) -> Array:
     """Return where a collimator's grid is in a camera's image, (3, 3) from [column row 1] to [u v 1] px.
 
     H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p, mm, rotation R, camera <- target,
@@ -57,7 +52,7 @@ def grid_homography(
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
 
 
-def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) -> StarLabels:
+def label_by_pose(grown: StarGrid, expected: Array, *, name: str) -> StarLabels:
     """Label stars, found on a relative grid, by the positions at which a pose lets them be expected.
 
     Own rule: the quarter turn with the least scatter about a common shift, and the whole nodes next to the median
@@ -84,7 +79,7 @@ def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) 
 
 
 def label_by_tag(
-    image: NDArray[np.float32], grown: StarGrid, sign: float, target: StarTarget, *, name: str
+    image: Array32, grown: StarGrid, sign: float, target: StarTarget, *, name: str
 ) -> StarLabels:
     """Label stars, found on a relative grid, by the part of the tag that is in view.
 
@@ -122,7 +117,7 @@ def label_by_tag(
     )
 
 
-def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
+def _gaps(nodes: Ints, target: StarTarget) -> Array:
     """Return the (M, 2) centres, pitches, of gaps as large as the tag's, by a summed-area table (Crow, 1984)."""
     side = target.tag_squares + 1
     low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
@@ -133,9 +128,7 @@ def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
     return np.argwhere(inside == 0) + low + (side - 1) / 2.0
 
 
-def _white_and_black(
-    image: NDArray[np.float32], grown: StarGrid, h: NDArray[np.float64], sign: float
-) -> tuple[float, float]:
+def _white_and_black(image: Array32, grown: StarGrid, h: Array, sign: float) -> tuple[float, float]:
     """Return white's and black's brightness times the sign: quantiles 0.8 and 0.2 on circles around the stars (own)."""
     around = np.array([[np.cos(a), np.sin(a)] for a in np.arange(64) * np.pi / 32]) * 0.4
     at = apply_homography(h, (grown.nodes()[:, None, :] + around[None]).reshape(-1, 2))
@@ -144,13 +137,7 @@ def _white_and_black(
     return float(np.quantile(values, 0.8)), float(np.quantile(values, 0.2))
 
 
-def _modules(
-    image: NDArray[np.float32],
-    grown: StarGrid,
-    h: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    target: StarTarget,
-) -> NDArray[np.float64] | None:
+def _modules(image: Array32, grown: StarGrid, h: Array, middle: Array, target: StarTarget) -> Array | None:
     """Return the brightness of the modules of a tag with its centre at a place, (M, M), nan outside of the image.
 
     None if a smaller share than `MIN_INNER_SHARE` of those inside the border lies in the image.

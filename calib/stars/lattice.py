@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32
 from calib.stars.growth import GrowthStart, search_stars
 from calib.stars.template import SEARCH_RADII, StarTemplate
 
@@ -49,11 +49,11 @@ class _Candidates(NamedTuple):
 
     total: float
     scale: float
-    places: NDArray[np.float64]
-    responses: NDArray[np.float64]
+    places: Array
+    responses: Array
 
 
-def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | None:
+def find_lattice(image: Array32, segments: int) -> GrowthStart | None:
     """Find a star with neighbours on all four sides, at either contrast, in a smoothed image; None if there is none.
 
     The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square is own. The grid
@@ -73,7 +73,7 @@ def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | Non
     return None
 
 
-def _candidates_by_pitch(image: NDArray[np.float32], segments: int) -> list[_Candidates]:
+def _candidates_by_pitch(image: Array32, segments: int) -> list[_Candidates]:
     """Return the candidates of each pitch with five or more, the largest total (`_Candidates`, own) first."""
     found: list[_Candidates] = []
     for pitch in reversed(PITCHES_PX):  # the coarsest first, because it costs least
@@ -91,7 +91,7 @@ def _candidates_by_pitch(image: NDArray[np.float32], segments: int) -> list[_Can
     return sorted(found, key=lambda c: -c.total)
 
 
-def _response(image: NDArray[np.float32], scale: float, segments: int) -> NDArray[np.float32]:
+def _response(image: Array32, scale: float, segments: int) -> Array32:
     """Return the response of the reduced image at each place, 0 to 1.
 
     Magnitude of the mean of I exp(i n phi) over the ring (circular harmonic; Hsu and Arsenault, 1982). Own
@@ -111,7 +111,7 @@ def _response(image: NDArray[np.float32], scale: float, segments: int) -> NDArra
     return np.asarray(cv2.magnitude(real, imaginary) / np.maximum(spread, np.float32(floor)), np.float32)
 
 
-def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _peaks(response: Array32) -> tuple[Array, Array]:
     """Return the (M, 2) places of the local maxima, the largest first, and their (M,) responses."""
     side = 2 * int(0.35 * SMALL_PITCH_PX) + 1
     greatest = cv2.dilate(response, np.ones((side, side), np.uint8))
@@ -121,7 +121,7 @@ def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[
     return np.column_stack([columns, rows])[order].astype(float), heights[order].astype(float)
 
 
-def _steps_to_neighbours(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | None:
+def _steps_to_neighbours(places: Array, number: int) -> Array | None:
     """Return the steps to the right and lower neighbour, in columns; they are within `SQUARENESS` of a square."""
     off = places - places[number]
     distance = np.linalg.norm(off, axis=1)
@@ -141,9 +141,7 @@ def _steps_to_neighbours(places: NDArray[np.float64], number: int) -> NDArray[np
     return np.column_stack([right, down])
 
 
-def _confirmed_start(
-    image: NDArray[np.float32], place: NDArray[np.float64], linear: NDArray[np.float64], segments: int
-) -> GrowthStart | None:
+def _confirmed_start(image: Array32, place: Array, linear: Array, segments: int) -> GrowthStart | None:
     """Search the star and its four neighbours; return where growth starts if all have one contrast, else None.
 
     The corners of the cells respond too, although less strongly. If these were taken for neighbours, the true

@@ -32,8 +32,8 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bools, Bytes
 from calib.stars.edge_pixels import (
     EDGE_UNKNOWNS,
     TAU_BIN_PX,
@@ -77,11 +77,11 @@ _RIDGE = 1e-6
 class LikelihoodFit:
     """Most likely centres of N stars."""
 
-    centres: NDArray[np.float64]  # (N, 2) float64, px
+    centres: Array  # (N, 2) float64, px
     # (N, 2, 2) float64, px^2, from the Fisher information, weighted by the overdispersion.
-    covariances: NDArray[np.float64]
+    covariances: Array
     # (N,) float64, px per pitch, length of b: how uneven the light is across the star.
-    light_slope: NDArray[np.float64]
+    light_slope: Array
     _information: _InformationByBlur = field(repr=False)
 
     @cached_property
@@ -91,11 +91,7 @@ class LikelihoodFit:
 
 
 def refine_by_likelihood(
-    levels: NDArray[np.uint8],
-    centres: NDArray[np.float64],
-    local_map: LocalMap,
-    target: StarTarget,
-    is_open: NDArray[np.bool_] | None = None,
+    levels: Bytes, centres: Array, local_map: LocalMap, target: StarTarget, is_open: Bools | None = None
 ) -> LikelihoodFit:
     """Move stars to their most likely centres, in their order.
 
@@ -128,8 +124,8 @@ def refine_by_likelihood(
 
 
 def edge_width_px(
-    levels: NDArray[np.uint8],
-    centres: NDArray[np.float64],
+    levels: Bytes,
+    centres: Array,
     local_map: LocalMap,
     target: StarTarget,
     *,
@@ -153,7 +149,7 @@ def typical_pitch_px(local_map: LocalMap) -> float:
     return float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
 
 
-def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+def _prior_precision(unknowns: Array) -> Array:
     """Return the prior precision of the unknowns, (N, 5).
 
     Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy distribution
@@ -168,7 +164,7 @@ def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=2)
-def _sharp_star(target: StarTarget, pitch: float) -> NDArray[np.float32]:
+def _sharp_star(target: StarTarget, pitch: float) -> Array32:
     # Stars drawn at nearly the same pitch do not do: one part in a hundred moves centres by some thousandths of a px.
     return render_star(target, pitch)
 
@@ -183,12 +179,7 @@ class _InformationByBlur:
     """Information of some of the stars about their centres, by the blur of the printed star."""
 
     def __init__(
-        self,
-        levels: NDArray[np.uint8],
-        centres: NDArray[np.float64],
-        local_map: LocalMap,
-        target: StarTarget,
-        pitch: float,
+        self, levels: Bytes, centres: Array, local_map: LocalMap, target: StarTarget, pitch: float
     ) -> None:
         some = slice(None, None, max(1, len(centres) // BLUR_STARS))
         self._levels, self._centres, self._local_map = levels, centres[some], local_map.select(some)
@@ -225,7 +216,7 @@ def _most_informative_blur(information: _InformationByBlur, start_px: float | No
     return float(np.exp(steps[k] + shift * EDGE_WIDTH_STEP))
 
 
-def overdispersion_of_edges(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[np.float64]:
+def overdispersion_of_edges(score: Array, fisher: Array) -> Array:
     """Return by how much the scores of each edge scatter more than the Fisher information says, (edges,).
 
     The variance components are estimated by their moments (MINQUE; Rao 1971). Let H be the sum of all F_e. After the
@@ -255,7 +246,7 @@ def overdispersion_of_edges(score: NDArray[np.float64], fisher: NDArray[np.float
     return np.tile(np.clip(ratio, lowest * typical, highest * typical), 2)
 
 
-def _score_tables(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTables:
+def _score_tables(counts: Array, bandwidth_bins: float) -> ScoreTables:
     """Turn (LEVELS, bins) counts into P(level | tau), smoothed over tau by a Gaussian, and P into scores.
 
     The shares are a kernel regression of the levels on tau (Nadaraya, 1964; Watson, 1964). Score: P' / P. Fisher

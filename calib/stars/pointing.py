@@ -19,15 +19,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import DegenerateViews
 from calib.model.closed_forms import poses_from_homographies
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy, exp_map, log_map
 from calib.stars.labelling import grid_homography
-
-Array = NDArray[np.float64]
 
 #: Standard deviation of what the model neglects (lens, gimbal, homographies) at an image point, px. It is enlarged if
 #: the earlier views disagree more. Points of a view share most of this error, so a view counts as a few points only.

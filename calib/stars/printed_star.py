@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from calib.arrays import Array, Array32, Bools, Bytes, Ints
 from calib.target import StarTarget
 
 #: Samples of the printed star per px.
@@ -33,14 +33,14 @@ _LEAST_SHARE = 1e-4
 class EdgeMap(NamedTuple):
     """Distances from the edges of one printed star, sampled on a square grid around its centre."""
 
-    tau: NDArray[np.float32]  # (S, S) float32, px, signed distance from the nearest edge; positive on white
-    edge: NDArray[np.uint8]  # (S, S) uint8, number of the nearest edge, 0 to the number of segments - 1
+    tau: Array32  # (S, S) float32, px, signed distance from the nearest edge; positive on white
+    edge: Bytes  # (S, S) uint8, number of the nearest edge, 0 to the number of segments - 1
     half: int
     samples_per_pitch: float  # Number of samples per pitch
     limit_px: float  # Largest distance that is used, px
 
 
-def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
+def render_star(target: StarTarget, pitch_px: float) -> Array32:
     """Draw the print around a star with all eight neighbours, (S, S) brightness 0 to 1, on the grid of an `EdgeMap`."""
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     surrounded = np.ones(columns.shape, bool)
@@ -58,13 +58,13 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
     return np.concatenate([upper, upper[-2::-1, ::-1]])
 
 
-def _steps(pitch_px: float) -> NDArray[np.float64]:
+def _steps(pitch_px: float) -> Array:
     """Return the places of the samples of an `EdgeMap` along an axis, pitches from the star, (S,)."""
     half = int(np.ceil(REACH * pitch_px * OVERSAMPLING))
     return np.asarray(np.arange(-half, half + 1) / (pitch_px * OVERSAMPLING))
 
 
-def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float, blur_px: float) -> EdgeMap:
+def blurred_edge_map(sharp: Array32, segments: int, pitch_px: float, blur_px: float) -> EdgeMap:
     """Blur a printed star, (S, S), and compute the distances from its edges from the blurred brightness.
 
     A straight edge blurred by a Gaussian of standard deviation sigma has the brightness Phi(tau / sigma) at distance
@@ -85,7 +85,7 @@ def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float,
 
 
 @lru_cache(maxsize=1)
-def _normal_quantiles() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _normal_quantiles() -> tuple[Array32, Array32]:
     """Return Phi^-1 at `_QUANTILES` steps of brightness, and its increases; interpolation is right to 1e-5."""
     shares = np.arange(_QUANTILES + 1) / _QUANTILES
     values = ndtri(np.clip(shares, 0.5 * _LEAST_SHARE, 1.0 - 0.5 * _LEAST_SHARE))
@@ -93,7 +93,7 @@ def _normal_quantiles() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 @lru_cache(maxsize=2)
-def _nearest_edges(pitch_px: float, segments: int) -> NDArray[np.uint8]:
+def _nearest_edges(pitch_px: float, segments: int) -> Bytes:
     """Return the number of the nearest edge, by angle, at each sample; maps of one pitch share it, read only."""
     u, v = np.meshgrid(_steps(pitch_px), _steps(pitch_px))
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments
@@ -106,7 +106,7 @@ def _nearest_edges(pitch_px: float, segments: int) -> NDArray[np.uint8]:
 MIN_REACH = 0.25
 
 
-def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+def open_sides(target: StarTarget, nodes: Ints) -> Bools:
     """Return (N, 2) whether stars lack a printed neighbour to the left or right, and above or below.
 
     A star that touches the plain paper with one corner counts as open along the columns: the strips on its left and on
@@ -114,7 +114,7 @@ def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_
     """
     columns, rows = nodes[:, 0], nodes[:, 1]
 
-    def missing(across: int, down: int) -> NDArray[np.bool_]:
+    def missing(across: int, down: int) -> Bools:
         return np.asarray(target.id_at(columns + across, rows + down) < 0)
 
     beside, above = missing(-1, 0) | missing(1, 0), missing(0, -1) | missing(0, 1)
@@ -123,7 +123,7 @@ def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_
     return found & (target.id_at(columns, rows) >= 0)[:, None]
 
 
-def cell_reach(is_open: NDArray[np.bool_], reach: float, strip: float) -> NDArray[np.float64]:
+def cell_reach(is_open: Bools, reach: float, strip: float) -> Array:
     """Return (N, 2) how far from its centre a star's cell is used, pitches; ``reach`` is half the side between stars.
 
     Examples

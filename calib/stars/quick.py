@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array, Ints
 from calib.events.grey_image import to_uint8
 from calib.stars.candidates import MIN_STARS, Candidates, find_without_tag, printed
 from calib.stars.centring import smooth
@@ -32,10 +32,10 @@ FOLLOWED_SHIFT_PX = 0.5
 class QuickStars(NamedTuple):
     """Stars of a live picture."""
 
-    ids: NDArray[np.int64]  # (N,) int64, ids on the target; -1 if nothing identifies the stars
+    ids: Ints  # (N,) int64, ids on the target; -1 if nothing identifies the stars
     # (N, 2) float64, columns and rows: of the target if the stars have ids, else of a grid with any origin.
-    nodes: NDArray[np.float64]
-    points_px: NDArray[np.float64]  # (N, 2) float64, px
+    nodes: Array
+    points_px: Array  # (N, 2) float64, px
     # Map around each star, from the target plane to the image; None without stars.
     local_map: LocalMap | None
     tag: TagDetection | None  # The target's tag; None if it cannot be read whole
@@ -44,7 +44,7 @@ class QuickStars(NamedTuple):
     sign: float = 1.0  # +1 if white is bright in the image, -1 if it is dark
 
 
-def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickStars:
+def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
     """Find tag and stars of a live picture, in about half of the time of `calib.stars.detect.detect_stars`.
 
     Own procedure, of the steps of `calib.stars.detect`: tag, growth, one refinement by symmetry. No stars if fewer than
@@ -79,7 +79,7 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
     )
 
 
-def follow_stars(image: NDArray[np.generic], last: QuickStars, target: StarTarget) -> QuickStars | None:
+def follow_stars(image: AnyArray, last: QuickStars, target: StarTarget) -> QuickStars | None:
     """Measure the stars of an earlier picture again, if they are still where they were; None if they must be searched.
 
     Own procedure: the tag's modules must still agree with the print, nearly all stars must be found by symmetry and

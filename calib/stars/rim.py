@@ -30,6 +30,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools, Ints
 from calib.compiled import KERNEL
 from calib.errors import TooFewStars
 from calib.model.homography import apply_homography, linear_at, view_homography
@@ -93,7 +94,7 @@ def rim_in_sections(
     )
 
 
-def _polar(away: Array, count: int) -> tuple[NDArray[np.int64], Array, Array]:
+def _polar(away: Array, count: int) -> tuple[Ints, Array, Array]:
     """Return section, distance and direction of points relative to the circle's centre."""
     phi = np.arctan2(away[:, 1], away[:, 0])
     section = np.minimum(((phi + np.pi) * (count / (2.0 * np.pi))).astype(np.int64), count - 1)
@@ -113,9 +114,7 @@ class _Fall(NamedTuple):
     width: float  # Width of the fall from 1 to 0, mm, alike in all sections
 
 
-def _start(
-    border_mm: Array, centre: Array, section: NDArray[np.int64], rho: Array, levels: Array, count: int
-) -> Array:
+def _start(border_mm: Array, centre: Array, section: Ints, rho: Array, levels: Array, count: int) -> Array:
     """Return the (C,) distances, mm, that part bright from dark samples best; nan in sections without a border."""
     start = np.full(count, np.nan)
     if not len(border_mm):
@@ -137,7 +136,7 @@ def _start(
     return np.asarray(start + (best + 0.5 - half) * step)
 
 
-def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, start: Array) -> _Fall:
+def _fall(section: Ints, rho: Array, along: Array, levels: Array, start: Array) -> _Fall:
     """Fit a logistic fall of the level in each section: its place and its slope along the rim; and one width for all.
 
     Nonlinear least squares by Gauss-Newton (Björck, 1996, section 9.2) of 1 / (1 + exp((rho - place - slope t) /
@@ -196,9 +195,7 @@ def _fall_sums(
     return sums, squares
 
 
-def _accepted(
-    section: NDArray[np.int64], rho: Array, levels: Array, fit: _Fall, pitch_mm: float
-) -> NDArray[np.bool_]:
+def _accepted(section: Ints, rho: Array, levels: Array, fit: _Fall, pitch_mm: float) -> Bools:
     """Return which sections have enough samples on both sides of the rim and few on the wrong side, (C,) bool."""
     count = len(fit.place)
     beyond = rho - fit.place[section]
@@ -211,13 +208,7 @@ def _accepted(
     return np.asarray(good & np.isfinite(fit.place) & (fit.sigma < 0.5 * pitch_mm))
 
 
-def _last_bright(
-    section: NDArray[np.int64],
-    rho: Array,
-    bright: NDArray[np.bool_],
-    open_: NDArray[np.bool_],
-    pitch_mm: float,
-) -> NDArray[np.int64]:
+def _last_bright(section: Ints, rho: Array, bright: Bools, open_: Bools, pitch_mm: float) -> Ints:
     """Return the numbers of the outermost bright samples of open sections that are bright out to the frame's border."""
     last = np.zeros(len(open_))
     np.maximum.at(last, section, rho)
@@ -234,8 +225,6 @@ def _last_bright(
 
 # The place of the rim in each of many sections of a circle, from samples of white print.
 
-Array = NDArray[np.float64]
-
 #: Nodes farther than this from all stars, pitches, are outside of the beam.
 _REACH = 3
 #: Samples along each side of a node's cell, and their least distance from an edge of the print, pitches: first of all
@@ -249,19 +238,19 @@ _FLAT = 0.35
 class _Cells(NamedTuple):
     """Nodes in the frame as a grid: (rows, columns) bright, (rows, columns) in the frame, and its first node."""
 
-    bright: NDArray[np.bool_]
-    framed: NDArray[np.bool_]
-    first: NDArray[np.int64]
+    bright: Bools
+    framed: Bools
+    first: Ints
 
 
 class _Map(NamedTuple):
     """Map of a view: (N, 2) nodes, and for each its (2,) image point and (2, 2) derivatives, px and px per pitch."""
 
-    nodes: NDArray[np.int64]
+    nodes: Ints
     points: Array
     linear: Array
 
-    def select(self, kept: NDArray[np.bool_]) -> _Map:
+    def select(self, kept: Bools) -> _Map:
         """Return the map of some nodes, given (N,) bool."""
         return _Map(self.nodes[kept], self.points[kept], self.linear[kept])
 
@@ -348,7 +337,7 @@ def _levels(image: NDArray[Any], stars: _Map, target: StarTarget) -> _Levels | N
 
 def _sample(
     image: NDArray[Any], mapped: _Map, levels: _Levels, target: StarTarget, along: int, clearance: float
-) -> tuple[Samples, Array, NDArray[np.bool_]]:
+) -> tuple[Samples, Array, Bools]:
     """Sample the bright print around nodes; return also the (N, K) levels, nan outside, and which are inside."""
     offsets = _print_offsets(target, along, clearance)[int(levels.inverted)]
     values, inside = _values(image, mapped, offsets)
@@ -357,7 +346,7 @@ def _sample(
     return Samples(places, values[inside]), values, inside
 
 
-def _cells(nodes: NDArray[np.int64], values: Array, inside: NDArray[np.bool_]) -> _Cells:
+def _cells(nodes: Ints, values: Array, inside: Bools) -> _Cells:
     """Return which cells are in the frame, and which are bright, as grids."""
     first = nodes.min(axis=0)
     column, row = (nodes - first).T
@@ -369,7 +358,7 @@ def _cells(nodes: NDArray[np.int64], values: Array, inside: NDArray[np.bool_]) -
     return _Cells(bright & framed, framed, first)
 
 
-def _nodes_near(grid: NDArray[np.int64], target: StarTarget) -> NDArray[np.int64]:
+def _nodes_near(grid: Ints, target: StarTarget) -> Ints:
     """Return the (N, 2) printed nodes near the stars."""
     first, last = grid.min(axis=0) - _REACH, grid.max(axis=0) + _REACH
     shape = int(last[1] - first[1]) + 1, int(last[0] - first[0]) + 1
@@ -380,7 +369,7 @@ def _nodes_near(grid: NDArray[np.int64], target: StarTarget) -> NDArray[np.int64
     return np.asarray(nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0])
 
 
-def _values(image: NDArray[Any], mapped: _Map, offsets: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _values(image: NDArray[Any], mapped: _Map, offsets: Array) -> tuple[Array, Bools]:
     """Return the (N, K) grey values at K places around each node, nan outside of the frame, and which are inside."""
     at = mapped.points[:, :, None] + mapped.linear @ offsets.T
     u, v = np.rint(at).astype(np.int32).transpose(1, 0, 2)
@@ -446,7 +435,7 @@ _BORDER_PITCHES = 0.55
 _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
-def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
+def vignetted_stars(view: View, target: StarTarget) -> Bools:
     """Find the outermost stars of the beam: those without a neighbour that would lie inside the frame.
 
     Own rule: the neighbour must be expected more than `_BORDER_PITCHES` from the frame's border, and not at the tag.

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import AnyArray, Array, Array32, Bools, Bytes
 from calib.errors import TargetNotFound
 from calib.stars.beam import Beam
 from calib.target import StarTarget
@@ -33,16 +34,16 @@ class TagDetection:
     """The target's tag in an image."""
 
     # (3, 3) float64, from [column row 1] of the target's grid of nodes to [u v 1] px, from the four corners.
-    homography: NDArray[np.float64]
+    homography: Array
     # (4, 2) float64, px, corners of the tag's border in the order of the print (upper left, upper right,
     # ...).
-    corners_px: NDArray[np.float64]
+    corners_px: Array
     sign: float  # +1 if white is bright in the image, -1 if it is dark
     correlation: float  # Correlation of the modules with the print, 0 to 1
 
 
 def find_tag(
-    picture: NDArray[np.uint8], target: StarTarget, *, name: str, reduced_only: bool = False
+    picture: Bytes, target: StarTarget, *, name: str, reduced_only: bool = False
 ) -> TagDetection | None:
     """Find the target's tag, at any roll and with either contrast; None if the picture shows no tag.
 
@@ -84,7 +85,7 @@ def find_tag(
     return None
 
 
-def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], float]]:
+def _variants(picture: Bytes) -> Iterator[tuple[Bytes, float]]:
     """Yield the pictures that the detector gets, in their order, and the scale of each relative to the image."""
     for scale in (0.25, 0.5):
         if scale * min(picture.shape) >= MIN_PICTURE_PX:
@@ -96,9 +97,7 @@ def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], f
     yield np.asarray(cv2.GaussianBlur(cv2.medianBlur(picture, 5), (0, 0), 2.5), np.uint8), 1.0
 
 
-def read_tags(
-    picture: NDArray[np.uint8], scale: float, family: str
-) -> Iterator[tuple[NDArray[np.float64], int]]:
+def read_tags(picture: Bytes, scale: float, family: str) -> Iterator[tuple[Array, int]]:
     """Yield the (4, 2) corners, px of the full image, and the number of each tag of the family."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.detectInvertedMarker = True
@@ -113,9 +112,7 @@ def read_tags(
         yield (np.asarray(quad, np.float64).reshape(4, 2) + 0.5) / scale - 0.5, int(tag)
 
 
-def _verified(
-    picture: NDArray[np.uint8], scale: float, corners: NDArray[np.float64], target: StarTarget
-) -> TagDetection | None:
+def _verified(picture: Bytes, scale: float, corners: Array, target: StarTarget) -> TagDetection | None:
     """Compare the modules with the print; return the detection, with refined corners, if they agree, else None."""
     nodes = target.tag_corners_mm / target.pitch_mm
     correlation = modules_correlation(picture, scale, _homography(nodes, corners), target)
@@ -126,16 +123,14 @@ def _verified(
     return TagDetection(_homography(nodes, corners), corners, sign, abs(correlation))
 
 
-def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _homography(nodes: Array, corners: Array) -> Array:
     """Return the (3, 3) homography from four grid positions to four image points."""
     return np.asarray(
         cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32)), np.float64
     )
 
 
-def modules_correlation(
-    picture: NDArray[np.generic], scale: float, homography: NDArray[np.float64], target: StarTarget
-) -> float:
+def modules_correlation(picture: AnyArray, scale: float, homography: Array, target: StarTarget) -> float:
     """Return Pearson's correlation, -1 to 1, of the modules' centres with the print; 0 if they are all equally bright.
 
     The picture is at some scale; the homography is from [column row 1] of the target's grid to px of the full image.
@@ -150,9 +145,7 @@ def modules_correlation(
     return float(np.corrcoef(seen, target.layout.tag_modules.ravel())[0, 1])
 
 
-def _refined_corners(
-    picture: NDArray[np.float32], scale: float, corners: NDArray[np.float64], target: StarTarget
-) -> NDArray[np.float64]:
+def _refined_corners(picture: Array32, scale: float, corners: Array, target: StarTarget) -> Array:
     """Fit lines to the outer edges of the border, and return their (4, 2) intersections; old corners if these are far.
 
     The edge is black inside, over the border of one module, and white outside, over the ring of half a square. The
@@ -182,7 +175,7 @@ def _refined_corners(
     return np.asarray(sharp, np.float64) if near else corners
 
 
-def _values(picture: NDArray[np.float32], scale: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
+def _values(picture: Array32, scale: float, at: Array) -> Array:
     """Return the bilinear values, (N,), of a scaled picture at (N, 2) points of the full image."""
     points = ((at + 0.5) * scale - 0.5).astype(np.float32)
     return np.asarray(
@@ -218,9 +211,7 @@ class DarkSquare(NamedTuple):
     borders: tuple[Border, ...]
 
 
-def find_dark_square(
-    image: NDArray[np.generic], beam: Beam, *, side_px: float | None = None
-) -> DarkSquare | None:
+def find_dark_square(image: AnyArray, beam: Beam, *, side_px: float | None = None) -> DarkSquare | None:
     """Find the largest dark square with a dark edge, light inside and light around it; None if there is none.
 
     Own procedure: connected dark parts of the reduced image, compared with their smallest rectangle (OpenCV's
@@ -248,7 +239,7 @@ def find_dark_square(
 
 
 def _square(
-    part: NDArray[np.uint8], dark: NDArray[np.bool_], expected: float | None
+    part: Bytes, dark: Bools, expected: float | None
 ) -> tuple[tuple[float, float], float, tuple[Border, ...]] | None:
     """Return centre, side (cells) and touched borders of a dark part; None if it does not look like a tag."""
     outlines, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -277,7 +268,7 @@ def _square(
     return (float(x + out[0]), float(y + out[1])), side, borders
 
 
-_NORMALS: dict[Border, NDArray[np.float64]] = {
+_NORMALS: dict[Border, Array] = {
     "left": np.array([-1.0, 0.0]),
     "right": np.array([1.0, 0.0]),
     "upper": np.array([0.0, -1.0]),
@@ -297,7 +288,7 @@ def _borders(points: NDArray[Any], shape: tuple[int, ...]) -> tuple[Border, ...]
     return tuple(border for border, cells in room.items() if cells <= 2)
 
 
-def _is_tag_like(whole: NDArray[np.uint8], dark: NDArray[np.bool_], side: float) -> bool:
+def _is_tag_like(whole: Bytes, dark: Bools, side: float) -> bool:
     """Return whether a square has a dark edge, light inside, and light around, as far as the frame shows it."""
     width = max(1, round(EDGE * side))
     kernel = np.ones((2 * width + 1, 2 * width + 1), np.uint8)

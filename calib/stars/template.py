@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Array32, Bools, Ints
+
 #: Radii at which a star's segments are compared with the image, pitches. Further inside, segments may merge.
 TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
 #: Radii that are sufficient to search for a star, pitches.
@@ -34,13 +36,13 @@ ROWS = 1 << 14
 class StarTemplate(NamedTuple):
     """Samples of the segments of a star."""
 
-    offsets: NDArray[np.float64]  # (S, 2) float64, pitches, places of the samples relative to the centre
-    values: NDArray[np.float64]  # (S,) float64, +1 on a white segment, -1 on a black one
-    octants: NDArray[np.int64]  # (S,) int64, number of the sector of each sample, 0 to `OCTANTS` - 1
-    outer: NDArray[np.bool_]  # (S,) bool, whether the radius is `OUTER_RADIUS` or more
+    offsets: Array  # (S, 2) float64, pitches, places of the samples relative to the centre
+    values: Array  # (S,) float64, +1 on a white segment, -1 on a black one
+    octants: Ints  # (S,) int64, number of the sector of each sample, 0 to `OCTANTS` - 1
+    outer: Bools  # (S,) bool, whether the radius is `OUTER_RADIUS` or more
     # (S,) float64, brightness with mean 0 and variance 1 with which an image is correlated: ``values``, or
     # what `learnt` found in an image that is out of focus.
-    expected: NDArray[np.float64]
+    expected: Array
 
     @classmethod
     def of(cls, segments: int, radii: tuple[float, ...] = TEMPLATE_RADII) -> StarTemplate:
@@ -63,13 +65,7 @@ class StarTemplate(NamedTuple):
             values,
         )
 
-    def learnt(
-        self,
-        image: NDArray[np.float32],
-        centres: NDArray[np.float64],
-        linear: NDArray[np.float64],
-        sign: float,
-    ) -> StarTemplate | None:
+    def learnt(self, image: Array32, centres: Array, linear: Array, sign: float) -> StarTemplate | None:
         """Learn from stars, right to a few px, what a star looks like in an image; None if the places show no stars.
 
         If the lens is out of focus and the image is black and white, white covers the middle of each star, and the
@@ -93,14 +89,12 @@ class StarTemplate(NamedTuple):
             return None
         return self._replace(expected=(whole - whole.mean()) / spread)
 
-    def places(self, centres: NDArray[np.float64], linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    def places(self, centres: Array, linear: Array) -> Array:
         """Return the x and y, (2, N, S) px, of the samples of N stars, given their (N, 2, 2) linear maps."""
         return np.asarray((centres[:, :, None] + linear @ self.offsets.T).swapaxes(0, 1))
 
 
-def values_at(
-    image: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating]
-) -> NDArray[np.float32]:
+def values_at(image: Array32, x: NDArray[np.floating], y: NDArray[np.floating]) -> Array32:
     """Return the bilinear values of an image at points, of the shape of ``x`` and ``y``, px; nan outside."""
     across, down = (np.asarray(each, np.float32).reshape(-1, x.shape[-1]) for each in (x, y))
     found = np.empty(across.shape, np.float32)
@@ -111,7 +105,7 @@ def values_at(
     return found.reshape(x.shape)
 
 
-def correlations(seen: NDArray[np.float32], template: StarTemplate) -> NDArray[np.float64]:
+def correlations(seen: Array32, template: StarTemplate) -> Array:
     """Return the correlation (Lewis, 1995) of (..., S) values with a star; nan if too many of them are nan.
 
     It is 0 if the image is flat there.
@@ -133,12 +127,8 @@ def correlations(seen: NDArray[np.float32], template: StarTemplate) -> NDArray[n
 
 
 def star_contrasts(
-    image: NDArray[np.float32],
-    centres: NDArray[np.float64],
-    linear: NDArray[np.float64],
-    template: StarTemplate,
-    sign: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    image: Array32, centres: Array, linear: Array, template: StarTemplate, sign: float
+) -> tuple[Array, Array]:
     """Return each star's correlation with its pattern, (N,) -1 to 1, and its contrast by octants, (N, OCTANTS).
 
     Own contrast: twice the slope of the image over the pattern in the outer part of each octant, both without their

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.compiled import on_one_thread
 from calib.errors import InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_derivatives, sensor_grid
-
-Array = NDArray[np.float64]
 
 #: Coverage of the expanded uncertainty over the whole sensor.
 _COVERAGE = 0.95

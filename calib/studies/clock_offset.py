@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import InputMismatch
-
-Array = NDArray[np.float64]
 
 #: Two crystals of 100 parts in a million each.
 _LARGEST_RATE = 200e-6

@@ -15,9 +15,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array, Ints
 from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.joint import amplitudes as amp
@@ -34,8 +34,6 @@ from calib.model.lens import is_fisheye
 from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.projection_uncertainty import projection_derivatives
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 Angles = Mapping[str, float]
 
@@ -222,7 +220,7 @@ def _reduced(problem: Problem, equations: Equations, squares: Array) -> Array:
     return np.asarray(whole - np.swapaxes(between, 1, 2) @ np.linalg.solve(own, between))
 
 
-def _maps(maps: Array, gimbal: NDArray[np.int64] | None) -> Array:
+def _maps(maps: Array, gimbal: Ints | None) -> Array:
     """Return (n, Z, S) what the shared unknowns do to the bases of the poses and to the gimbal."""
     if gimbal is None:
         return maps

@@ -17,14 +17,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, special
 
+from calib.arrays import Array
 from calib.model.likelihood_ratio import DECISIVE
 from calib.studies.gimbal_model import Fault, GimbalModel
 from calib.studies.hand_eye_fit import GimbalFit, fit_at, refine
-
-Array = NDArray[np.float64]
 
 #: Prior of each parameter of a fault: Cauchy, half of all are larger than this, because sizes differ by orders of
 #: magnitude.

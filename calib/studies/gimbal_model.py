@@ -15,10 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.gimbal import Gimbal
 from calib.model.rotation import log_map
-
-Array = NDArray[np.float64]
 
 #: Pairs with a smaller reading have no useful ratio, degrees.
 _MOVED_DEG = 0.5

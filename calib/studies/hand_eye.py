@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from calib.arrays import Array
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, angles_of
@@ -26,8 +26,6 @@ from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
 from calib.studies.hand_eye_fit import GimbalFit, global_fit, refine, scales_near
 from calib.uncertainty.projection_uncertainty import ARCSEC
-
-Array = NDArray[np.float64]
 
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5

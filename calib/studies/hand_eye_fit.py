@@ -11,13 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.gimbal import mountings
 from calib.model.rotation import exp_map, log_map
 from calib.studies.gimbal_model import Fault, GimbalModel
-
-Array = NDArray[np.float64]
 
 #: A direction of the parameters is determined if its singular value exceeds this share of the largest.
 _DETERMINED = 1e-7

@@ -9,16 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import CalibrationError, NotConverged
 from calib.model.collimator import Collimator
 from calib.studies.predicted_views import ExpectedBench, predicted_view
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Nominal coverage of value +- k sigma, and the probability of the band in which the observed coverage must lie.
 COVERAGE = 0.9545

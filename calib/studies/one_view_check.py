@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from calib.adjustment.bundle import Bundle, Observations
@@ -21,12 +20,11 @@ from calib.adjustment.initialization import pose_start
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array, Bools
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 _COVERAGE = 0.95
 #: Changes of the camera that a pose imitates to this share of their effect are not judged.
@@ -102,7 +100,7 @@ class _Seen:
     whitening: Array  # (N, 2, 2)
 
     @classmethod
-    def of(cls, camera: CameraModel, view: View, kept: NDArray[np.bool_]) -> _Seen:
+    def of(cls, camera: CameraModel, view: View, kept: Bools) -> _Seen:
         if kept.sum() < _LEAST_POINTS:
             raise DegenerateViews(
                 f"Cannot check by one view: {kept.sum()} usable points; at least {_LEAST_POINTS} are needed.",
@@ -119,7 +117,7 @@ class _Seen:
         left, sizes, _ = np.linalg.svd(columns / whole, full_matrices=False)
         return cls(residuals, columns, left[:, sizes > _UNSEEN], bundle.observations.whitening)
 
-    def gross(self) -> NDArray[np.bool_]:
+    def gross(self) -> Bools:
         """Return (N,) which points lie far off whatever the camera and the pose are."""
         over = self.residuals - self.basis @ (self.basis.T @ self.residuals)
         sigma = float(np.median(np.abs(over))) / _MEDIAN_OF_NORMAL

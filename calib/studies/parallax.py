@@ -16,15 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import ParallaxBound
 from calib.model.rim_fit import fit_rims
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Least number of rim points of a view that shows its rim, and least number of such views.
 _FEWEST_POINTS, _FEWEST_VIEWS = 3, 3

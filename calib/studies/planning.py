@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, members, poses_of
+from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, TooFewStars
@@ -39,8 +39,6 @@ from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_u
 from calib.view import View
 
 # Choice of poses: what each possible pose would add to the poses that are recorded or planned.
-
-Array = NDArray[np.float64]
 
 #: Rows of the uncertainty budget that further poses lower; all others stay about as they are.
 REDUCED_BY_POSES = frozenset(
@@ -164,10 +162,7 @@ _MOVED_DEG = 0.5
 
 @on_one_thread
 def next_poses(
-    bench: ExpectedBench,
-    taken_deg: Sequence[Angles],
-    candidates_deg: Sequence[Angles],
-    count: int = 1,
+    bench: ExpectedBench, taken_deg: Sequence[Angles], candidates_deg: Sequence[Angles], count: int = 1
 ) -> tuple[WeighedPose, ...]:
     """Return the poses that lower the worst projection uncertainty most, the best first, before a straight gimbal.
 

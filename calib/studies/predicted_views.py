@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools
 from calib.errors import InputMismatch, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
@@ -21,8 +21,6 @@ from calib.model.rotation import euler_zxy
 from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Stars closer than this to the border of the image are not detected.
 _BORDER_PX = 10.0
@@ -190,7 +188,7 @@ def rim_share(bench: ExpectedBench, rotation: Array) -> float:
         return float(((pixels > 0) & (pixels < limit)).all(axis=1).mean())
 
 
-def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, Bools]:
     """Return the image points of target points, (N, 2) px, and which are visible, (N,) bool.
 
     Image point of R (P - c) (arXiv:2512.16092, eq. 2). Own model of the beam: a disc of radius r tan(half angle).

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
+from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged, TooFewStars
 from calib.fit import fit_model, initialize
@@ -24,8 +24,6 @@ from calib.model.passport import Passport
 from calib.uncertainty.covariance import covariance_at_optimum
 from calib.uncertainty.cross_validation import MIN_VIEWS, leave_one_out
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Limit of the Huber loss: the paper does not state it.
 _PUBLISHED_LIMIT_PX = 1.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, special
 
+from calib.arrays import Array, Ints
 from calib.calibration import Calibration
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
@@ -25,8 +25,6 @@ from calib.model.rotation import exp_map, log_map, nearest_rotation
 from calib.studies.rig_boards import BoardPair, adjusted
 from calib.uncertainty.projection_uncertainty import ARCSEC
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: A camera from other views, and the covariance of its values; None holds them.
 StatedCamera = tuple[CameraModel, Array | None]
@@ -238,7 +236,7 @@ def _known(calibration: Calibration, stated: CameraModel, covariance: Array | No
     return known, known @ off
 
 
-def _rows(views: Sequence[int]) -> NDArray[np.int64]:
+def _rows(views: Sequence[int]) -> Ints:
     return np.concatenate([np.arange(3 * i, 3 * i + 3) for i in views])
 
 
@@ -272,7 +270,7 @@ def _shared(one: RotationErrors, other: RotationErrors) -> tuple[str, ...]:
     return tuple(name for name in CENTRE if name in one.names and name in other.names)
 
 
-def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, NDArray[np.int64]]:
+def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints]:
     """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns."""
     shared = _shared(one, other)
     size = len(one.names)

@@ -12,21 +12,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle, Observations, ViewEquations
 from calib.adjustment.initialization import pose_start
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map, nearest_rotation, skew
 from calib.uncertainty.covariance import inverse_information
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 _MIN_POINTS = 6
 _NOISE_ROUNDS = 3

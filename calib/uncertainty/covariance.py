@@ -15,16 +15,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle, ViewScores
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters, members
+from calib.arrays import Array
 from calib.errors import DegenerateViews
 from calib.model.passport import Passport
 from calib.model.result_parts import PASSPORT, POSE_FIELDS, STARS
-
-Array = NDArray[np.float64]
 
 #: Below this ratio of eigenvalues, the information matrix (scaled to a unit diagonal) is numerically singular.
 _SINGULAR = 1e-13

@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array, Ints
 from calib.model.collimator import Collimator
 from calib.uncertainty.covariance import views_of_poses
-
-Array = NDArray[np.float64]
 
 #: Leaving one view out must leave enough to calibrate with.
 MIN_VIEWS = 3
@@ -37,7 +35,7 @@ class CrossValidation:
     # (n,) float64 root mean square residual of each view, px, with camera and centre of the others and its
     # own rotation.
     rms_px: Array
-    stars: NDArray[np.int64]  # (n,) int64 number of its stars
+    stars: Ints  # (n,) int64 number of its stars
 
     @property
     def total_rms_px(self) -> float:

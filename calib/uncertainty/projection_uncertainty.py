@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Bools
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map, skew
-
-Array = NDArray[np.float64]
 
 ARCSEC = 3600.0 * 180.0 / np.pi
 _TURNS = 10
@@ -98,7 +96,7 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     return ProjectionMap(grid, sigma_px.reshape(shape), sigma_arcsec.reshape(shape))
 
 
-def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, NDArray[np.bool_]]:
+def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, Bools]:
     """Return how image points over the sensor follow the camera's parameters, as `projection_uncertainty` uses it.
 
     Without the implied rotation: (P, 2, K) derivatives, in the order of `CameraModel.parameter_names`, at those of the
@@ -109,7 +107,7 @@ def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tupl
     return left, seen
 
 
-def _without_turn(camera: CameraModel, pixels: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _without_turn(camera: CameraModel, pixels: Array) -> tuple[Array, Array, Array, Bools]:
     """Return the derivatives of image points by parameters without the implied rotation, and what they rest on.
 
     (P, 2, K) derivatives, (P, 2, 3) derivatives by the rays, (P, 3) rays, and (N,) bool: pixels that have a ray.
