@@ -143,7 +143,9 @@ def test_only_the_process_that_wrote_the_heartbeat_is_opened():
     assert open_process(Heartbeat(process.pid, 1, 0)) is None
 
 
-def test_a_heartbeat_is_whole_at_any_moment_so_that_a_process_stopped_while_it_writes_is_seen_to_hang(tmp_path):
+def test_a_heartbeat_is_whole_at_any_moment_so_that_a_process_stopped_while_it_writes_is_seen_to_hang(
+    tmp_path,
+):
     (tmp_path / CONTROL).mkdir()
     writer = HeartbeatWriter(tmp_path, BenchClock())
     writer.beat()
