@@ -9,11 +9,8 @@ import numpy as np
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.duplicate_views import find_duplicates
-from calib.diagnosis.image_origin import find_other_origins
-from calib.diagnosis.image_size import check_image_size, require_points_inside
-from calib.diagnosis.shifted_ids import find_shifted_ids
-from calib.diagnosis.target_units import check_target_units
-from calib.errors import InputMismatch
+from calib.diagnosis.shifted_views import find_other_origins, find_shifted_ids
+from calib.diagnosis.stated_numbers import check_image_size, check_target_units, require_points_inside
 from calib.view import View
 
 
@@ -24,16 +21,9 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
     Raises InputMismatch: If points lie outside of the image size, or the known radius shows another unit of the target.
     """
     require_points_inside(views)
-    notes = [one.sentence for one in find_duplicates(views)]
+    notes = find_duplicates(views)
     units = check_target_units(views, known_r_mm=known_r_mm)
-    if units and units.unit and known_r_mm is not None:
-        # With a known radius, another unit contradicts the views; the adjustment would end in an obscure refusal.
-        raise InputMismatch(
-            f"{units.why} The target positions look like {units.unit}.",
-            where="target positions",
-            remedy="Give them in mm.",
-        )
-    return (*notes, units.sentence) if units else tuple(notes)
+    return (*notes, units) if units else tuple(notes)
 
 
 def check_adjustment(
@@ -47,9 +37,9 @@ def check_adjustment(
     with np.errstate(invalid="ignore", over="ignore"):
         projected = bool(np.isfinite(bundle.residuals_px(parameters)).all())
     # A star behind the camera cannot be compared with others.
-    shifted = find_shifted_ids(views, bundle, parameters) if projected else None
-    other = find_other_origins(views, bundle, parameters) if projected and not shifted else None
-    size = None
+    shifted = find_shifted_ids(views, bundle, parameters) if projected else ""
+    other = find_other_origins(views, bundle, parameters) if projected and not shifted else ""
+    size = ""
     if "cx" in sigma and "cy" in sigma:
         size = check_image_size(views, parameters.camera, (sigma["cx"], sigma["cy"]))
-    return tuple(one.sentence for one in (shifted, other, size) if one)
+    return tuple(one for one in (shifted, other, size) if one)

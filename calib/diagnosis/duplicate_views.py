@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,38 +20,8 @@ _FEWEST = 4
 _COMMON_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class DuplicateViews:
-    """Two views that hold the same measurement."""
-
-    first: str
-    second: str
-    stars: int
-    rms_px: float  # Root mean square distance of the common stars, px
-    noise_px: float  # 1-sigma per axis of the stars as their neighbours show it, px
-
-    @property
-    def identical(self) -> bool:
-        """Whether the points are the same numbers; otherwise they differ by less than the noise of two recordings."""
-        return self.rms_px <= SAME_PX
-
-    @property
-    def sentence(self) -> str:
-        """Names both views and how they agree."""
-        if self.identical:
-            return (
-                f"Views {self.first} and {self.second} are the same measurement: their {self.stars} common stars have "
-                "the same points. They count once; leave one of them out."
-            )
-        return (
-            f"Views {self.first} and {self.second} are nearly the same measurement: their {self.stars} common stars "
-            f"differ by {self.rms_px:.2g} px rms, less than two recordings would ({1.4142 * self.noise_px:.2g} px per "
-            "axis). Check that one recording was not used twice."
-        )
-
-
-def find_duplicates(views: Sequence[View]) -> tuple[DuplicateViews, ...]:
-    """Find pairs of views, without gross errors, that hold the same measurement.
+def find_duplicates(views: Sequence[View]) -> list[str]:
+    """Return a sentence for each pair of views, without gross errors, that hold the same measurement.
 
     Two recordings of one pose differ by their noise, and are not duplicates. Own rule: the root mean square distance of
     the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
@@ -62,10 +31,20 @@ def find_duplicates(views: Sequence[View]) -> tuple[DuplicateViews, ...]:
         _, here, there = np.intersect1d(one.ids, other.ids, return_indices=True)
         apart = one.points_px[here] - other.points_px[there]
         rms = float(np.sqrt((apart**2).sum(axis=1).mean()))
-        noise = 0.0 if rms <= SAME_PX else float(np.fmin(noise_px(one), noise_px(other)))
-        if rms <= SAME_PX or rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
-            found.append(DuplicateViews(one.name, other.name, len(here), rms, noise))
-    return tuple(found)
+        both, stars = f"Views {one.name} and {other.name}", f"their {len(here)} common stars"
+        if rms <= SAME_PX:
+            found.append(
+                f"{both} are the same measurement: {stars} have the same points. They count once; leave one of them "
+                "out."
+            )
+            continue
+        noise = float(np.fmin(noise_px(one), noise_px(other)))
+        if rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
+            found.append(
+                f"{both} are nearly the same measurement: {stars} differ by {rms:.2g} px rms, less than two recordings "
+                f"would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
+            )
+    return found
 
 
 def _alike(views: Sequence[View]) -> Iterator[tuple[View, View]]:
