@@ -155,15 +155,11 @@ Recorded = RecordingFacts | FrameFacts
 
 
 @dataclass(frozen=True)
-class _Slice:
-    path: Path
+class _Recorded:
+    part: LiveSlice
     setting: LiveSetting
-    facts: Recorded
-    reading_deg: Mapping[str, float]
-    time_s: float
     record_ms: float
     shows_signal: bool
-    moving: bool
 
 
 class LiveLoop:
@@ -186,7 +182,7 @@ class LiveLoop:
         self._folder = make_slice_folder()
         self._meter = meter
         self._wake = threading.Condition()
-        self._waiting: _Slice | None = None
+        self._waiting: _Recorded | None = None
         self._tasks: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._began_s: float | None = None
         self._record_s, self._measure_s = 0.0, 0.0
@@ -281,7 +277,7 @@ class LiveLoop:
                 old, self._waiting = self._waiting, made
                 self._wake.notify_all()
             if old is not None:
-                old.path.unlink(missing_ok=True)
+                old.part.path.unlink(missing_ok=True)
 
     def _wait_until_due(self, last_s: float) -> bool:
         """Wait until a slice would be recorded just in time to be measured; False if there is a task."""
@@ -290,7 +286,7 @@ class LiveLoop:
                 now_s = time.monotonic()
                 due_s = last_s + SHORTEST_S
                 if self._waiting is not None:
-                    due_s = max(due_s, self._waiting.time_s + _STALE_S)
+                    due_s = max(due_s, self._waiting.part.time_s + _STALE_S)
                 elif self._began_s is not None:
                     due_s = max(due_s, self._began_s + self._measure_s - self._record_s - _EARLY_S)
                 if now_s >= due_s:
@@ -298,7 +294,7 @@ class LiveLoop:
                 self._wake.wait(due_s - now_s)
         return False
 
-    def _record_one(self, number: int) -> _Slice | None:
+    def _record_one(self, number: int) -> _Recorded | None:
         """Record a slice; None if it was ended early."""
         setting = self._setting()
         started_s = time.monotonic()
@@ -330,8 +326,8 @@ class LiveLoop:
             return None
         moving = moving or self._moving()
         took_ms = (time.monotonic() - started_s) * 1e3
-        reading_deg = dict(self._reading_deg())
-        return _Slice(path, setting, facts, reading_deg, started_s, took_ms, shows_signal, moving)
+        part = LiveSlice(path, started_s, facts, dict(self._reading_deg()), moving)
+        return _Recorded(part, setting, took_ms, shows_signal)
 
     def _do_tasks(self) -> None:
         while self._tasks:
@@ -352,29 +348,28 @@ class LiveLoop:
                 self._wake.wait_for(lambda: self._closing or self._waiting is not None)
                 if self._closing:
                     return
-                part, self._waiting = self._waiting, None
+                recorded, self._waiting = self._waiting, None
                 self._began_s = began_s = time.monotonic()
                 self._wake.notify_all()
-            assert part is not None
+            assert recorded is not None
             try:
-                self._publish(part)
+                self._publish(recorded)
             except Exception as error:  # noqa: BLE001 - one bad slice must not end the live picture
                 self._fail(Failure.of(error))
             finally:
-                part.path.unlink(missing_ok=True)
+                recorded.part.path.unlink(missing_ok=True)
                 with self._wake:
                     self._measure_s = learnt_s(self._measure_s, time.monotonic() - began_s)
                     self._began_s = None
                     self._wake.notify_all()
 
-    def _publish(self, part: _Slice) -> None:
+    def _publish(self, recorded: _Recorded) -> None:
         started_s = time.monotonic()
         if self._forget_asked:
             self._forget_asked = False
             self._meter.forget()
-        live_slice = LiveSlice(part.path, part.time_s, part.facts, part.reading_deg, part.moving)
-        image, jpeg, figures = self._meter.measure(live_slice, part.setting)
-        if part.shows_signal:
+        image, jpeg, figures = self._meter.measure(recorded.part, recorded.setting)
+        if recorded.shows_signal:
             self._signal = figures
         else:
             figures = with_signal_of(figures, self._signal)
@@ -385,7 +380,7 @@ class LiveLoop:
             jpeg,
             figures,
             time.time(),
-            part.record_ms,
+            recorded.record_ms,
             (now_s - started_s) * 1e3,
         )
         self._times_s.append(now_s)
