@@ -122,7 +122,7 @@ def run_text(row: Mapping[str, Any]) -> str:
                 row["values"][parameter], factors[-1] * row["sigma"][parameter]
             )
             shown.append(f"{parameter} {value} ± {expanded} {unit_text(parameter)}".rstrip())
-    located = f"{row['stars']} {words_for(row.get('board')).points}"  # rows of earlier versions have no board
+    located = f"{row['stars']} {words_for(row['board']).points}"
     parts = [f"{', '.join(shown)} (U with {factors_text(factors)})", f"{row['views']} views, {located}"]
     if row["left_out"]:
         parts.append(f"{len(row['left_out'])} recordings left out")

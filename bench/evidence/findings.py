@@ -146,8 +146,6 @@ EXPORTS = "exports/"
 _WRITTEN_LAST = (RESULTS, REPORT, "views.h5")
 """Files that the report step writes, besides the exports."""
 _CLOCK_SLACK_S = 0.05
-_PROGRAM = "program"
-"""Key of the software that every version states which journals the hashes of the results."""
 
 
 def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) -> Mapping[str, Capture]:
@@ -290,11 +288,8 @@ def _written_line(
 ) -> None:
     line = next((entry for entry in reversed(entries) if entry.event == Event.WRITTEN), None)
     if line is None:
-        what = "does not hold the hashes of results, report, views and exports"
-        if any(_PROGRAM in (entry.data.get("software") or {}) for entry in entries):
-            found.fault("journal", JOURNAL, f"it {what}, though this version of the program writes them")
-        else:
-            found.remarks.append(f"{JOURNAL} {what}: an earlier version wrote it")
+        what = "it does not hold the hashes of results, report, views and exports"
+        found.fault("journal", JOURNAL, f"{what}, though this version of the program writes them")
         return
     files = line.data.get("files")
     where = f"{JOURNAL}:{line.seq + 1}"

@@ -54,11 +54,6 @@ CREATE TABLE IF NOT EXISTS deliveries (
 );
 PRAGMA user_version = {VERSION};
 """
-_FROM_1 = f"""
-ALTER TABLE deliveries ADD COLUMN ledger_number INTEGER;
-ALTER TABLE deliveries ADD COLUMN ledger_head TEXT;
-PRAGMA user_version = {VERSION};
-"""
 
 
 class DeliveryFailed(Exception):
@@ -225,7 +220,7 @@ class Outbox:
             with closing(sqlite3.connect(self.path, timeout=10.0)) as database:
                 database.execute("PRAGMA journal_mode = WAL")
                 database.execute("PRAGMA synchronous = FULL")
-                _bring_up_to_date(database)
+                _make_tables(database)
                 with database:
                     yield database
         except sqlite3.Error as error:
@@ -236,17 +231,10 @@ class Outbox:
             ) from error
 
 
-def _bring_up_to_date(database: sqlite3.Connection) -> None:
-    """Make the tables, or add what an earlier version did not have."""
-    found = database.execute("PRAGMA user_version").fetchone()[0]
-    if found == VERSION:
-        return
-    database.execute("BEGIN IMMEDIATE")  # another process may do the same
-    found = database.execute("PRAGMA user_version").fetchone()[0]
-    statements = "" if found == VERSION else _FROM_1 if found == 1 else _SCHEMA
-    for statement in filter(None, map(str.strip, statements.split(";"))):
-        database.execute(statement)
-    database.commit()
+def _make_tables(database: sqlite3.Connection) -> None:
+    """Make the tables, unless they are there; another process may do the same."""
+    if database.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+        database.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
 
 
 def _side_by_side(work: Callable[[str], None], names: Iterable[str]) -> None:

@@ -44,16 +44,6 @@ class ViewData(TypedDict):
     centre_mm: Sequence[float]
 
 
-class CandidateData(TypedDict):
-    """A model that was compared with the others."""
-
-    model: str
-    parameters: int
-    rms_px: float
-    left_out_rms_px: float | None
-    bic: float
-
-
 class BudgetRowData(TypedDict):
     """A source of uncertainty: how it was evaluated (JCGM 100, 4.2 and 4.3), and what it contributes."""
 
@@ -164,7 +154,7 @@ class CalibrationData(CameraData):
     left_out_rms_px: NotRequired[float | None]
     budget: NotRequired[Mapping[str, Numbers]]  # Standard uncertainty of each parameter by source
     views: Sequence[ViewData]
-    candidates: NotRequired[Sequence[CandidateData]]
+    candidates: NotRequired[Sequence[Any]]  # Empty: no models are compared
     notes: NotRequired[Sequence[str]]
     remarks: NotRequired[Sequence[str]]  # Those of the notes that do not doubt the values
     gimbal: NotRequired[GimbalEstimateData]
@@ -224,7 +214,7 @@ class PassportData(TypedDict):
     values: Numbers
     sigma: Numbers
     sha256: str
-    sealed_by: NotRequired[str | None]
+    sealed_by: str | None
 
 
 class ReadingsStatement(TypedDict):
@@ -284,13 +274,13 @@ class GimbalCheckData(TypedDict):
     rms_arcsec: float
     scale: Numbers
     scale_sigma: Numbers
-    agrees: NotRequired[bool]
-    excess_arcsec: NotRequired[float]
-    verdict: NotRequired[str]
-    says: NotRequired[Sequence[str]]
-    pairs: NotRequired[GimbalPairs | None]
-    slip: NotRequired[GimbalFaultData | None]
-    faults: NotRequired[Sequence[GimbalFaultData]]
+    agrees: bool
+    excess_arcsec: float
+    verdict: str
+    says: Sequence[str]
+    pairs: GimbalPairs | None
+    slip: GimbalFaultData | None
+    faults: Sequence[GimbalFaultData]
 
 
 class HalvesData(TypedDict):

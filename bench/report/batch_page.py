@@ -113,8 +113,8 @@ def _newest_line(items: Sequence[Json]) -> str:
 
 
 def _chart_sections(summary: Json) -> list[dict[str, Any]]:
-    """Return the control charts of the cameras with enough runs; a summary of an earlier version has none."""
-    groups = [group for group in summary.get("charts", {}).get("groups", ()) if group["state"] != "too few"]
+    """Return the control charts of the cameras with enough runs."""
+    groups = [group for group in summary["charts"]["groups"] if group["state"] != "too few"]
     drawn = choose_drawn(groups)
     sections = [chart_section(group, drawn.get(place, frozenset())) for place, group in enumerate(groups)]
     for section in sections:

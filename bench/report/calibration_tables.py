@@ -286,13 +286,11 @@ def checks(results: Results) -> list[tuple[str, str]]:
 
 
 def _gimbal(gimbal: GimbalCheckData) -> list[tuple[str, str]]:
-    """Describe the hand-eye check; results of older versions have no verdict."""
-    found = f"RMS difference {angle(gimbal['rms_arcsec'])}"
-    if gimbal.get("agrees") is False:
-        found += ". This is more than the uncertainty of the stars explains"
-    rows = [("Hand-eye check: rotations against the gimbal's readings", f"{found}.")]
-    if says := gimbal.get("says"):
-        rows.append((_VERDICTS.get(gimbal.get("verdict", ""), "Gimbal"), " ".join(says)))
+    """Describe the hand-eye check."""
+    more = "" if gimbal["agrees"] else ". This is more than the uncertainty of the stars explains"
+    found = f"RMS difference {angle(gimbal['rms_arcsec'])}{more}."
+    rows = [("Hand-eye check: rotations against the gimbal's readings", found)]
+    rows.append((_VERDICTS[gimbal["verdict"]], " ".join(gimbal["says"])))
     for axis, scale in gimbal["scale"].items():
         value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])
         rows.append(

@@ -79,8 +79,8 @@ def passport_rows(passport: PassportData | None) -> Rows:
 
 
 def _seal_rows(passport: PassportData) -> Rows:
-    """Return the seal of a passport; no row for the values of a station's certificate and of an earlier version."""
-    if passport["source"] == "station certificate" or "sealed_by" not in passport:
+    """Return the seal of a passport; no row for the values of a station's certificate."""
+    if passport["source"] == "station certificate":
         return []
     return [("Seal of the passport", str(passport["sealed_by"] or "none: the file is not sealed"))]
 

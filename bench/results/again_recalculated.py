@@ -78,7 +78,7 @@ def check_recalculated(folder: Path) -> Findings:
 
 def _check_station(described: Mapping[str, Any], found: Findings) -> None:
     """Compare the station file of the command line, if it is still there, with its hash and its target."""
-    stated = described.get("station")  # earlier versions did not state it
+    stated = described["station"]
     if stated is None:
         return
     path = Path(str(stated["path"]))
@@ -129,7 +129,7 @@ def _calibrated(folder: Path, described: Mapping[str, Any]) -> OfflineResult:
         passport = passport_of_file(folder / PASSPORT_COPY, str(stored["passport"]))
     given = described["option_target"]
     target = StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
-    station = described.get("station")
+    station = described["station"]
     options = replace(
         options_of_data(stored, passport, target), station=None if station is None else StationFile(**station)
     )

@@ -213,7 +213,7 @@ def _read(folder: Path, found: Findings) -> _Evidence | None:
         return None
     if not (folder / RESULTS).is_file():
         return _Evidence(folder, entries, job, whole, "")
-    head = _head(folder, entries)
+    head = _head(entries)
     at = next((number for number, entry in enumerate(entries, start=1) if entry.hash == head), None)
     if at is None:
         found.fault("report", REPORT, "the report names no line of this journal")
@@ -231,13 +231,11 @@ def _job(folder: Path, history: History) -> Job:
     return Job.from_plan(planned, seed=history.started["seed"], operator=history.started["operator"])
 
 
-def _head(folder: Path, entries: Sequence[Entry]) -> str:
-    """Return the hash of the journal's line that the report prints; runs of earlier versions state it there alone."""
-    written = [str(entry.data.get("head")) for entry in entries if entry.event == Event.WRITTEN]
-    if written:
-        return written[-1]
-    report = (folder / REPORT).read_text(encoding="utf-8", errors="replace")
-    return next((entry.hash for entry in entries if entry.hash in report), "")
+def _head(entries: Sequence[Entry]) -> str:
+    """Return the hash of the journal's line that the report prints, as the journal states it; empty if it does not."""
+    return next(
+        (str(entry.data.get("head")) for entry in reversed(entries) if entry.event == Event.WRITTEN), ""
+    )
 
 
 def _check_first_line(evidence: _Evidence, found: Findings) -> None:

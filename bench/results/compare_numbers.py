@@ -139,7 +139,7 @@ _FOLLOWS = (
     "check.",
 )
 """Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
-_TABLES = ("calibration.budget_rows[", "calibration.candidates[", "calibration.not_included[")
+_TABLES = ("calibration.budget_rows[", "calibration.not_included[")
 """Tables whose rows another program may order and name otherwise."""
 _TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
 _MEASURED = ("poses[", "pose ", "gates[")

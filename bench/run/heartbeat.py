@@ -162,7 +162,7 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
         numbers = [int(number) for number in (folder / CONTROL / HEARTBEAT).read_bytes().split()]
     except (OSError, ValueError):
         return None
-    return Heartbeat(*numbers[:3]) if 3 <= len(numbers) <= 5 else None  # more: of an earlier version
+    return Heartbeat(*numbers) if len(numbers) == 3 else None
 
 
 def open_process(heartbeat: Heartbeat) -> int | None:

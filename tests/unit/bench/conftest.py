@@ -81,18 +81,20 @@ def make_a_run(path, *, serial="00050423"):
                 )
                 told.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
             poses.append({"index": pose, "attempts": told})
-        for event in ("entering", "left_off"):
-            journal.append(event, state="reporting")
+        results = {
+            "run": {"id": "run-1", "simulated": True},
+            "devices": {"camera": {"serial": serial}},
+            "poses": poses,
+        }
+        files = {"results.json": canonical_json(results), "exports/opencv.yaml": b"fx: 3345.06\n"}
+        files |= {name: name.encode() for name in ("report.html", "views.h5")}
+        for name, data in files.items():
+            folder.write_atomic(name, data)
+        journal.append("entering", state="reporting")
+        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+        journal.append("written", head=journal.entries[-1].hash, files=hashes, wire={})
+        journal.append("left_off", state="reporting")
         journal.append("run_ended", how="finished", why="")
-    results = {
-        "run": {"id": "run-1", "simulated": True},
-        "devices": {"camera": {"serial": serial}},
-        "poses": poses,
-    }
-    folder.write_atomic("results.json", canonical_json(results))
-    for name in ("report.html", "views.h5"):
-        folder.write_atomic(name, name.encode())
-    folder.write_atomic("exports/opencv.yaml", b"fx: 3345.06\n")
     return folder
 
 

@@ -27,6 +27,7 @@ from tests.unit.bench.evidence.attack_steps import (
     shifted_clock,
     told,
     without_pose,
+    without_program,
     without_results,
     write,
 )
@@ -83,6 +84,7 @@ ATTACKS = [
     Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
     Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
     Attack("hashes of the results removed", drop("written"), "journal.jsonl", "journal"),
+    Attack("hashes of the results removed, and the program that wrote them", without_program, "journal.jsonl", "journal"),
     Attack("clock moved within the run", shifted_clock, "journal.jsonl:21", "journal"),
     Attack("a pose never happened", without_pose, "journal.jsonl", "journal"),
     Attack("devices never named", drop("devices"), "results.json", "results", DIFF),

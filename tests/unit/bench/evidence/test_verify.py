@@ -53,14 +53,15 @@ def test_a_missing_file_is_found(sealed, signers):
 def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
     (sealed / "results.json").write_bytes((sealed / "results.json").read_bytes().replace(b"run-1", b"run-2"))
     (sealed / "SHA256SUMS").write_bytes(make_manifest(sealed))
-    assert kinds(verify_folder(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
+    found = kinds(verify_folder(sealed, signers))
+    assert found == [("results", "results.json"), ("signature", "SHA256SUMS.sig")]
 
 
 def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
     (sealed / "exports/opencv.yaml").write_text("fx: 1\n")
     reseal(sealed, other_key)
     found = verify_folder(sealed, signers)
-    assert kinds(found) == [("key", "SHA256SUMS.sig")]
+    assert kinds(found) == [("exports", "exports/opencv.yaml"), ("key", "SHA256SUMS.sig")]
     assert other_key.fingerprint in found.faults[0].what
     assert found.signer is None
 

@@ -1,11 +1,10 @@
 """Outbox and courier: nothing lost, nothing made twice, no run waits for a server."""
 
-import sqlite3
 import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -92,23 +91,6 @@ def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypa
     found = {(d.message.key, d.channel): d for d in outbox.deliveries()}
     assert found["k1", "hangs"].perhaps_twice
     assert "not complete within 0.3 s" in found["k1", "hangs"].last_error
-
-
-def test_an_outbox_of_an_earlier_version_keeps_its_messages(outbox):
-    outbox.path.parent.mkdir()
-    with closing(sqlite3.connect(outbox.path)) as database:
-        database.executescript(
-            "CREATE TABLE deliveries (key TEXT, channel TEXT, occasion TEXT, subject TEXT, text TEXT, run TEXT,"
-            " folder TEXT, utc TEXT, state TEXT, tries INTEGER, next_try REAL, perhaps_twice INTEGER, last_error TEXT,"
-            " PRIMARY KEY (key, channel)); PRAGMA user_version = 1;"
-            "INSERT INTO deliveries VALUES ('old', 'mail', 'end', 's', 't', 'r', '/r', '2026', 'waiting', 0, 0, 0, '');"
-        )
-    outbox.put(Message("new", "end", "s", "t", "r", "/r", "2027", 3, "a" * 64), ["mail"])
-    receiver = Receiver()
-    assert outbox.deliver(receiver, NOW) == 0
-    assert receiver.taken == [("old", "mail"), ("new", "mail")]
-    places = [(d.message.ledger_number, d.message.ledger_head) for d in outbox.deliveries()]
-    assert places == [(None, None), (3, "a" * 64)]
 
 
 def test_a_process_killed_while_sending_loses_nothing(outbox):

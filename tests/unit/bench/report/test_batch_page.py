@@ -80,7 +80,8 @@ def summary(*items, cameras=(), **facts):
     return {
         "schema": "starbench/batch/1", "queue": "Night", "zone": "Europe/Berlin", "how": "finished", "why": "",
         "begun_utc": "2026-03-01T19:00:00+00:00", "ended_utc": "2026-03-02T03:00:00+00:00", "simulated": False,
-        "rehearsal": False, "totals": totals, "items": list(items), "cameras": list(cameras), "requests": [], **facts,
+        "rehearsal": False, "totals": totals, "items": list(items), "cameras": list(cameras), "charts": {"groups": []},
+        "requests": [], **facts,
     }  # fmt: skip
 
 

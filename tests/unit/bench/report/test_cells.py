@@ -29,9 +29,6 @@ def printed(**run):
     first["attempts"][0] |= {"accepted": False, "reasons": ["few stars", "the target moved"]}
     second |= {"rms_px": None, "named_by": "gimbal"}
     third["attempts"][0]["accepted"], third["rms_px"] = False, None
-    results["calibration"]["candidates"] = [
-        {"model": "radial", "parameters": 12, "rms_px": 0.0523, "left_out_rms_px": None, "bic": 12345.678}
-    ]
     return render_report(ReportData(results, data.views), draw=False)
 
 
@@ -73,10 +70,6 @@ def test_the_truth_has_the_digits_of_the_uncertainty(page):
     fx, _, cx = cells(page, "Comparison with the simulated truth")[:3]
     assert fx == ["fx", "3346.4", "± 4.3", "3345.1", "1.3", "0.61"]
     assert cx[4:] == [f"{MINUS}1.6", f"{MINUS}1.22"]
-
-
-def test_a_model_that_was_compared_shows_what_it_cost(page):
-    assert cells(page, "Models compared") == [["radial", "12", "0.0523", NOTHING, "12345.7"]]
 
 
 def test_a_run_of_a_batch_shows_how_it_ended():
