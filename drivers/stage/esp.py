@@ -23,7 +23,6 @@ from drivers.stage.motion import Axis
 from drivers.stage.watched import (
     AxisState,
     OneLineStage,
-    StopCheck,
     no_reference,
     not_movable,
     reads_otherwise,
@@ -123,7 +122,6 @@ class EspStage(OneLineStage[EspAxis]):
         super().__init__(axes, clock=clock, where=port.name)
         self._time_cycles = 0
         self._restarts = 0
-        self._homed_at: int | None = None
         with closed_on_error(port):
             line = TextLine(
                 port,
@@ -160,7 +158,10 @@ class EspStage(OneLineStage[EspAxis]):
     def _has_reference(self) -> bool:
         """Whether this driver has homed all axes, and since then no controller restarted and no motor went off."""
         self._read_errors()
-        return self._homed_at == self._restarts and all(map(self._motor_on, self._axes.values()))
+        return self._was_homed() and all(map(self._motor_on, self._axes.values()))
+
+    def _lifetime(self) -> int:
+        return self._restarts
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Returns the errors since the last call, and the motors that are off."""
@@ -189,10 +190,6 @@ class EspStage(OneLineStage[EspAxis]):
     def _begin_move(self, axis: EspAxis, angle_deg: float) -> None:
         self._command(axis, f"PA{axis.to_controller_deg(angle_deg):.5f}")
 
-    def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        self._homed_at = None
-        super()._start_homing(check_not_stopped)
-
     def _begin_homing(self, axis: EspAxis) -> None:
         self._command(axis, f"OR{axis.home_mode}")
 
@@ -208,12 +205,9 @@ class EspStage(OneLineStage[EspAxis]):
         state = self._read_state(axis, homing=homing)
         if errors := self._relevant_errors():
             return state._replace(problem=self._describe(errors, axis))
-        if not homing and self._homed_at != self._restarts:
+        if not homing and not self._was_homed():
             return state._replace(problem="the controller restarted during the move: its position is lost")
         return state
-
-    def _finish_homing(self, axis: EspAxis) -> None:  # noqa: ARG002 - one controller, one restart
-        self._homed_at = self._restarts
 
     def _send_stop(self) -> None:
         """Stop all axes, then each by its number, because a stop has no reply; then check that the line answers."""

@@ -75,7 +75,6 @@ class GrblStage(OneLineStage[GrblAxis]):
         super().__init__(axes, clock=clock, where=port.name)
         self._serial = serial
         self._places = {axis.name: _LETTERS.index(axis.letter) for axis in axes}
-        self._homed_at: tuple[int, int] | None = None
         self._homing = False
         with closed_on_error(port):
             self._board = self._share(GrblController(port, clock=clock, wire_log=wire_log))
@@ -97,7 +96,11 @@ class GrblStage(OneLineStage[GrblAxis]):
     def _has_reference(self) -> bool:
         """Whether this driver has homed the board, which has neither restarted nor raised an alarm since then."""
         self._board.query_status()
-        return self._homed_at == self._history()
+        return self._was_homed()
+
+    def _lifetime(self) -> tuple[int, int]:
+        """Return the number of restarts and of alarms so far; each of them undoes a reference."""
+        return self._board.restarts, len(self._board.alarms)
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Names a state that blocks moves, and a missing reference."""
@@ -107,7 +110,7 @@ class GrblStage(OneLineStage[GrblAxis]):
             return [f"board: {error.what}", "board: no reference"]
         state = self._board.query_status().state
         found = [f"board: {self._describe(state)}"] if state in BLOCKING_STATES else []
-        return found if self._homed_at == self._history() else [*found, "board: no reference"]
+        return found if self._was_homed() else [*found, "board: no reference"]
 
     def home(self) -> None:
         """See `Stage.home`.
@@ -130,7 +133,7 @@ class GrblStage(OneLineStage[GrblAxis]):
 
     def _check_ready(self, axis: GrblAxis) -> None:
         state = self._board.query_status().state
-        if self._homed_at != self._history():
+        if not self._was_homed():
             raise no_reference(axis, "the board has no reference")
         if state in BLOCKING_STATES:
             raise not_movable(axis, self._describe(state))
@@ -164,7 +167,7 @@ class GrblStage(OneLineStage[GrblAxis]):
         return f"$J=G21G53{''.join(words)}F{feed_deg_min:.1f}"
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        self._homed_at, self._homing = None, False
+        self._homing = False
         super()._start_homing(check_not_stopped)
         self._board.wait_for_homing()
         self._homing = False
@@ -178,11 +181,8 @@ class GrblStage(OneLineStage[GrblAxis]):
         """Read state and position from one report."""
         report = self._board.query_status()
         problem = self._problem(report.state, homing=homing)
-        position_kept = report.state in {"Hold", "Door", "Run"} and self._homed_at == self._history()
+        position_kept = report.state in {"Hold", "Door", "Run"} and self._was_homed()
         return AxisState(self._angle_deg(axis, report), report.moving, problem, position_kept)
-
-    def _finish_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one board, one reference
-        self._homed_at = self._history()
 
     def _send_stop(self) -> None:
         """Cancel the jog. A homing, or the program of another sender, ends only by a reset."""
@@ -194,18 +194,14 @@ class GrblStage(OneLineStage[GrblAxis]):
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
         return axis.zero_deg + machine_positions(report, [self._places[axis.name]], self._where)[0]
 
-    def _history(self) -> tuple[int, int]:
-        """Return the number of restarts and of alarms so far; each of them undoes a reference."""
-        return self._board.restarts, len(self._board.alarms)
-
     def _problem(self, state: str, *, homing: bool) -> str:
         """Return why a move in this state will not end at its target; empty when it may."""
-        homed_at = None if homing else self._homed_at
-        if homed_at is not None and homed_at[0] != self._board.restarts:
+        homed_in = None if homing else self._homed_in
+        if homed_in is not None and homed_in[0] != self._board.restarts:
             return "the board restarted during the move: its position is lost"
         if state in BLOCKING_STATES:
             return self._describe(state)
-        if homed_at is not None and homed_at != self._history():
+        if homed_in is not None and not self._was_homed():
             return f"the board raised ALARM:{self._board.alarms[-1]} during the move: its position is lost"
         return ""
 

@@ -67,7 +67,6 @@ class TextStage(OneLineStage[TextAxis]):
         super().__init__(axes, clock=clock, where=port.name)
         self._description = description
         self._serial = serial
-        self._homed = False
         self._awaited: list[tuple[TextAxis, str]] = []
         """Axes whose late reply to ``home`` has not come, with what was sent."""
         self._rest_deg: dict[str, float] = {}
@@ -98,7 +97,7 @@ class TextStage(OneLineStage[TextAxis]):
         where this driver left it counts as not homed.
         """
         reference = self._description.reference
-        if reference is None and not self._homed:
+        if reference is None and not self._was_homed():
             return False
         for axis in self._axes.values():
             if reference is not None and not self._line.switch(reference, self._of(axis))[0]:
@@ -150,7 +149,6 @@ class TextStage(OneLineStage[TextAxis]):
         self._line.query(self._description.move, self._of(axis, target=axis.to_position(angle_deg)), tries=1)
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        self._homed = False
         self._awaited = []
         self._rest_deg = {}
         super()._start_homing(check_not_stopped)
@@ -203,9 +201,6 @@ class TextStage(OneLineStage[TextAxis]):
         counts = self._line.query(self._description.encoder, self._of(axis))["counts"]
         return AxisState(axis.to_angle_deg(float(counts)), not idle)
 
-    def _finish_homing(self, axis: TextAxis) -> None:  # noqa: ARG002 - one controller, one reference
-        self._homed = True
-
     def _send_stop(self) -> None:
         """Stop at once, twice if no reply comes; when the reply is bad or late, once more on a clean line.
 
@@ -213,7 +208,7 @@ class TextStage(OneLineStage[TextAxis]):
         """
         if self._awaited:
             self._awaited = []
-            self._homed = False
+            self._homed_in = None
             self._line.give_up_waiting()
         tries = 1
         for _ in range(_STOPS_IN_SILENCE):

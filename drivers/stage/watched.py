@@ -79,6 +79,8 @@ class WatchedStage(ABC, Generic[A]):
         self._stops = 0
         self._position_doubt = ""
         """Why the position is in doubt; empty while it is known."""
+        self._homed_in: Any = None
+        """The `_lifetime` of the controller at the last homing; None if this driver has not homed it."""
 
     # ------------------------------------------------------------ what a family implements
 
@@ -89,6 +91,14 @@ class WatchedStage(ABC, Generic[A]):
     @abstractmethod
     def _has_reference(self) -> bool:
         """Whether every axis has a reference, as far as the controller reports it."""
+
+    def _lifetime(self) -> object:
+        """Return what changes when a controller loses its reference that does not report whether it has one."""
+        return True
+
+    def _was_homed(self) -> bool:
+        """Whether this driver has homed the controller in its present lifetime."""
+        return self._homed_in is not None and self._homed_in == self._lifetime()
 
     @abstractmethod
     def faults(self) -> Sequence[str]:
@@ -191,6 +201,7 @@ class WatchedStage(ABC, Generic[A]):
             self._clear_faults(axis)
         self._position_doubt = self._position_doubt or "homing did not end"
         try:
+            self._homed_in = None
             self._start_homing(check_not_stopped)
             now_s = self._clock.monotonic()
             watches = [(axis, motion.homing_watch(axis, now_s)) for axis in self._axes.values()]
@@ -199,7 +210,7 @@ class WatchedStage(ABC, Generic[A]):
                 self._check_end(axis, None)
             for axis in self._axes.values():
                 self._finish_homing(axis)
-            self._position_doubt = ""
+            self._position_doubt, self._homed_in = "", self._lifetime()
         except DriverError as error:
             raise self._stopped_after(error) from error
 
