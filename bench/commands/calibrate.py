@@ -360,7 +360,7 @@ def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
 def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
     """Tell what one view can tell that does not determine the camera."""
     from bench.report.text import one_view_sentences
-    from calib.studies.one_view_check import check_one_view
+    from calib.studies.camera_check import check_one_view
 
     checked = check_one_view(stated.camera, stated.covariance, view)
     about = {"kind": stated.kind, "uncertainty": stated.covariance is not None}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from bench.records.results import CheckData, ConformityData, Results, StatementData
-    from calib.studies.one_view_check import OneViewCheck
+    from calib.studies.camera_check import OneViewCheck
 
 # An ``until`` in words: its goals, what it has reached, and how it ended.
 

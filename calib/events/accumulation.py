@@ -213,31 +213,6 @@ def _add_events(
                     off_fired[at] += np.uint16(is_first)
 
 
-class LitPixels(NamedTuple):
-    """Pixels that the flicker reaches, and what they tell about a slice."""
-
-    # (K,) float32, us, mean latency of the first ON event of a burst of each lit pixel, row by row.
-    latency_us: Array32
-    on: int
-    off: int
-    all_on: int
-    silent_rows: int  # Number of rows without any event between rows with lit pixels
-
-
-def lit_pixels(sums: PixelSums, hot: Bools, least: float) -> LitPixels:
-    """Find the pixels that fire in enough bursts of both polarities; ``hot`` pixels do not count."""
-    lit = (sums.on_fired >= least) & (sums.off_fired >= least) & ~hot
-    rows = np.flatnonzero(lit.any(axis=1))
-    silent = (sums.on_count == 0).all(axis=1) & (sums.off_count == 0).all(axis=1)
-    return LitPixels(
-        sums.mean_latency_us()[lit],
-        int(sums.on_count[lit].sum()),
-        int(sums.off_count[lit].sum()),
-        int(sums.on_count.sum()),
-        int(np.count_nonzero(silent[rows[0] : rows[-1]])) if len(rows) else 0,
-    )
-
-
 def hot_pixels(on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allowed: int) -> Bools:
     """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each."""
     count = on_count + off_count

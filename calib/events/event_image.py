@@ -42,7 +42,6 @@ from calib.events.accumulation import (
     PixelSums,
     accumulate,
     hot_pixels,
-    lit_pixels,
     whole_period_window,
     without_hot_pixels,
 )
@@ -229,7 +228,7 @@ def make_images(
         )
     inside = slice(first, last)
     sums, on_window = accumulate(t[inside], x[inside], y[inside], p[inside], size, start, flicker.period_us)
-    hot = _hot_pixels(sums, 2 * whole)
+    hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole)
     facts = _facts(sums, hot, (start, end, whole), last - first, on_window)
     return EventImages(
         last_polarity=sums.last_polarity,
@@ -244,32 +243,31 @@ def make_images(
     )
 
 
-def _hot_pixels(sums: PixelSums, edges: int) -> Bools:
-    """Find the pixels with more than 2.5 m + 4 + 2 E events (own rule): m the median of 5 x 5 pixels, E edges."""
-    return hot_pixels(sums.on_count, sums.off_count, 4 + 2 * edges)
-
-
 def _facts(
     sums: PixelSums, hot: Bools, window: tuple[float, float, int], events: int, on_window: BurstWindow
 ) -> SliceFacts:
     """Collect the facts of the slice; ``window`` is its start and end, us, and number of periods."""
     start, end, periods = window
-    lit = lit_pixels(sums, hot, LIT_SHARE * periods)
-    number = len(lit.latency_us)
-    on, off = (float(count) / number / periods if number else 0.0 for count in (lit.on, lit.off))
+    least = LIT_SHARE * periods
+    lit = (sums.on_fired >= least) & (sums.off_fired >= least) & ~hot
+    latency_us, number = sums.mean_latency_us()[lit], int(np.count_nonzero(lit))
+    counts = (int(count[lit].sum()) for count in (sums.on_count, sums.off_count))
+    on, off = (float(count) / number / periods if number else 0.0 for count in counts)
+    rows = np.flatnonzero(lit.any(axis=1))
+    silent = (sums.on_count == 0).all(axis=1) & (sums.off_count == 0).all(axis=1)
     return SliceFacts(
         start_us=start,
         end_us=end,
         periods=periods,
         events=events,
-        on_share=float(lit.all_on) / events,
+        on_share=float(sums.on_count.sum()) / events,
         lit_pixels=number,
         events_per_edge=(on + off) / 2.0,
         events_per_edge_on=on,
         events_per_edge_off=off,
-        first_on_spread_us=float(lit.latency_us.std()) if number else float("nan"),
+        first_on_spread_us=float(latency_us.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
-        silent_rows=lit.silent_rows,
+        silent_rows=int(np.count_nonzero(silent[rows[0] : rows[-1]])) if len(rows) else 0,
         on_window=on_window,
     )
 

@@ -145,11 +145,7 @@ def zhang_matrix(
     With w = K^-T K^-1, each view gives h1^T w h2 = 0 and h1^T w h1 = h2^T w h2: Zhang (2000), eqs. 3 and 4 and section
     3.1. A principal point that is not free is the image's centre. None if frontal views or noise do not allow it.
     """
-    width, height = image_size
-    scale = 2.0 / np.hypot(width, height)
-    shift = np.array([-scale * (width - 1) / 2, -scale * (height - 1) / 2])
-    to_unit = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]], [0.0, 0.0, 1.0]])
-    unknown = [(0, 0), (1, 1), (0, 2), (1, 2)] if free_principal_point else [(0, 0), (1, 1)]
+    to_unit, unknown = _image_conditioning(image_size), _IMAGE[: 4 if free_principal_point else 2]
     rows, right = [], []
     for h in to_unit @ homographies:
         h1, h2 = h[:, 0] / np.linalg.norm(h[:, 0]), h[:, 1] / np.linalg.norm(h[:, 0])

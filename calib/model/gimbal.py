@@ -52,10 +52,6 @@ class Gimbal:
         pan, _, _, before_pan = self._turns(angles_deg)
         return np.asarray(before_pan @ pan)
 
-    def axes(self, angles_deg: Array) -> Array:
-        """Return (n, 3, 3) unit vectors of pan, tilt and roll, in columns, seen from the camera, at (n, 3) readings."""
-        return self.turned(angles_deg)[1]
-
     def turned(self, angles_deg: Array) -> tuple[Array, Array, Array]:
         """Return how the head turns the camera, and about which axes, at (n, 3) readings of pan, tilt, roll.
 

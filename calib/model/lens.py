@@ -7,7 +7,7 @@ coordinates (x / z, y / z), not pixels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,15 +17,8 @@ from calib.arrays import Array
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _TANGENTIAL = (2, 3)
 _NUMERATOR = (0, 1, 4)
-#: Power of r^2 of each radial coefficient, by its place in `BROWN`. Products, because a general power is slow.
-_POWERS: Mapping[int, Callable[[Array], Array]] = {
-    0: lambda r2: r2,
-    1: lambda r2: r2 * r2,
-    4: lambda r2: r2 * r2 * r2,
-    5: lambda r2: r2,
-    6: lambda r2: r2 * r2,
-    7: lambda r2: r2 * r2 * r2,
-}
+#: Power of r^2 of each radial coefficient, by its place in `BROWN`.
+_POWERS = {0: 1, 1: 2, 4: 3, 5: 1, 6: 2, 7: 3}
 #: Coefficients of the angle's polynomial: theta (1 + kb1 theta^2 + kb2 theta^4 + ...); OpenCV's fisheye k1 to k4.
 FISHEYE = ("kb1", "kb2", "kb3", "kb4")
 _FISHEYE_NAMES = frozenset(FISHEYE)
@@ -68,21 +61,21 @@ def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Arra
     return np.array([coefficients.get(name, 0.0) for name in family])
 
 
-def _radial_terms(x: Array, y: Array, k: Array) -> tuple[Array, Array, Array, Array]:
-    """Return r^2, numerator, denominator and radial factor of the rational distortion, (N,) each.
+def _radial_terms(x: Array, y: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Return r^2, denominator and radial factor of the rational distortion, (N,) each.
 
     OpenCV's rational model: (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
     """
     r2 = x * x + y * y
     numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    return r2, numerator, denominator, numerator / denominator
+    return r2, denominator, numerator / denominator
 
 
 def _brown(points: Array, k: Array) -> Array:
     """Distort (N, 2) normalised points: Brown (1971), with OpenCV's rational radial factor."""
     x, y = np.ascontiguousarray(points.T)
-    r2, _, _, radial = _radial_terms(x, y, k)
+    r2, _, radial = _radial_terms(x, y, k)
     return _bent(x, y, r2, radial, k).T
 
 
@@ -102,7 +95,7 @@ def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tup
     Own derivatives of `_brown`. In memory each derivative is one contiguous row over the points.
     """
     x, y = np.ascontiguousarray(points.T)
-    r2, _, denominator, radial = _radial_terms(x, y, k)
+    r2, denominator, radial = _radial_terms(x, y, k)
     p1, p2 = k[2], k[3]
     numerator_slope = k[0] + r2 * (2.0 * k[1] + 3.0 * k[4] * r2)
     denominator_slope = k[5] + r2 * (2.0 * k[6] + 3.0 * k[7] * r2)
@@ -113,13 +106,14 @@ def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tup
     by_points[1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
     by_points[0, 1] = by_points[1, 0] = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
 
+    powers = r2, r2 * r2, r2 * r2 * r2  # products, because a general power is slow
     by_coefficients = np.empty((len(wanted), 2, len(x)))
     for rows, at in zip(by_coefficients, wanted, strict=True):
         if at in _TANGENTIAL:
             rows[at - 2] = 2.0 * x * y
             rows[3 - at] = r2 + 2.0 * (y * y if at == _TANGENTIAL[0] else x * x)
         else:
-            factor = _POWERS[at](r2) / denominator
+            factor = powers[_POWERS[at] - 1] / denominator
             factor = factor if at in _NUMERATOR else -factor * radial
             rows[0], rows[1] = x * factor, y * factor
     bent = _bent(x, y, r2, radial, k)

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
+from calib.arrays import AnyArray, Array, Array32, Bools, Bytes, Ints
 from calib.model.homography import apply_homography
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap
@@ -131,8 +131,7 @@ def sharpness(image: AnyArray, lit: Bytes) -> float | None:
     small = cv2.resize(np.asarray(image, np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     small = cv2.medianBlur(small, 3)
     white = float(np.quantile(small[::2, ::2], 0.97))
-    away = cv2.erode(lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    inside = cv2.resize(away, (small.shape[1], small.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
+    inside = _inside(lit, small.shape, 7)
     if white <= 0.0 or np.count_nonzero(inside) < 1000:
         return None
     share = np.clip(small / white, 0.0, 1.0)
@@ -150,8 +149,7 @@ def coarse_detail(image: AnyArray, lit: Bytes) -> float | None:
     """
     small = cv2.resize(np.asarray(image, np.float32), None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     white = float(np.quantile(small, 0.97))
-    away = cv2.erode(lit, np.ones((9, 9), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    inside = cv2.resize(away, (small.shape[1], small.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
+    inside = _inside(lit, small.shape, 9)
     if white <= 0.0 or np.count_nonzero(inside) < 500:
         return None
     share = np.clip(small / white, 0.0, 1.5)
@@ -162,21 +160,24 @@ def coarse_detail(image: AnyArray, lit: Bytes) -> float | None:
 def contrast(image: AnyArray, lit: Bytes) -> float | None:
     """Return Michelson's contrast (1927) inside the beam, 0 to 1, of the quantiles 0.95 and 0.05; None if unlit."""
     values = np.asarray(image[::3, ::3], np.float32)
-    inside = cv2.resize(lit, (values.shape[1], values.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
+    inside = _inside(lit, values.shape, 1)
     if np.count_nonzero(inside) < 100:
         return None
     dark, bright = (max(float(v), 0.0) for v in np.quantile(values[inside], [0.05, 0.95]))
     return (bright - dark) / (bright + dark) if bright + dark > 0.0 else None
 
 
+def _inside(lit: Bytes, shape: tuple[int, ...], margin: int) -> Bools:
+    """Return which pixels of an image of some shape are lit; cells within half a margin of the dark are not."""
+    away = cv2.erode(lit, np.ones((margin, margin), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(away, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST) > 0)
+
+
 def _pitch_px(homography: Array, at: Array) -> float:
     """Return the distance of neighbouring stars near a place of the grid, px."""
     corners = apply_homography(homography, at + np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]]))
-    return float(
-        np.sqrt(
-            abs(np.cross(np.append(corners[1] - corners[0], 0), np.append(corners[3] - corners[2], 0))[2])
-        )
-    )
+    along, down = corners[1] - corners[0], corners[3] - corners[2]
+    return float(np.sqrt(abs(along[0] * down[1] - along[1] * down[0])))
 
 
 @lru_cache(maxsize=2)

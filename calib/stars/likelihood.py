@@ -28,8 +28,9 @@ ratio (its overdispersion).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 
@@ -72,6 +73,8 @@ MAX_STEP_PX = 0.15
 PITCH_DIGITS = 6
 _RIDGE = 1e-6
 
+InformationByBlur = Callable[[float], float]
+
 
 @dataclass(frozen=True)
 class LikelihoodFit:
@@ -82,7 +85,7 @@ class LikelihoodFit:
     covariances: Array
     # (N,) float64, px per pitch, length of b: how uneven the light is across the star.
     light_slope: Array
-    _information: _InformationByBlur = field(repr=False)
+    _information: InformationByBlur = field(repr=False)
 
     @cached_property
     def edge_width_px(self) -> float:
@@ -101,8 +104,8 @@ def refine_by_likelihood(
     `calib.stars.printed_star`; None if all stars lie between stars.
     """
     pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
-    information = _InformationByBlur(levels, centres, local_map, target, pitch)
-    edge_map = _edge_map(target, pitch, max(BLURS_PX, key=information.at))
+    information = _information_by_blur(levels, centres, local_map, target, pitch)
+    edge_map = _edge_map(target, pitch, max(BLURS_PX, key=information))
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
     overdispersion = np.ones(target.segments)
@@ -141,7 +144,7 @@ def edge_width_px(
     takes it from ``local_map``. None for the start is the middle of `EDGE_WIDTHS_PX`.
     """
     pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
-    return _most_informative_blur(_InformationByBlur(levels, centres, local_map, target, pitch), start_px)
+    return _most_informative_blur(_information_by_blur(levels, centres, local_map, target, pitch), start_px)
 
 
 def typical_pitch_px(local_map: LocalMap) -> float:
@@ -175,42 +178,41 @@ def _edge_map(target: StarTarget, pitch: float, blur_px: float) -> EdgeMap:
     return blurred_edge_map(_sharp_star(target, pitch), target.segments, pitch, blur_px)
 
 
-class _InformationByBlur:
-    """Information of some of the stars about their centres, by the blur of the printed star."""
+def _information_by_blur(
+    levels: Bytes, centres: Array, local_map: LocalMap, target: StarTarget, pitch: float
+) -> InformationByBlur:
+    """Return the information of some of the stars about their centres, by the blur of the printed star.
 
-    def __init__(
-        self, levels: Bytes, centres: Array, local_map: LocalMap, target: StarTarget, pitch: float
-    ) -> None:
-        some = slice(None, None, max(1, len(centres) // BLUR_STARS))
-        self._levels, self._centres, self._local_map = levels, centres[some], local_map.select(some)
-        self._target, self._pitch = target, pitch
-        self._known: dict[float, float] = {}
+    The trace of the Fisher information, 1/px^2; it is kept for each blur.
+    """
+    some = slice(None, None, max(1, len(centres) // BLUR_STARS))
+    centres, local_map = centres[some], local_map.select(some)
 
-    def at(self, blur_px: float) -> float:
-        """Return the trace of the Fisher information of the centres, 1/px^2."""
-        if blur_px not in self._known:
-            edge_map = _edge_map(self._target, self._pitch, blur_px)
-            unknowns = np.zeros((len(self._centres), EDGE_UNKNOWNS))
-            pixels = gather_edge_pixels(self._levels, self._centres, self._local_map, edge_map)
-            counts = count_levels(pixels, unknowns, edge_map.limit_px)
-            tables = _score_tables(counts, BANDWIDTHS_PX[0] / TAU_BIN_PX)
-            _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, self._target.segments)
-            self._known[blur_px] = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
-        return self._known[blur_px]
+    @cache
+    def trace(blur_px: float) -> float:
+        edge_map = _edge_map(target, pitch, blur_px)
+        unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
+        pixels = gather_edge_pixels(levels, centres, local_map, edge_map)
+        counts = count_levels(pixels, unknowns, edge_map.limit_px)
+        tables = _score_tables(counts, BANDWIDTHS_PX[0] / TAU_BIN_PX)
+        _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, target.segments)
+        return float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
+
+    return trace
 
 
-def _most_informative_blur(information: _InformationByBlur, start_px: float | None = None) -> float:
+def _most_informative_blur(information: InformationByBlur, start_px: float | None = None) -> float:
     """Return the blur with most information, px: the vertex of a parabola through three blurs over log(blur)."""
     steps = np.arange(np.log(EDGE_WIDTHS_PX[0]), np.log(EDGE_WIDTHS_PX[1]), EDGE_WIDTH_STEP)
     blurs = [float(b) for b in np.exp(steps)]
     k = len(blurs) // 2 if start_px is None else int(np.argmin(np.abs(steps - np.log(start_px))))
-    while k + 1 < len(blurs) and information.at(blurs[k + 1]) > information.at(blurs[k]):
+    while k + 1 < len(blurs) and information(blurs[k + 1]) > information(blurs[k]):
         k += 1
-    while k > 0 and information.at(blurs[k - 1]) > information.at(blurs[k]):
+    while k > 0 and information(blurs[k - 1]) > information(blurs[k]):
         k -= 1
     if k in (0, len(blurs) - 1):
         return blurs[k]
-    low, top, high = (information.at(blurs[i]) for i in (k - 1, k, k + 1))
+    low, top, high = (information(blurs[i]) for i in (k - 1, k, k + 1))
     bend = low - 2.0 * top + high
     shift = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
     return float(np.exp(steps[k] + shift * EDGE_WIDTH_STEP))

@@ -1,7 +1,7 @@
 """Hand-eye check: the gimbal's readings compared with the rotations that the camera saw.
 
 The check is a witness: the readings do not enter the calibration here. It estimates how the camera is mounted, how the
-gimbal stands, and a scale of each axis that moved (`calib.studies.hand_eye_fit`). Pairs of poses give the same scales
+gimbal stands, and a scale of each axis that moved (`calib.studies.gimbal_model`). Pairs of poses give the same scales
 without these estimates (`calib.studies.gimbal_model`); a scale that they contradict is not stated. Faults of the gimbal
 are searched for (`calib.studies.gimbal_faults`), and the verdict names whose error it is
 (`calib.studies.gimbal_verdict`).
@@ -20,11 +20,17 @@ from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, angles_of
 from calib.model.likelihood_ratio import DECISIVE
-from calib.studies.gimbal_faults import GimbalFault, search_faults
-from calib.studies.gimbal_likelihood import Explanation, SeenRotations
-from calib.studies.gimbal_model import GimbalModel, PairRatios, pair_ratios
+from calib.studies.gimbal_faults import Explanation, GimbalFault, SeenRotations, search_faults
+from calib.studies.gimbal_model import (
+    GimbalFit,
+    GimbalModel,
+    PairRatios,
+    global_fit,
+    pair_ratios,
+    refine,
+    scales_near,
+)
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
-from calib.studies.hand_eye_fit import GimbalFit, global_fit, refine, scales_near
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
 _MIN_VIEWS = 3
@@ -47,12 +53,9 @@ class HandEyeCheck:
     # for.
     scale: Mapping[str, float]
     scale_sigma: Mapping[str, float]  # 1-sigma of the scales
-    camera_from_head: Array  # (3, 3) float64 rotation A, camera <- gimbal's head
-    base_from_target: Array  # (3, 3) float64 rotation B, gimbal's base <- target
     # (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's
     # axes, arc seconds.
     residuals_arcsec: Array
-    sigma_arcsec: Array  # (n, 3) float64 1-sigma of the rotations seen, arc seconds
     # chi_square, degrees_of_freedom: Chi-square of the residuals by the stated covariance, without faults,
     # and its degrees of freedom; large if the gimbal repeats worse than the camera measures.
     chi_square: float
@@ -131,10 +134,7 @@ def check_hand_eye(
     return HandEyeCheck(
         {AXES[axis]: value for axis, value in found.scale.items()} if found.scale_known else {},
         {AXES[axis]: value for axis, value in found.scale_sigma.items()} if found.scale_known else {},
-        last.fit.camera_from_head,
-        last.fit.base_from_target,
         ARCSEC * first.fit.off.reshape(-1, 3),
-        ARCSEC * np.sqrt(np.diag(covariance)).reshape(-1, 3),
         stated,
         first.fit.degrees_of_freedom(),
         ARCSEC * last.excess_rad if last.scattered else 0.0,

@@ -6,10 +6,9 @@ from drawn_gimbal import DrawnGimbal, draw_gimbal
 
 from calib.model.gimbal import mountings
 from calib.model.rotation import exp_map
-from calib.studies.gimbal_likelihood import Explanation, SeenRotations
-from calib.studies.gimbal_model import Fault, GimbalModel
+from calib.studies.gimbal_faults import Explanation, SeenRotations
+from calib.studies.gimbal_model import Fault, GimbalModel, fit_at, global_fit, refine, scales_near
 from calib.studies.hand_eye import check_hand_eye
-from calib.studies.hand_eye_fit import fit_at, global_fit, refine, scales_near
 
 KINDS = {
     "star noise": {},
