@@ -116,11 +116,7 @@ class Expanded:
 
 def row_names(calibration: CalibrationData) -> list[str]:
     """Return the names of the rows, to which certificates can be assigned."""
-    return [str(row["name"]) for row in _stated_rows(calibration)]
-
-
-def _stated_rows(calibration: CalibrationData) -> Sequence[BudgetRowData]:
-    return calibration.get("budget_rows") or []
+    return [str(row["name"]) for row in calibration["budget_rows"]]
 
 
 def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
@@ -157,7 +153,7 @@ def budget_of(
     split = _Split(calibration, symbol, unit, sources, stated.u)
     for group, by_symbol in calibration["budget"].items():
         variance = (float(by_symbol.get(symbol, 0.0)) / stated.growth) ** 2
-        nu = None if group in _CERTAIN or group in _terms(_stated_rows(calibration)) else spread
+        nu = None if group in _CERTAIN or group in _terms(calibration["budget_rows"]) else spread
         rows += split.rows(group, variance, nu)
     combined = math.sqrt(sum(row.u**2 for row in rows))
     if not abs(combined - stated.u) <= _SAME * stated.u:
@@ -204,7 +200,7 @@ class _Split:
 
     def rows(self, group: str, variance: float, nu: float | None) -> list[BudgetRow]:
         """Return the rows of a source of the engine's budget; their squares add up to its variance."""
-        members = [row for row in _stated_rows(self.calibration) if _group(row, self.calibration) == group]
+        members = [row for row in self.calibration["budget_rows"] if _group(row, self.calibration) == group]
         weights = [float(row["contribution"].get(self.symbol, 0.0)) ** 2 for row in members]
         if not sum(weights) > 0:  # the engine splits distortion coefficients by groups only
             name = ", ".join(str(row["name"]) for row in members) or group
@@ -292,7 +288,7 @@ def _terms(rows: Sequence[BudgetRowData]) -> dict[str, float]:
 
 def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float, float]:
     """Return of a parameter the whole variance, that of the views, and the sum of squared variances over freedom."""
-    budget, terms = calibration.get("budget") or {}, _terms(_stated_rows(calibration))
+    budget, terms = calibration["budget"], _terms(calibration["budget_rows"])
     if not budget:
         raise EvidenceError(
             "The results have no uncertainty budget.",
@@ -307,7 +303,7 @@ def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float,
 
 def _common_freedom(calibration: CalibrationData, k: float) -> float:
     """Return the degrees of freedom that belong to the common coverage factor; infinite for k = 2."""
-    stated = [row.get("degrees_of_freedom") for row in _stated_rows(calibration) if row["type"] == "A"]
+    stated = [row.get("degrees_of_freedom") for row in calibration["budget_rows"] if row["type"] == "A"]
     found = float(stated[0]) if stated and stated[0] else math.inf
     if abs(coverage_factor(found) - k) < _SAME:
         return found

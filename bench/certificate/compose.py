@@ -100,8 +100,8 @@ _FISHEYE = (
 def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
     """Return the fixed texts in printed order; ``also`` says why the run has a second certificate, or is empty."""
     calibration = found["calibration"]
-    notes = " ".join(str(note) for note in calibration.get("notes") or [])
-    left_out = "; ".join(str(line) for line in calibration.get("not_included") or [])
+    notes = " ".join(str(note) for note in calibration["notes"])
+    left_out = "; ".join(str(line) for line in calibration["not_included"])
     pairs = [
         ("simulated", _SIMULATED if found["run"]["simulated"] else ""),
         ("authorisation", _AUTHORISATION),

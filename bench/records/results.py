@@ -133,7 +133,7 @@ class CameraData(TypedDict):
 
 
 class EngineData(TypedDict):
-    """The engine that made a calibration; earlier versions did not state it."""
+    """The engine that made a calibration."""
 
     name: str
     version: int
@@ -142,27 +142,27 @@ class EngineData(TypedDict):
 class CalibrationData(CameraData):
     """A calibration (`calib.calibration.Calibration.to_dict`)."""
 
-    engine: NotRequired[EngineData]
+    engine: EngineData
     converged: bool
     iterations: int
     collimator: Numbers | None  # None for a planar model
     rms_px: float
     mean_px: float
-    variance_factor: NotRequired[float]
-    degrees_of_freedom: NotRequired[int]
-    disagreement: NotRequired[float]
-    left_out_rms_px: NotRequired[float | None]
-    budget: NotRequired[Mapping[str, Numbers]]  # Standard uncertainty of each parameter by source
+    variance_factor: float
+    degrees_of_freedom: int
+    disagreement: float
+    left_out_rms_px: float | None
+    budget: Mapping[str, Numbers]  # Standard uncertainty of each parameter by source
     views: Sequence[ViewData]
-    candidates: NotRequired[Sequence[Any]]  # Empty: no models are compared
-    notes: NotRequired[Sequence[str]]
-    remarks: NotRequired[Sequence[str]]  # Those of the notes that do not doubt the values
+    candidates: Sequence[Any]  # Empty: no models are compared
+    notes: Sequence[str]
+    remarks: Sequence[str]  # Those of the notes that do not doubt the values
     gimbal: NotRequired[GimbalEstimateData]
     boresight: NotRequired[BoresightData]
-    budget_rows: NotRequired[Sequence[BudgetRowData]]
-    not_included: NotRequired[Sequence[str]]
-    witnesses: NotRequired[Sequence[WitnessData]]
-    amplitudes: NotRequired[Sequence[AmplitudeData]]
+    budget_rows: Sequence[BudgetRowData]
+    not_included: Sequence[str]
+    witnesses: Sequence[WitnessData]
+    amplitudes: Sequence[AmplitudeData]
 
 
 class Direction(TypedDict):

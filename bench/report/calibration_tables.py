@@ -46,12 +46,12 @@ _OF_WAVEFRONT = "urad"
 
 def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> list[dict[str, Any]]:
     """Return the rows of the uncertainty budget, as printed; shares are in the variance, 0 to 1."""
-    return [_printed(row, words) for row in calibration.get("budget_rows") or []]
+    return [_printed(row, words) for row in calibration["budget_rows"]]
 
 
 def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, str]] | None:
     """Return u and U = k u (JCGM 100, 5.1.2 and 6.2.1) of fx and of the worst corner, px; None without a budget."""
-    rows = calibration.get("budget_rows") or []
+    rows = calibration["budget_rows"]
     if not rows:
         return None
     sums = [math.sqrt(sum(row["contribution"][name] ** 2 for row in rows)) for name in _SHOWN]
@@ -63,7 +63,7 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
 
 def overlap(calibration: CalibrationData) -> str:
     """Return what to know if the stated wavefront and common residuals can be of the same glass; else empty."""
-    rows = calibration.get("budget_rows") or []
+    rows = calibration["budget_rows"]
     stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
     if not stated or _SHARED not in {row["name"] for row in rows}:
         return ""
@@ -76,7 +76,7 @@ def overlap(calibration: CalibrationData) -> str:
 
 def not_included(calibration: CalibrationData) -> list[tuple[str, str]]:
     """Return the sources of uncertainty that the result does not contain."""
-    lines = [str(line).partition(": ") for line in calibration.get("not_included") or []]
+    lines = [str(line).partition(": ") for line in calibration["not_included"]]
     return [(name, effect) for name, _, effect in lines]
 
 
@@ -134,7 +134,7 @@ _DOUBTED = 0.3
 def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
     """List the statements, those that are most at odds with the others first."""
     found = sorted(
-        calibration.get("witnesses") or [],
+        calibration["witnesses"],
         key=lambda one: (-one["fault_probability"], -abs(one["innovation"])),
     )
     return [_row(one) for one in found]
@@ -142,7 +142,7 @@ def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
 
 def amplitude_rows(calibration: CalibrationData) -> list[tuple[str, str]]:
     """List the sizes of the errors that the adjustment estimated, with their uncertainty and what was expected."""
-    return [(one["name"], _size(one)) for one in calibration.get("amplitudes") or []]
+    return [(one["name"], _size(one)) for one in calibration["amplitudes"]]
 
 
 def _row(one: WitnessData) -> dict[str, str]:
@@ -195,7 +195,7 @@ Cell = tuple[str, float]
 
 def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
     """Return name, value, U = k u (JCGM 100, 6.2.1), the relative U if it is below 100 %, and k."""
-    found = {**calibration["camera"], **(calibration.get("collimator") or {})}
+    found = {**calibration["camera"], **(calibration["collimator"] or {})}
     rows = []
     for name, sigma in calibration["sigma"].items():
         if name not in found:
@@ -213,11 +213,11 @@ def fit_statistics(calibration: CalibrationData, words: TargetWords = STARS) -> 
     rows = [
         ("RMS reprojection error", number(calibration["rms_px"], 3), "px"),
         ("mean reprojection error", number(calibration["mean_px"], 3), "px"),
-        ("RMS reprojection error of left-out poses", number(calibration.get("left_out_rms_px"), 3), "px"),
+        ("RMS reprojection error of left-out poses", number(calibration["left_out_rms_px"], 3), "px"),
         (f"{words.points} in {len(calibration['views'])} poses", number(stars), ""),
-        ("degrees of freedom", number(calibration.get("degrees_of_freedom")), ""),
-        (f"variance factor of the {words.points}", number(calibration.get("variance_factor"), 3), ""),
-        ("Birge ratio of the poses; 1 is agreement", number(calibration.get("disagreement"), 3), ""),
+        ("degrees of freedom", number(calibration["degrees_of_freedom"]), ""),
+        (f"variance factor of the {words.points}", number(calibration["variance_factor"], 3), ""),
+        ("Birge ratio of the poses; 1 is agreement", number(calibration["disagreement"], 3), ""),
     ]
     return [row for row in rows if row[1] != NOTHING]
 
@@ -226,7 +226,7 @@ def budget(
     calibration: CalibrationData, words: TargetWords = STARS
 ) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
     """Return parameters, and each source with its shares of their variances, which add up to 100 % but for rounding."""
-    sources = calibration.get("budget") or {}
+    sources = calibration["budget"]
     names = [name for name in calibration["sigma"] if all(name in sigmas for sigmas in sources.values())]
     rows = []
     for source, sigmas in sources.items():

@@ -342,8 +342,7 @@ def software(results: Results) -> list[tuple[str, str]]:
 def alerts(results: Results) -> list[str]:
     """List what a reader must know before use: doubts, gates and goals that were not met, every deviation."""
     calibration = results["calibration"]
-    remarks = calibration.get("remarks") or ()
-    doubts = [note for note in calibration.get("notes") or () if note not in remarks]
+    doubts = [note for note in calibration["notes"] if note not in calibration["remarks"]]
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
         for row in gates(results.get("gates") or [], words_of(results))

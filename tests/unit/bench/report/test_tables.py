@@ -190,7 +190,7 @@ def test_sizes_are_printed_with_their_unit_and_expectation():
     assert amplitude_rows({"amplitudes": [size]}) == [
         ("field of a pose", "12 µrad, known to a factor of 1.2; expected 5.0 µrad")
     ]
-    assert witness_rows({}) == amplitude_rows({}) == []
+    assert witness_rows({"witnesses": []}) == amplitude_rows({"amplitudes": []}) == []
 
 
 # ---------------------------------------------------------------- passport, readings and input files
