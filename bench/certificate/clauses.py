@@ -5,7 +5,7 @@ A certificate that leaves a clause open, or contradicts the run, is refused. doc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -122,12 +122,12 @@ def _conditions(lab: LabConfig, results: Results) -> Sequence[Path]:
 def _traceability(lab: LabConfig, results: Results) -> Sequence[Path]:
     """The collimator's certificate needs number, date and issuer; the run knows what the station states."""
     missing: list[Path] = [] if lab.traceability is not None else [("traceability",)]
-    in_run: Mapping[str, Any] = results.get("passport") or {}
-    if not in_run:
+    in_run = results.get("passport")
+    if in_run is None:
         known = any(one.number and one.issuer and one.date for one in lab.sources)
         return missing if known else [*missing, ("sources",)]
     stated = next((one for one in lab.sources if one.row == PASSPORT), None)
-    needed = [name for name in ("number", "date", "issuer") if not in_run.get(name)]
+    needed = [name for name in ("number", "date") if not in_run.get(name)] + ["issuer"]
     return [
         *missing,
         *(("sources", name) for name in needed if getattr(stated, name, None) is None),
@@ -338,7 +338,7 @@ def _dates(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]
 
 def _sources(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
     names, seen = row_names(found["calibration"]), set()
-    in_run: Mapping[str, Any] = found.get("passport") or {}
+    in_run = found.get("passport")
     for at, source in enumerate(lab.sources):
         if source.row is None:
             continue
@@ -351,5 +351,6 @@ def _sources(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str
         if source.row != PASSPORT:
             continue
         for key, stated in (("number", source.number), ("date", source.date and source.date.isoformat())):
-            if stated and in_run.get(key) and str(in_run[key]) != stated:
-                yield ("sources", at, key), f"the run used {in_run[key]!r}, not {stated!r}."
+            used = in_run.get(key) if in_run else None
+            if stated and used and used != stated:
+                yield ("sources", at, key), f"the run used {used!r}, not {stated!r}."

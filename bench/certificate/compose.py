@@ -47,7 +47,7 @@ from bench.certificate.lab_config import (
 )
 from bench.certificate.run_facts import is_unnamed
 from bench.certificate.series import SIMULATED
-from bench.records.results import Results
+from bench.records.results import PassportData, Results
 from bench.records.run_facts import verdict_of
 from bench.report.text import words_of
 from calib.model.lens import is_fisheye
@@ -248,10 +248,10 @@ def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
     if in_run := found.get("passport"):
         value, divisor = _radius_uncertainty(found, in_run)
         sources[PASSPORT] = RowSource(
-            str(in_run.get("number") or ""),
-            str(in_run.get("date") or ""),
-            str(in_run.get("sha256") or ""),
-            value if set(in_run.get("values") or {}) == {"r"} else None,
+            in_run["number"] or "",
+            in_run["date"] or "",
+            in_run["sha256"],
+            value if set(in_run["values"]) == {"r"} else None,
             divisor,
             "mm",
         )
@@ -342,8 +342,8 @@ def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
     return tuple(rows)
 
 
-def _collimator(found: Results, in_run: Mapping[str, Any], stated: SourceConfig | None) -> Traceability:
-    radius = (in_run.get("values") or {}).get("r")
+def _collimator(found: Results, in_run: PassportData, stated: SourceConfig | None) -> Traceability:
+    radius = in_run["values"].get("r")
     expanded, k = _radius_uncertainty(found, in_run)
     return _part(
         Traceability,
@@ -353,36 +353,36 @@ def _collimator(found: Results, in_run: Mapping[str, Any], stated: SourceConfig 
         U=expanded,
         k=k,
         unit="mm",
-        number=str(in_run.get("number") or (stated and stated.number) or ""),
-        date=str(in_run.get("date") or (stated and stated.date and stated.date.isoformat()) or ""),
-        sha256=(stated and stated.sha256) or str(in_run.get("sha256") or ""),
+        number=in_run["number"] or (stated and stated.number) or "",
+        date=in_run["date"] or (stated and stated.date and stated.date.isoformat()) or "",
+        sha256=(stated and stated.sha256) or in_run["sha256"],
     )
 
 
-def _radius_uncertainty(found: Results, in_run: Mapping[str, Any]) -> tuple[float | None, float | None]:
+def _radius_uncertainty(found: Results, in_run: PassportData) -> tuple[float | None, float | None]:
     """Return the uncertainty of the collimator's focal length as it is stated, mm, and its coverage factor."""
     certificate = (found["run"].get("collimator") or {}).get("certificate")
-    if isinstance(certificate, Mapping) and in_run.get("source") == "station certificate":
+    if isinstance(certificate, Mapping) and in_run["source"] == "station certificate":
         return float(certificate["uncertainty_mm"]), float(certificate.get("k", 2.0))
-    sigma = (in_run.get("sigma") or {}).get("r")
+    sigma = in_run["sigma"].get("r")
     return (None, None) if sigma is None else (float(sigma), 1.0)
 
 
 def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
     """Return the calibration before this one: the certificate of lab.yaml, and the last run on this bench."""
-    earlier: Mapping[str, Any] = found.get("previous") or {}
-    stated = lab.previous_certificate
-    known = isinstance(stated, PreviousConfig)
-    if not known and not earlier.get("run"):
+    earlier, stated = found.get("previous"), lab.previous_certificate
+    if earlier is None or not earlier["run"]:
+        earlier = None
+    if earlier is None and not isinstance(stated, PreviousConfig):
         return None
     texts: list[str] = []
     values: tuple[ValueBefore, ...] = ()
-    change = earlier.get("change") or {}
+    change = earlier.get("change") if earlier else None
     number = date = digest = ""
     if isinstance(stated, PreviousConfig):
         number, date, digest = stated.number, stated.date.isoformat(), stated.sha256 or ""
         texts.append(f"Certificate {number} of {date}" + (f", {stated.issuer}" if stated.issuer else ""))
-    if earlier.get("run"):
+    if earlier is not None:
         texts.append(
             f"Calibration of this camera on this bench in run {earlier['run']} (number {earlier.get('number')}), ended"
             f" {earlier.get('finished_utc') or 'at an unknown time'}; seal SHA-256 {earlier.get('seal')}"
@@ -399,8 +399,8 @@ def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
         date,
         digest,
         values,
-        None if "rms_px" not in change else float(change["rms_px"]),
-        None if "largest_px" not in change else float(change["largest_px"]),
+        change["rms_px"] if change else None,
+        change["largest_px"] if change else None,
     )
 
 

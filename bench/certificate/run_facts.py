@@ -94,18 +94,12 @@ def covariance_of(found: Results) -> Covariance:
 def further_of(found: Results) -> tuple[FurtherResult, ...]:
     """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views."""
     calibration = found["calibration"]
-    projection: Mapping[str, Any] = found.get("projection") or {}
-    rows = _at_centre(calibration)
-    if "median" in projection:
-        rows += _projection(
-            "projection_median",
-            "expanded uncertainty of the projection, median over the image",
-            projection["median"],
-        )
-    if "worst_corner" in projection:
-        worst = projection["worst_corner"]
-        name = f"expanded uncertainty of the projection in the worst corner ({worst['corner']})"
-        rows += _projection("projection_worst_corner", name, worst)
+    projection, rows = found.get("projection"), _at_centre(calibration)
+    if projection is not None:
+        worst, name = projection["worst_corner"], "expanded uncertainty of the projection"
+        rows += _projection("projection_median", f"{name}, median over the image", projection["median"])
+        in_corner = f"{name} in the worst corner ({worst['corner']})"
+        rows += _projection("projection_worst_corner", in_corner, worst)
     rows += _boresight(calibration.get("boresight"))
     rows.append(_further("rms", "RMS of the residuals (no accuracy)", float(calibration["rms_px"]), "px"))
     rows.append(_further("mean", "mean of the residuals (no accuracy)", float(calibration["mean_px"]), "px"))
