@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arrays import Array, Array32, Ints
 from calib.errors import InputMismatch
-from calib.model.lens import BROWN, FISHEYE, distort, distort_with_jacobians, is_fisheye
+from calib.model.lens import BROWN, FISHEYE, distort_with_jacobians, is_fisheye
 
 __all__ = [
     "BROWN",
@@ -191,13 +191,7 @@ class CameraModel:
         Array
             (N, 2) image points, px. NaN for points that are not in front of the camera (Z <= 0).
         """
-        x, y, z = np.ascontiguousarray(points.T)
-        inverse_z = 1.0 / np.where(z > 0, z, np.nan)
-        distorted = distort(np.array([x * inverse_z, y * inverse_z]).T, self.distortion)
-        pixels = np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
-        if self.skew:
-            pixels[:, 0] += self.skew * distorted[:, 1]
-        return pixels
+        return self.project_with_jacobians(np.where(points[:, 2:] > 0, points, np.nan))[0]
 
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:
         """Project points to the image and return the derivatives.
@@ -277,7 +271,7 @@ class CameraModel:
             normalised = normalised + step
             if not (np.abs(step) > 1e-14).any():
                 break
-        inverted = np.abs(distort(normalised, self.distortion) - wanted).max(axis=1) < 1e-9
+        inverted = np.abs(distort_with_jacobians(normalised, self.distortion)[0] - wanted).max(axis=1) < 1e-9
         rays = np.column_stack([normalised, np.ones(len(normalised))])
         rays[~inverted] = np.nan
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))

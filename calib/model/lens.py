@@ -24,20 +24,12 @@ FISHEYE = ("kb1", "kb2", "kb3", "kb4")
 _FISHEYE_NAMES = frozenset(FISHEYE)
 
 
-def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
-    """Distort (N, 2) normalised points; the names of the coefficients, `BROWN` or `FISHEYE`, select the lens family.
-
-    Brown (1971) with OpenCV's rational denominator, or Kannala and Brandt (2006). Those not named are zero.
-    """
-    if is_fisheye(coefficients):
-        return _fisheye(points, _ordered(coefficients, FISHEYE))
-    return _brown(points, _ordered(coefficients, BROWN))
-
-
 def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> tuple[Array, Array, Array]:
-    """Distort normalised points as `distort`, and return the derivatives (own; by the product and the chain rule).
+    """Distort (N, 2) normalised points, and return the derivatives (own; by the product and the chain rule).
 
-    The K coefficients may have other names beside, which change nothing: the skew belongs to the camera matrix.
+    The names of the coefficients, `BROWN` or `FISHEYE`, select the lens family: Brown (1971) with OpenCV's rational
+    denominator, or Kannala and Brandt (2006). Those not named are zero. The K coefficients may have other names beside,
+    which change nothing: the skew belongs to the camera matrix.
     Returns: (N, 2) points; derivatives by the points, (N, 2, 2), and by the coefficients, (N, 2, K), 0 for others.
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
@@ -61,41 +53,16 @@ def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Arra
     return np.array([coefficients.get(name, 0.0) for name in family])
 
 
-def _radial_terms(x: Array, y: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Return r^2, denominator and radial factor of the rational distortion, (N,) each.
-
-    OpenCV's rational model: (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
-    """
-    r2 = x * x + y * y
-    numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    return r2, denominator, numerator / denominator
-
-
-def _brown(points: Array, k: Array) -> Array:
-    """Distort (N, 2) normalised points: Brown (1971), with OpenCV's rational radial factor."""
-    x, y = np.ascontiguousarray(points.T)
-    r2, _, radial = _radial_terms(x, y, k)
-    return _bent(x, y, r2, radial, k).T
-
-
-def _bent(x: Array, y: Array, r2: Array, radial: Array, k: Array) -> Array:
-    """Return (2, N) the distorted points: radial factor and tangential terms."""
-    p1, p2 = k[2], k[3]
-    bent = np.array([x * radial, y * radial])
-    if p1 or p2:
-        bent[0] += 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        bent[1] += p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return bent
-
-
 def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
     """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Own derivatives of `_brown`. In memory each derivative is one contiguous row over the points.
+    Brown (1971), with OpenCV's rational model (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) of the
+    radius; own derivatives. In memory each derivative is one contiguous row over the points.
     """
     x, y = np.ascontiguousarray(points.T)
-    r2, denominator, radial = _radial_terms(x, y, k)
+    r2 = x * x + y * y
+    denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / denominator
     p1, p2 = k[2], k[3]
     numerator_slope = k[0] + r2 * (2.0 * k[1] + 3.0 * k[4] * r2)
     denominator_slope = k[5] + r2 * (2.0 * k[6] + 3.0 * k[7] * r2)
@@ -116,30 +83,21 @@ def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tup
             factor = powers[_POWERS[at] - 1] / denominator
             factor = factor if at in _NUMERATOR else -factor * radial
             rows[0], rows[1] = x * factor, y * factor
-    bent = _bent(x, y, r2, radial, k)
+    bent = np.array([x * radial, y * radial])
+    if p1 or p2:
+        bent[0] += 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        bent[1] += p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
     return bent.T, by_points.transpose(2, 0, 1), by_coefficients.transpose(2, 1, 0)
-
-
-def _angles(points: Array) -> tuple[Array, Array]:
-    """Return the distance r from the axis, (N,), and the angle theta = atan r, (N,) rad."""
-    r = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-12)
-    return r, np.arctan(r)
-
-
-def _fisheye(points: Array, k: Array) -> Array:
-    """Distort (N, 2) normalised points: the radius becomes a polynomial of the angle (Kannala and Brandt, 2006)."""
-    r, theta = _angles(points)
-    t2 = theta * theta
-    bent = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
-    return points * (bent / r)[:, None]
 
 
 def _fisheye_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
     """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Own derivatives of `_fisheye` (Kannala and Brandt, 2006), in memory as those of `_brown_with_jacobians`.
+    The radius becomes a polynomial of the angle (Kannala and Brandt, 2006). Own derivatives, in memory as those of
+    `_brown_with_jacobians`.
     """
-    r, theta = _angles(points)
+    r = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-12)
+    theta = np.arctan(r)
     t2 = theta * theta
     bent = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
     bending = 1.0 + t2 * (3.0 * k[0] + t2 * (5.0 * k[1] + t2 * (7.0 * k[2] + t2 * 9.0 * k[3])))
