@@ -84,6 +84,8 @@ FAMILIES = (
 _REACH = 3.0
 #: No field is larger: 1 px at 3345 px.
 _LARGEST_FIELD = 3e-4
+#: Readings may be those of other poses: degrees beside what they say.
+_NOISIEST_READINGS = 1e6
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,7 @@ class Hyperprior:
         high = self.mean + reach
         fields = self.places((*POSE, *COMMON, *TURN, *TURN_2))
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
+        high[self.at(READING)] = np.log(_NOISIEST_READINGS)
         return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))
 
     def at(self, name: str) -> int:

@@ -283,8 +283,10 @@ def _gimbal(
         **{name: turns[name] for name in names if name in turns},
     }
     sigmas = np.sqrt(np.diag(found.covariance)[at])
-    off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     times = float(np.exp(found.optimum.eta[marginal.problem.hyper.at(amp.READING)]))
+    off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
+    if times >= MOST_SCATTER:  # the posterior's mean may have other scales instead
+        off = bench.readings_off(found.optimum.state)
     return GimbalEstimate(
         entered=True,
         values={name: float(u * values[name]) for name, u in zip(names, unit, strict=True)},

@@ -50,9 +50,6 @@ _FARTHEST = 1.0
 _LONGEST = 0.3
 #: Amplitudes are taken if their step moves focal length and centre by less than this share.
 _TRUSTED = 0.01
-#: Other amplitudes are taken if twice the logarithm of the odds is so much better. Without this, a search between two
-#: that are as good as each other goes from one to the other and back.
-_CLEARLY = 1.0
 #: Beyond this share the rotations are found again after a step; below the second, all that a pose has for itself.
 _CURVED, _CORRECTED = 1e-3, 0.05
 _CORRECTIONS = 3
@@ -78,7 +75,7 @@ class Optimum:
 
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
-    eta, state = problem.hyper.stiff, start
+    eta, state = first_amplitudes(problem, start), start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
     kept = None
@@ -114,15 +111,30 @@ def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
 
 def approached(problem: Problem, start: State, rounds: int) -> State:
     """Return a state near the optimum: at most ``rounds`` steps at the first amplitudes, with wide robust limits."""
-    state, bench, eta = start, problem.bench, problem.hyper.stiff
+    state, bench = start, problem.bench
     lengths = bench.whitened(state)
     for _ in range(rounds):
+        eta = first_amplitudes(problem, state)
         marginal = Marginal(problem, bench.linearised(state, 3.0 * robust_sigma(lengths)), state)
         before, found = state, solved(marginal, eta)
         state, lengths = shortened(marginal, eta, found)
         if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
             break
     return state
+
+
+def first_amplitudes(problem: Problem, state: State) -> Array:
+    """Return (A,) logarithms of amplitudes to begin with: small errors, and readings as noisy as they are here.
+
+    Readings that belong to other poses would otherwise take the state along.
+    """
+    eta = problem.hyper.stiff.copy()
+    readings = problem.bench.readings
+    if readings is not None and state.gimbal is not None:
+        rms = float(np.sqrt(np.mean(problem.bench.readings_off(state) ** 2)))
+        at = problem.hyper.at(amp.READING)
+        eta[at] = np.log(max(np.exp(eta[at]), rms / readings.sigma_rad))
+    return eta
 
 
 def solved(marginal: Marginal, eta: Array, damped: float = 0.0, *, held: bool = False) -> Solution:
@@ -174,16 +186,10 @@ def relative_step(marginal: Marginal, step: Array) -> float:
 
 
 def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start, or from the expected ones if these end clearly better.
-
-    Where the equations do not hold at their end, the start is returned.
-    """
-    at, found = searched(marginal, eta, _LONG, enough=FINE)
-    other, behind = searched(marginal, marginal.problem.hyper.mean, _LONG)
-    if behind.value < found.value - _CLEARLY:
-        at, found = searched(marginal, other, _LONG, enough=FINE)
+    """Return the best amplitudes from a start; where the equations do not hold at their end, the start."""
+    better, found = searched(marginal, eta, _LONG, enough=FINE)
     if relative_step(marginal, found.step) < _TRUSTED:
-        return at, found
+        return better, found
     return eta, marginal.solve(eta)
 
 

@@ -14,9 +14,13 @@ from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
 ON_PIVOT = ParallaxBound(0.066, 0.01, 0.0, 0.05)
 
 
-def readings(bench, bound=ON_PIVOT, sigma_deg=0.002, scale_sigma=0.0, change=lambda pose: pose):
-    angles = tuple(change(dict(pose)) for pose in bench.readings_deg)
+def readings(bench, bound=ON_PIVOT, sigma_deg=0.002, scale_sigma=0.0, change=list):
+    angles = tuple(change([dict(pose) for pose in bench.readings_deg]))
     return GimbalReadings(angles, sigma_deg, scale_sigma, 0.0, bound, "drawn")
+
+
+def each(change):
+    return lambda poses: [change(pose) for pose in poses]
 
 
 def solved(bench, given, model="auto"):
@@ -53,15 +57,19 @@ def test_the_scale_of_the_encoders_enters_as_stated():
 @pytest.mark.parametrize(
     "change",
     [
-        lambda pose: {**pose, "pan_deg": 1.05 * pose["pan_deg"]},
-        lambda pose: {**pose, "tilt_deg": pose["tilt_deg"] + (0.3 if pose["pan_deg"] > 1 else 0.0)},
+        each(lambda pose: {**pose, "pan_deg": 1.05 * pose["pan_deg"]}),
+        each(lambda pose: {**pose, "tilt_deg": pose["tilt_deg"] + (0.3 if pose["pan_deg"] > 1 else 0.0)}),
+        lambda poses: [poses[0], poses[2], poses[1], *poses[3:]],
+        lambda poses: [*poses[4:], *poses[:4]],
     ],
-    ids=["a wrong scale", "an axis that slips"],
+    ids=["a wrong scale", "an axis that slips", "two poses swapped", "of other poses"],
 )
 def test_readings_that_contradict_the_stars_are_named_and_change_nothing(change):
-    bench = draw_bench("S3", NINE, 15)
-    result = solved(bench, readings(bench, change=change))
-    alone = calibrate(bench.views, CalibrationOptions())
+    bench, certificate = draw_bench("S3", NINE, 15), Passport.of_radius(255.0, 0.05)
+    result = calibrate(
+        bench.views, CalibrationOptions(gimbal=readings(bench, change=change), passport=certificate)
+    )
+    alone = calibrate(bench.views, CalibrationOptions(passport=certificate))
     assert result.gimbal is not None
     assert not result.gimbal.entered
     assert result.camera.fx == alone.camera.fx
@@ -71,7 +79,7 @@ def test_readings_that_contradict_the_stars_are_named_and_change_nothing(change)
 
 def test_a_wrong_sign_of_one_axis_is_named_and_changes_nothing():
     bench = draw_bench("S3", NINE, 15)
-    result = solved(bench, readings(bench, change=lambda pose: {**pose, "pan_deg": -pose["pan_deg"]}))
+    result = solved(bench, readings(bench, change=each(lambda pose: {**pose, "pan_deg": -pose["pan_deg"]})))
     right = solved(bench, readings(bench))
     assert result.camera.fx == pytest.approx(right.camera.fx, abs=0.05)
     assert any("looked backwards on the head" in note for note in result.notes)
