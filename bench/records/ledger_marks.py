@@ -407,7 +407,7 @@ def _ask_own_mark(
         found.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
     elif own is None:
         since = max((e.seq for e in entries if e.event == LEDGER_BROKEN), default=-1)
-        if any(e.event == RUN_BEGUN and e.data.get("witnessed") for e in entries[since + 1 :]):
+        if len(entries[since + 1 :]) > 1:  # after the first line, the process may have been killed
             found.what.append("The bench's own mark of the ledger (ledger_high) was deleted.")
     elif own.mark.head not in excused and (what := own.mark.disagreement(entries)):
         found.what.append(f"The ledger {what} (as ledger_high knows).")

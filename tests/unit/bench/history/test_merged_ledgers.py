@@ -1,5 +1,6 @@
 """Ledgers of several benches: what is double, missing, changed or set back is named, and nothing else is."""
 
+import json
 import shutil
 from datetime import timedelta
 
@@ -19,7 +20,7 @@ from bench.history.merged_runs import (
     read_source,
 )
 from bench.records.ledger import LEDGER, Ledger
-from bench.records.ledger_marks import MARK, LedgerRun
+from bench.records.ledger_marks import LedgerMark, LedgerRun, OwnMark, write_own_mark
 from bench.records.run_index import RunIndex, run_folders
 
 
@@ -46,10 +47,11 @@ def two(tmp_path):
 
 
 def cut(home, lines):
-    """Set a ledger back to its first lines, with its own mark gone."""
+    """Set a ledger and its own mark back to what they were after its first lines."""
     kept = (home / LEDGER).read_bytes().splitlines(keepends=True)[:lines]
     (home / LEDGER).write_bytes(b"".join(kept))
-    (home / MARK).unlink(missing_ok=True)
+    last = json.loads(kept[-1])
+    write_own_mark(home, OwnMark(LedgerMark(lines, last["number"], last["hash"], last["utc"])))
 
 
 def test_two_benches_become_one_list_with_the_same_numbers_kept_apart(tmp_path, two):

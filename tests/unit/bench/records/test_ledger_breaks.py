@@ -119,12 +119,19 @@ def test_an_own_mark_of_another_program_is_noticed(ledger, content):
     assert "faults" in begin(ledger)
 
 
-def test_a_ledger_of_an_earlier_version_has_no_mark_and_no_break(ledger):
+def test_a_process_killed_after_the_first_line_of_a_ledger_leaves_no_break(ledger):
     ledger.home.mkdir()
     with Journal.create(ledger.path, **CLOCKS) as journal:
         journal.append("run_begun", number=1, run="r", folder="/r", camera="1", simulated=False)
     assert ledger.breaks() == ([], [])
     assert begin(ledger)["number"] == 2
+
+
+def test_a_ledger_set_back_to_its_first_run_with_its_mark_deleted_is_noticed(ledger):
+    runs(ledger, 2)
+    cut(ledger, 2)
+    (ledger.home / MARK).unlink()
+    assert faults(ledger) == ["The bench's own mark of the ledger (ledger_high) was deleted."]
 
 
 def test_an_explained_break_stands_in_the_ledger_and_is_no_fault_any_more(ledger):
