@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -105,18 +105,16 @@ class CalibrationOptions:
             if value not in known:
                 raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(known)}.")
         object.__setattr__(self, "distortion", distortion_names(self.distortion))
-        if self.huber_px is not None and not self.huber_px > 0:
-            raise InputMismatch(f"huber_px is {self.huber_px}; it must be positive.")
         if self.max_iterations < 1:
             raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
         if not 0 < self.guard_band <= 1:
             raise InputMismatch(
                 f"guard_band is {self.guard_band}; it must be above 0 and at most 1 (share of the disc's radius)."
             )
-        if not self.drift_mm > 0:
-            raise InputMismatch(f"drift_mm is {self.drift_mm}; it must be positive.")
-        if self.radial_sigma is not None and not self.radial_sigma > 0:
-            raise InputMismatch(f"radial_sigma is {self.radial_sigma}; it must be positive.")
+        for name in ("huber_px", "drift_mm", "radial_sigma"):
+            number = getattr(self, name)
+            if number is not None and not number > 0:
+                raise InputMismatch(f"{name} is {number}; it must be positive.")
 
 
 @dataclass(frozen=True)
@@ -325,14 +323,7 @@ class Calibration:
             "left_out_rms_px": self.left_out_rms_px,
             "budget": {source: dict(sigmas) for source, sigmas in self.budget.items()},
             "views": [
-                {
-                    "name": view.name,
-                    "n": view.n,
-                    "rms_px": view.rms_px,
-                    "mean_px": view.mean_px,
-                    "rotation": rotation,
-                    "centre_mm": centre,
-                }
+                {**asdict(view), "rotation": rotation, "centre_mm": centre}
                 for view, rotation, centre in poses
             ],
             "candidates": [],  # of earlier versions: models that were compared

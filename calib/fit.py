@@ -218,7 +218,7 @@ def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
         iterations=fitted.refined.iterations,
         rotation_covariance=rotation_covariance(fitted.bundle, parameters, uncertainty),
         budget={
-            source: dict(zip(uncertainty.names, _sigmas(part).tolist(), strict=True))
+            source: dict(replace(uncertainty, covariance=part).sigma)
             for source, part in uncertainty.parts.items()
         },
         notes=(*_notes(fitted), *_doubts(fitted)),
@@ -255,9 +255,7 @@ def _doubts(fitted: Fit) -> tuple[str, ...]:
     """Return sentences about views that do not fit the others; only one centre for all shows them."""
     if fitted.model == "planar":
         return ()
-    sigmas = _sigmas(fitted.uncertainty.covariance).tolist()
-    sigma = dict(zip(fitted.uncertainty.names, sigmas, strict=True))
-    return check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, sigma)
+    return check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, fitted.uncertainty.sigma)
 
 
 def _notes(fitted: Fit) -> tuple[str, ...]:
@@ -274,21 +272,14 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
 
 def _weakness(fitted: Fit) -> list[str]:
     """Return a note if a focal length is poorly determined, with the reason."""
-    shown = fitted.uncertainty.names
-    relative = dict(
-        zip(shown, _sigmas(fitted.uncertainty.covariance) / fitted.parameters.values(shown), strict=True)
-    )
-    name = max(("fx", "fy"), key=lambda focal: relative[focal])
+    sigma, camera = fitted.uncertainty.sigma, fitted.parameters.camera
+    relative = {"fx": sigma["fx"] / camera.fx, "fy": sigma["fy"] / camera.fy}
+    name = max(relative, key=lambda focal: relative[focal])
     if relative[name] < _WEAK_FOCAL_SIGMA:
         return []
     why = explain_weak_geometry(fitted.views, fitted.parameters)
     text = f"Weak geometry: {name} is known only to ±{200 * relative[name]:.1f} % (k = 2). {why}".strip()
     return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
-
-
-def _sigmas(covariance: Array) -> Array:
-    """Return the standard deviations."""
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _rms(lengths: Array) -> float:

@@ -388,7 +388,7 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
     grid = np.array(facts["grid"])
     try:
         first, second = (detect_view(half, target, name="half", expected=grid) for half in halves)
-        return motion_between(first, second).length_px
+        return float(np.hypot(*motion_between(first, second)))
     except (TooFewEvents, TooFewStars, TargetNotFound):
         return None
 

@@ -257,4 +257,4 @@ def _state(view: View, halves: list[View], board: Board, facts: MeasuredFacts) -
     facts["motion_px"] = None
     if len(halves) == 2:
         with suppress(TooFewStars):
-            facts["motion_px"] = motion_between(halves[0], halves[1]).length_px
+            facts["motion_px"] = float(np.hypot(*motion_between(*halves)))

@@ -179,6 +179,7 @@ MOST_BYTES = 1 << 30
 """Size of all entries together. The views of about 30,000 recordings have room."""
 
 DETECTOR_SOURCES = (
+    "calib/arrays.py",
     "calib/compiled.py",
     "calib/errors.py",
     "calib/target.py",

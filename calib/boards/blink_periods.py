@@ -5,7 +5,7 @@ The first ON event after an OFF event starts a period.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -21,28 +21,21 @@ _TOLERANCE = 0.2
 _REGULAR_SHARE = 0.6
 
 
-class BlinkPeriods(NamedTuple):
-    """Periods of all pixels, each (H, W)."""
-
-    frequency_hz: Array  # float64, Hz; nan for a pixel that does not blink regularly
-    starts: NDArray[np.int32]  # int32, number of periods that started
-
-
-def blink_periods(
+def blink_frequencies(
     t_us: Ints, x: NDArray[np.uint16], y: NDArray[np.uint16], p: Bytes, size: tuple[int, int]
-) -> BlinkPeriods:
-    """Measure the period of each pixel from (N,) events in the order of their times, us; polarity 1 is ON.
+) -> Array:
+    """Return the (H, W) frequency of each pixel, Hz; nan for one that does not blink regularly.
 
-    Own procedure: the median interval numbers the starts, so that a missed or an additional one does not matter; the
-    least-squares line through the numbered starts gives the period.
+    From (N,) events in the order of their times, us; polarity 1 is ON. Own procedure: the median interval numbers the
+    starts, so that a missed or an additional one does not matter; the least-squares line through the numbered starts
+    gives the period.
     """
     width, height = size
     starts = np.flatnonzero(_starts(x, y, p, width, height))
     pixel = y[starts].astype(np.int64) * width + x[starts]
     counts = np.bincount(pixel, minlength=width * height)
     times = t_us[starts[np.argsort(pixel, kind="stable")]].astype(np.float64)
-    frequency = _frequencies(times, np.cumsum(counts), counts)
-    return BlinkPeriods(frequency.reshape(height, width), counts.astype(np.int32).reshape(height, width))
+    return np.asarray(_frequencies(times, np.cumsum(counts), counts).reshape(height, width))
 
 
 @njit(cache=True)

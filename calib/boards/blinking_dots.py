@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array, Array32, Bytes, Ints
-from calib.boards.blink_periods import LEAST_STARTS, BlinkPeriods, blink_periods, lock_in
+from calib.boards.blink_periods import LEAST_STARTS, blink_frequencies, lock_in
 from calib.boards.board import Board
 from calib.boards.detect import locate_points
 from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents
@@ -85,13 +85,13 @@ def detect_blinking_dots(
     """
     where = f"view {name}"
     _require_long_enough(t_us, board, where)
-    periods = blink_periods(t_us, x, y, p, size)
+    seen_hz = blink_frequencies(t_us, x, y, p, size)
     frequencies, kind_of_dot = np.unique(board.frequencies_hz, return_inverse=True)
-    ratio = _clock_ratio(periods, frequencies, where)
-    kinds = _kind_of_pixels(periods, ratio * frequencies)
+    ratio = _clock_ratio(seen_hz, frequencies, where)
+    kinds = _kind_of_pixels(seen_hz, ratio * frequencies)
     dots = _dots(kinds, len(frequencies))
     unique = len(frequencies) == len(kind_of_dot)
-    _require_dots(dots, periods, ratio * frequencies, board, where)
+    _require_dots(dots, seen_hz, ratio * frequencies, board, where)
     if unique:
         _refuse_two_boards(dots, where)
         named = _named_by_frequency(dots, kind_of_dot, board, where)
@@ -127,9 +127,9 @@ def _require_long_enough(t_us: Ints, board: Board, where: str) -> None:
         )
 
 
-def _clock_ratio(periods: BlinkPeriods, frequencies: Array, where: str) -> float:
+def _clock_ratio(seen_hz: Array, frequencies: Array, where: str) -> float:
     """Return the ratio of the frequencies seen to those of the board: that with which most pixels agree."""
-    seen = periods.frequency_hz[np.isfinite(periods.frequency_hz)]
+    seen = seen_hz[np.isfinite(seen_hz)]
     if len(seen) < _FEWEST_PIXELS:
         raise FlickerNotFound(
             f"Nothing in view blinks regularly: {len(seen)} pixels do.",
@@ -152,9 +152,9 @@ def _nearest(values: Array, frequencies: Array) -> tuple[Ints, Array]:
     return index, frequencies[index]
 
 
-def _kind_of_pixels(periods: BlinkPeriods, frequencies: Array) -> NDArray[np.int32]:
+def _kind_of_pixels(seen_hz: Array, frequencies: Array) -> NDArray[np.int32]:
     """Return (H, W) the index of each pixel's frequency; -1 where it has none of them."""
-    seen = np.nan_to_num(periods.frequency_hz, nan=0.0)
+    seen = np.nan_to_num(seen_hz, nan=0.0)
     index, nearest = _nearest(seen, frequencies)
     steps = np.diff(frequencies)
     room = np.minimum(np.append(steps, np.inf), np.insert(steps, 0, np.inf))
@@ -184,9 +184,9 @@ def _dots(kinds: NDArray[np.int32], count: int) -> _Dots:
     return _Dots(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3].astype(np.int64))
 
 
-def _require_dots(dots: _Dots, periods: BlinkPeriods, frequencies: Array, board: Board, where: str) -> None:
+def _require_dots(dots: _Dots, seen_hz: Array, frequencies: Array, board: Board, where: str) -> None:
     """Refuse a view in which hardly any place blinks at the board's frequencies."""
-    seen = periods.frequency_hz[np.isfinite(periods.frequency_hz)]
+    seen = seen_hz[np.isfinite(seen_hz)]
     _, nearest = _nearest(seen, frequencies)
     matched = np.count_nonzero(np.abs(seen / nearest - 1.0) < _MOST_OFF)
     if len(dots.kind) >= 4 and matched >= 0.3 * len(seen):

@@ -15,7 +15,7 @@ import numpy as np
 from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound
-from calib.events.grey_image import to_uint8
+from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
 from calib.stars.grid_map import fit_grid_map
 from calib.view import View
@@ -55,10 +55,7 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
     same after half a turn may be numbered from either end.
     Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
     """
-    if image.ndim != 2 or image.size == 0:
-        raise InputMismatch(
-            f"The image has shape {image.shape}.", where=f"view {name}", remedy="Give one grey plane (H, W)."
-        )
+    require_grey_plane(image, f"view {name}")
     if board.kind == "blinking-dots":
         raise InputMismatch(
             "An image does not show frequencies.", where=f"view {name}", remedy="Give a recording of events."
@@ -75,14 +72,8 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
             where=f"view {name}",
             remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
         )
-    return View(
-        name=name,
-        image_size=(image.shape[1], image.shape[0]),
-        ids=np.flatnonzero(kept).astype(np.int64),
-        points_px=points[kept],
-        target_mm=board.points_mm[kept],
-        covariances_px2=covariances[kept],
-    )
+    ids, size = np.flatnonzero(kept).astype(np.int64), (image.shape[1], image.shape[0])
+    return View(name, size, ids, points[kept], board.points_mm[kept], covariances[kept])
 
 
 def relocate_board(image: AnyArray, view: View, board: Board) -> View:
@@ -275,15 +266,8 @@ def opencv_corners(image: AnyArray, board: Board, *, finder: Finder = "subpixel"
     """
     grey = to_uint8(np.nan_to_num(np.asarray(image, np.float32)))
     corners = find_board(grey, board, name=name) if finder == "sectors" else _by_subpixel(grey, board, name)
-    count = len(corners)
-    return View(
-        name=name,
-        image_size=(grey.shape[1], grey.shape[0]),
-        ids=np.arange(count, dtype=np.int64),
-        points_px=corners,
-        target_mm=board.points_mm,
-        covariances_px2=np.tile(np.eye(2), (count, 1, 1)),
-    )
+    ids, size = np.arange(len(corners), dtype=np.int64), (grey.shape[1], grey.shape[0])
+    return View(name, size, ids, corners, board.points_mm, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 
 def _by_subpixel(grey: Bytes, board: Board, name: str) -> Array:

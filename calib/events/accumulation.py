@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.arrays import Array, Array32, Bools, Bytes, Ints
 from calib.compiled import KERNEL
 from calib.errors import TooFewEvents
-from calib.events.flicker import EventTimes, Flicker, event_times
+from calib.events.flicker import EventTimes, Flicker, event_times, folded
 
 # When in a flicker period the events come: whole periods, the folded rate, and the bursts; no pixel positions.
 
@@ -37,9 +37,8 @@ class BurstWindow(NamedTuple):
 
 def folded_rate(times: EventTimes, start_us: float, period_us: float) -> Array:
     """Return (2, FOLD_BINS) OFF and ON events over the phase of a period (epoch folding; Leahy et al., 1983)."""
-    turns = (times.t - start_us) / period_us
-    at = np.minimum(((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64), FOLD_BINS - 1)
-    return np.array([np.bincount(at, count, FOLD_BINS) for count in (times.off, times.on)])
+    late = np.asarray(times.t - start_us, np.float64)
+    return np.array([folded(late, count, period_us, FOLD_BINS) for count in (times.off, times.on)])
 
 
 def burst_window(folded: Array, start_us: float, period_us: float) -> BurstWindow:

@@ -35,7 +35,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array32, Bools, Bytes, Ints
+from calib.arrays import Array, Array32, Bools, Bytes, Ints
 from calib.errors import InputMismatch, TooFewEvents, TooFewStars
 from calib.events.accumulation import (
     BurstWindow,
@@ -333,25 +333,6 @@ MOVING_PX = 0.05
 MIN_COMMON = 8
 
 
-class Motion(NamedTuple):
-    """Typical shift of the stars from the first half to the second."""
-
-    shift_px: tuple[float, float]  # Median shift along x and y, px
-    # Standard uncertainty of each component, px, from the scatter of the stars' shifts.
-    sigma_px: tuple[float, float]
-    stars: int
-
-    @property
-    def length_px(self) -> float:
-        """Length of the shift, px."""
-        return float(np.hypot(*self.shift_px))
-
-    @property
-    def moving(self) -> bool:
-        """Whether the shift is `MOVING_PX` or more."""
-        return self.length_px >= MOVING_PX
-
-
 def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return start and end, us, of each half of a slice, in whole periods; `TooFewEvents` if it has one period.
 
@@ -367,12 +348,10 @@ def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, f
     return (facts.start_us, facts.start_us + half), (facts.end_us - half, facts.end_us)
 
 
-def motion_between(first: View, second: View) -> Motion:
-    """Compare the stars that two views of one pose share, at least `MIN_COMMON`: the shift from first to second.
+def motion_between(first: View, second: View) -> Array:
+    """Return the typical shift, (2,) px, of the stars that two views of one pose share, from the first to the second.
 
-    Medians are used instead of means, so that single wrong stars do not matter. The median absolute deviation times
-    1.4826 is the standard deviation of normal noise (Rousseeuw and Croux, 1993); the median of normal noise is sqrt(pi
-    / 2) = 1.2533 times as uncertain as its mean (Huber, 1981).
+    Medians along x and y, so that single wrong stars do not matter; at least `MIN_COMMON` stars.
     """
     _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     if a.size < MIN_COMMON:
@@ -381,7 +360,4 @@ def motion_between(first: View, second: View) -> Motion:
             where=f"view {first.name}",
             remedy="Record for longer.",
         )
-    shifts = second.points_px[b] - first.points_px[a]
-    median = np.median(shifts, axis=0)
-    sigma = 1.2533 * 1.4826 * np.median(np.abs(shifts - median), axis=0) / np.sqrt(a.size)
-    return Motion((float(median[0]), float(median[1])), (float(sigma[0]), float(sigma[1])), int(a.size))
+    return np.asarray(np.median(second.points_px[b] - first.points_px[a], axis=0))

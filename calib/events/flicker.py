@@ -204,7 +204,7 @@ def flicker_from_events(
     bins, at = int(span / bin_us) + 1, (late / bin_us).astype(np.int64)
     rates = np.array([np.bincount(at, count, bins) for count in counts])
     period = 1e6 / _search_frequency(rates, bin_us, band_hz)
-    on, off = (_onset(_folded(late, count, period)) for count in counts)
+    on, off = (_onset(folded(late, count, period, ONSET_BINS)) for count in counts)
     return Flicker(
         period_us=period,
         phase_us=start + on * period,
@@ -352,20 +352,20 @@ def _harmonic_power(rates: Array, bin_us: float, frequencies_hz: Array) -> Array
     return power
 
 
-def _folded(t_us: Array, count: Ints, period_us: float) -> Array:
-    """Count the events, ``count`` at each time, over the phase of one period (Leahy et al., 1983), in `ONSET_BINS`."""
-    turns = t_us / period_us
-    at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
-    return np.bincount(np.minimum(at, ONSET_BINS - 1), count, ONSET_BINS).astype(float)
+def folded(late_us: Array, count: Ints, period_us: float, bins: int) -> Array:
+    """Count the events, ``count`` at each time, over the phase of one period (Leahy et al., 1983), in (bins,)."""
+    turns = late_us / period_us
+    at = np.minimum(((turns - np.floor(turns)) * bins).astype(np.int64), bins - 1)
+    return np.asarray(np.bincount(at, count, bins), np.float64)
 
 
-def _onset(folded: Array) -> float:
+def _onset(rate: Array) -> float:
     """Return the phase, in periods, at which the burst with the highest bin starts.
 
     Own rule: from the highest bin, go back to the first bin with less than a tenth of the highest bin's excess over the
     lower quartile. The burst starts in the bin after it.
     """
-    excess = np.maximum(folded - np.percentile(folded, 25), 0.0)
+    excess = np.maximum(rate - np.percentile(rate, 25), 0.0)
     peak = int(np.argmax(excess))
     back = np.roll(excess[::-1], peak + 1)
     quiet = np.flatnonzero(back < 0.1 * excess[peak])

@@ -36,10 +36,7 @@ def discs_of(views: Sequence[View]) -> Discs | None:
     if sum(len(rim.points_mm) for rim in rims) < _FEWEST_POINTS:
         return None
     looks = np.array([_look_mm(view) for view in views])
-    stars = np.concatenate([view.target_mm for view in views])
-    middle = stars.mean(axis=0)
-    reach = float(np.linalg.norm(stars - middle, axis=1).max())
-    found = fit_rims(rims, looks, middle, reach)
+    found = fit_rims(rims, looks, np.concatenate([view.target_mm for view in views]))
     return found if any(disc.rim_visible for disc in found.of_views) else None
 
 

@@ -293,12 +293,14 @@ class Discs:
     motion: DiscMotion  # With the look of the camera; its prior is zero with a 1-sigma of 0.3 for each entry
 
 
-def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float) -> Discs:
+def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Discs:
     """Fit the discs of all views together; the head of the module gives model and sources.
 
     The points enter with weights of Huber (1981). ``looks_mm`` are the (V, 2) points of the target at which the camera
-    looks, ``middle_mm`` is well inside the beam, and ``reach_mm`` a first guess of the radius.
+    looks. The (N, 2) stars of all views, mm, give a place well inside the beam and a first guess of the radius.
     """
+    middle_mm = stars_mm.mean(axis=0)
+    reach_mm = float(np.linalg.norm(stars_mm - middle_mm, axis=1).max())
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]
     bright = [rim.lit_mm[:: 1 + len(rim.lit_mm) // _MOST_BRIGHT] - middle_mm for rim in rims]

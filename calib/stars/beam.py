@@ -18,7 +18,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Bytes
+from calib.arrays import AnyArray, Array, Array32, Bytes
 
 #: Long side of the reduced image, cells, and side of the square that closes the print's gaps, as a share of it.
 REDUCED, CLOSING = 192, 0.06
@@ -56,23 +56,17 @@ def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = 
     Circle: linear least squares (Kåsa, 1976); with a given radius, least squares of the distances (Gander, Golub &
     Strebel, 1994). Below the brightness ``least`` of white print nothing counts as light.
     """
-    values = np.nan_to_num(np.asarray(image, np.float32))
-    scale = max(values.shape) / REDUCED
-    shape = (max(1, round(values.shape[1] / scale)), max(1, round(values.shape[0] / scale)))
-    small = cv2.resize(values, shape, interpolation=cv2.INTER_AREA)
-    small = cv2.medianBlur(small, 3)
+    small, scale = reduced(image, REDUCED)
     side = 2 * round(CLOSING * REDUCED / 2) + 1
     # A dark border would stop the closing at the frame; the default border of OpenCV's morphology does not.
     closed = cv2.morphologyEx(
         small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     )
     white, dark = float(np.quantile(closed, 0.98)), max(float(np.quantile(closed, 0.01)), 0.0)
-    if white <= least:
-        return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
     level = LIT * white if dark < LIT * white else 0.0
     lit = _filled((closed > level).astype(np.uint8))
     share = float(lit.mean())
-    if share < MIN_LIT:
+    if white <= least or share < MIN_LIT:
         return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
     rim = _rim(lit)
     if len(rim) < MIN_RIM:
@@ -85,6 +79,15 @@ def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = 
     (x, y), radius = circle
     centre = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5)
     return Beam(share, True, centre, radius * scale, lit, scale)
+
+
+def reduced(image: AnyArray, side: int) -> tuple[Array32, float]:
+    """Return an image reduced until its longer side has so many cells, its specks removed; and a cell's size, px."""
+    values = np.nan_to_num(np.asarray(image, np.float32))
+    scale = max(values.shape) / side
+    shape = (max(1, round(values.shape[1] / scale)), max(1, round(values.shape[0] / scale)))
+    small = cv2.medianBlur(cv2.resize(values, shape, interpolation=cv2.INTER_AREA), 3)
+    return np.asarray(small, np.float32), scale
 
 
 def _filled(lit: Bytes) -> Bytes:

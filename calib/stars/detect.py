@@ -14,7 +14,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bools
-from calib.errors import InputMismatch, TooFewStars
+from calib.errors import TooFewStars
+from calib.events.grey_image import require_grey_plane
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
 from calib.stars.centring import (
     SYMMETRY_REACH,
@@ -115,12 +116,7 @@ def detect_stars(
     Raises TooFewStars: If fewer than `MIN_STARS` stars pass all tests.
     Raises InputMismatch: If the image does not have two axes, or is empty.
     """
-    if image.ndim != 2 or image.size == 0:
-        raise InputMismatch(
-            f"The image has shape {image.shape}.",
-            where=f"view {name}",
-            remedy="Give one grey plane (H, W).",
-        )
+    require_grey_plane(image, f"view {name}")
     values = np.asarray(image, np.float32)
     smoothed = smooth(values if np.isfinite(values.sum()) else np.nan_to_num(values), BLUR_PX)
     candidates, sign, named_by = find_candidates(image, smoothed, target, expected, name=name)
@@ -135,14 +131,9 @@ def detect_stars(
     _require_enough(int(np.count_nonzero(kept)), name, least, blurred=blurred, measure_width=measure_width)
     ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
     order = np.argsort(ids)
-    view = View(
-        name=name,
-        image_size=(image.shape[1], image.shape[0]),
-        ids=ids[order],
-        points_px=points[kept][order],
-        target_mm=target.positions_mm(ids[order]),
-        covariances_px2=covariances[kept][order],
-    )
+    size, stars = (image.shape[1], image.shape[0]), ids[order]
+    points, covariances = points[kept][order], covariances[kept][order]
+    view = View(name, size, stars, points, target.positions_mm(stars), covariances)
     return Detection(view, named_by, measure_width)
 
 

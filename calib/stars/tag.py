@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calib.arrays import AnyArray, Array, Array32, Bools, Bytes
 from calib.errors import TargetNotFound
-from calib.stars.beam import Beam
+from calib.stars.beam import Beam, reduced
 from calib.target import StarTarget
 
 #: Least correlation of a tag's modules with the print, of either sign.
@@ -217,14 +217,11 @@ def find_dark_square(image: AnyArray, beam: Beam, *, side_px: float | None = Non
     Own procedure: connected dark parts of the reduced image, compared with their smallest rectangle (OpenCV's
     ``minAreaRect``, rotating calipers of Toussaint, 1983). ``side_px`` is the expected side of the tag, if it is known.
     """
-    scale = max(image.shape) / REDUCED
-    shape = max(1, round(image.shape[1] / scale)), max(1, round(image.shape[0] / scale))
-    values = np.nan_to_num(np.asarray(image, np.float32))
-    small = cv2.medianBlur(cv2.resize(values, shape, interpolation=cv2.INTER_AREA), 3)
+    small, scale = reduced(image, REDUCED)
     white = float(np.quantile(small, 0.98))
     if white <= 0.0 or beam.share <= 0.0:
         return None
-    lit = cv2.resize(beam.lit, shape, interpolation=cv2.INTER_NEAREST) > 0
+    lit = cv2.resize(beam.lit, small.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
     dark = (small < DARK * white) & lit
     expected = side_px / scale if side_px is not None else None
     count, parts, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)

@@ -145,10 +145,8 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
         if view.rim is not None
     ]
     stars = np.concatenate([view.target_mm for view, _, _ in searched])
-    middle = stars.mean(axis=0)
-    reach = float(np.linalg.norm(stars - middle, axis=1).max())
     looks = np.array([collimator.x, collimator.y]) + collimator.r * np.array([t for _, _, t in searched])
-    motion = fit_rims([rim for _, rim, _ in searched], looks, middle, reach).motion
+    motion = fit_rims([rim for _, rim, _ in searched], looks, stars).motion
     own = np.ix_([0, 3], [0, 3])
     walk = collimator.r * np.diag(motion.matrix)
     covariance = collimator.r**2 * motion.covariance[own]

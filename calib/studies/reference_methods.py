@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged, TooFewStars
@@ -107,13 +109,12 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
     camera = CameraModel(fx, fy, cx, cy, views[0].image_size, {name: coefficients[name] for name in names})
     spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
     planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
-    lengths = np.linalg.norm(planar.bundle.residuals_px(planar.parameters), axis=1)
     return MethodResult(
         _opencv_name(options),
         camera,
         {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
         float(rms),
-        float(lengths.mean()),
+        _rms_and_mean(planar.bundle, planar.parameters)[1],
         planar.cross_validation.total_rms_px if planar.cross_validation else None,
     )
 
@@ -129,17 +130,15 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
         )
-    lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
     left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
-    sigmas = np.sqrt(np.diag(estimate.covariance)).tolist()
-    return MethodResult(
-        _PUBLISHED,
-        parameters.camera,
-        dict(zip(bundle.names, sigmas, strict=True)),
-        float(np.sqrt(np.mean(lengths**2))),
-        float(lengths.mean()),
-        left_out,
-    )
+    lengths = _rms_and_mean(bundle, parameters)
+    return MethodResult(_PUBLISHED, parameters.camera, estimate.sigma, *lengths, left_out)
+
+
+def _rms_and_mean(bundle: Bundle, parameters: AdjustmentParameters) -> tuple[float, float]:
+    """Return the root mean square and the mean length of the residuals, px."""
+    lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
+    return float(np.sqrt(np.mean(lengths**2))), float(lengths.mean())
 
 
 def _fisheye(options: CalibrationOptions) -> bool:
@@ -237,15 +236,7 @@ def calibrate_by_angles(
         )
     except (DegenerateViews, NotConverged) as error:
         raise NotConverged("The angles of one image did not determine the camera.", where=where) from error
-    sigmas = np.sqrt(np.diag(found.uncertainty.covariance)).tolist()
-    stated = dict(zip(found.uncertainty.names, sigmas, strict=True))
-    lengths = np.linalg.norm(found.bundle.residuals_px(found.parameters), axis=1)
-    camera = found.parameters.camera
-    return MethodResult(
-        "one image, angle invariance",
-        camera,
-        {name: stated[name] for name in camera.parameter_names},
-        float(np.sqrt(np.mean(lengths**2))),
-        float(lengths.mean()),
-        None,
-    )
+    camera, stated = found.parameters.camera, found.uncertainty.sigma
+    sigma = {name: stated[name] for name in camera.parameter_names}
+    lengths = _rms_and_mean(found.bundle, found.parameters)
+    return MethodResult("one image, angle invariance", camera, sigma, *lengths, None)

@@ -54,6 +54,12 @@ class Uncertainty:
     parts: Mapping[str, Array] = field(default_factory=dict)
 
     @property
+    def sigma(self) -> Mapping[str, float]:
+        """Standard uncertainty of each parameter, by name."""
+        sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.names, sigmas.tolist(), strict=True))
+
+    @property
     def coverage_factor(self) -> float:
         """The k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G)."""
         return coverage_factor(self.effective_degrees_of_freedom)

@@ -33,6 +33,11 @@ def rim(look, disc, waves, rng, sigma=0.05):
     return RimPoints(points[framed], np.full(framed.sum(), sigma), lit[bright > 0], 0.0)
 
 
+def around(middle):
+    """Stars up to 60 mm from a place."""
+    return middle + 60.0 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+
+
 def bench(seed, *, walk=0.0, wander=0.0, common=0.0, uneven=0.0, looks=LOOKS):
     """Return the fitted discs and their true centres; looks, wander and waves as in the arguments."""
     rng = np.random.default_rng(seed)
@@ -42,7 +47,7 @@ def bench(seed, *, walk=0.0, wander=0.0, common=0.0, uneven=0.0, looks=LOOKS):
         rim(MIDDLE + look, disc, shared + uneven * rng.standard_normal(8), rng)
         for look, disc in zip(looks, discs, strict=True)
     ]
-    return fit_rims(rims, MIDDLE + looks, MIDDLE + np.array([3.0, -4.0]), 60.0).of_views, discs, rims
+    return fit_rims(rims, MIDDLE + looks, around(MIDDLE + np.array([3.0, -4.0]))).of_views, discs, rims
 
 
 def errors_and_scores(seeds, **kwargs):
@@ -93,7 +98,7 @@ def test_other_views_locate_a_disc_whose_rim_is_out_of_view():
     looks = np.vstack([LOOKS, [[2.0, 1.0]]])
     _, discs, rims = bench(5, walk=-0.05, looks=looks)
     rims[-1] = RimPoints(rims[-1].points_mm[:0], rims[-1].sigmas_mm[:0], rims[-1].lit_mm, 0.0)
-    found = fit_rims(rims, MIDDLE + looks, MIDDLE, 60.0).of_views
+    found = fit_rims(rims, MIDDLE + looks, around(MIDDLE)).of_views
     assert found[-1].own_sigma_mm > 10.0
     assert np.abs(found[-1].centre_mm - discs[-1]).max() < 0.5
 
@@ -102,7 +107,7 @@ def test_bright_points_keep_the_rim_out():
     found, discs, rims = bench(6, wander=8.0)
     bare = [RimPoints(r.points_mm, r.sigmas_mm, r.lit_mm[:0], 0.0) for r in rims]
     with_bright = rms([f.centre_mm - d for f, d in zip(found, discs, strict=True)])
-    without = fit_rims(bare, MIDDLE + LOOKS, MIDDLE, 60.0).of_views
+    without = fit_rims(bare, MIDDLE + LOOKS, around(MIDDLE)).of_views
     assert with_bright < rms([f.centre_mm - d for f, d in zip(without, discs, strict=True)]) + 0.2
     for disc, one in zip(found, rims, strict=True):
         beyond = np.linalg.norm(one.lit_mm - disc.centre_mm, axis=1) - disc.radius_mm
