@@ -86,6 +86,18 @@ class Bench:
         ]
 
 
+class FisheyeBench(Bench):
+    """The same through a fisheye lens, OpenCV's."""
+
+    bent: tuple = (-0.03, 0.02, 0.0, 0.0)
+
+    def project(self, target_mm, turn, centre):
+        matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+        points = (np.column_stack([target_mm, np.zeros(len(target_mm))]) - centre)[:, None]
+        vector, bent = cv2.Rodrigues(turn)[0], np.array(self.bent)
+        return cv2.fisheye.projectPoints(points, vector, np.zeros(3), matrix, bent)[0][:, 0]
+
+
 @pytest.fixture
 def bench():
     return Bench()

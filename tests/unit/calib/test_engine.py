@@ -3,12 +3,12 @@
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch, NotConverged
+from tests.unit.calib.conftest import FisheyeBench
 
 
 @pytest.mark.parametrize("model", ["spherical", "planar"])
@@ -40,17 +40,8 @@ def test_five_distortion_coefficients_can_be_asked_for(bench):
     assert result.camera.distortion["p1"] == pytest.approx(0.0, abs=1e-8)
 
 
-def test_a_fisheye_lens_can_be_asked_for(make_bench):
-    bent = np.array([-0.03, 0.02, 0.0, 0.0])
-
-    class Fisheye(make_bench):
-        def project(self, target_mm, turn, centre):
-            matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
-            points = (np.column_stack([target_mm, np.zeros(len(target_mm))]) - centre)[:, None]
-            vector = cv2.Rodrigues(turn)[0]
-            return cv2.fisheye.projectPoints(points, vector, np.zeros(3), matrix, bent)[0][:, 0]
-
-    bench = Fisheye(
+def test_a_fisheye_lens_can_be_asked_for():
+    bench = FisheyeBench(
         fx=700.0, fy=701.0, half_angle_deg=20.0, poses=((-25, 10), (10, -15, 60), (30, 5, 20), (0, 0))
     )
     result = calibrate(bench.views(), CalibrationOptions(distortion="fisheye", loss="l2"))

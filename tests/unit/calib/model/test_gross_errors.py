@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from calib.model.homography import apply_homography, gross_errors, view_homography
 from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours, local_sigma_px
 from calib.view import View
-from tests.unit.calib.conftest import TARGET, Bench
+from tests.unit.calib.conftest import TARGET, Bench, FisheyeBench
 
 SEEDS = st.integers(0, 10_000)
 
@@ -63,16 +62,7 @@ def test_noise_alone_is_no_gross_error(seed, sigma, pose):
 
 @pytest.mark.parametrize("focal", [300.0, 700.0])
 def test_strong_distortion_is_no_gross_error(focal):
-    class Fisheye(Bench):
-        def project(self, target_mm, turn, centre):
-            matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
-            points = (np.column_stack([target_mm, np.zeros(len(target_mm))]) - centre)[:, None]
-            bent = np.array([-0.03, 0.02, 0.0, 0.0])
-            return cv2.fisheye.projectPoints(points, cv2.Rodrigues(turn)[0], np.zeros(3), matrix, bent)[0][
-                :, 0
-            ]
-
-    bench = Fisheye(fx=focal, fy=focal, half_angle_deg=35.0, poses=((-25, 10), (30, 5, 20), (0, 0)))
+    bench = FisheyeBench(fx=focal, fy=focal, half_angle_deg=35.0, poses=((-25, 10), (30, 5, 20), (0, 0)))
     for view in bench.views(np.random.default_rng(3), 0.05):
         assert not gross_errors(view).any()
 

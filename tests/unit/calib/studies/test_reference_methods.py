@@ -1,8 +1,5 @@
 """Reference methods on the same points."""
 
-from dataclasses import replace
-
-import cv2
 import numpy as np
 import pytest
 
@@ -16,6 +13,7 @@ from calib.studies.reference_methods import (
     reference_results,
     starbench_result,
 )
+from tests.unit.calib.conftest import FisheyeBench
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60))
 
@@ -31,25 +29,11 @@ def test_opencv_is_asked_for_the_same_coefficients(bench, distortion):
     assert theirs.rms_px == pytest.approx(own.rms_px, rel=1e-3)
 
 
-def bent(bench, views, coefficients):
-    """The same views through a fisheye lens (OpenCV's)."""
-    matrix = np.array([[bench.fx, 0, bench.cx], [0, bench.fy, bench.cy], [0, 0, 1.0]])
-    for view, turn in zip(views, (bench.turn(*pose) for pose in POSES), strict=True):
-        world = np.column_stack([view.target_mm, np.zeros(len(view))])[:, None]
-        vector = cv2.Rodrigues(turn)[0]
-        shift = (-turn @ np.array(bench.centre))[:, None]
-        yield replace(
-            view,
-            points_px=cv2.fisheye.projectPoints(world, vector, shift, matrix, np.array(coefficients))[0][
-                :, 0
-            ],
-        )
-
-
 @pytest.mark.parametrize("distortion", [("kb1",), ("kb1", "kb2")])
-def test_a_fisheye_lens_is_asked_of_opencv_s_fisheye_calibration(make_bench, distortion):
-    bench = make_bench(fx=1200.0, fy=1201.0, half_angle_deg=25.0)
-    views = list(bent(bench, bench.views(poses=POSES), [0.03, -0.05 * (len(distortion) > 1), 0.0, 0.0]))
+def test_a_fisheye_lens_is_asked_of_opencv_s_fisheye_calibration(distortion):
+    bench = FisheyeBench(fx=1200.0, fy=1201.0, half_angle_deg=25.0)
+    bench.bent = (0.03, -0.05 * (len(distortion) > 1), 0.0, 0.0)
+    views = bench.views(poses=POSES)
     options = CalibrationOptions(model="planar", distortion=distortion, loss="l2")
     theirs, own = opencv_planar(views, options), calibrate(views, options)
     assert theirs.name == "OpenCV, planar (fisheye)"
