@@ -167,20 +167,9 @@ def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[
 
 def _step(waveform: Any) -> RecordStep:
     """Return a record step with the values that a sequence has by default."""
-    config = RecordConfig()
-    return RecordStep(
-        0,
-        "align",
-        (),
-        Pose(0, "present pose", {}),
-        config.window_ms,
-        config.image,
-        config.attempts,
-        config.backoff_s,
-        config.on_failure,
-        config.hold_s,
-        Gates.from_settings(dict(config.gates), waveform),
-    )
+    settings = dict(RecordConfig())
+    settings["gates"] = Gates.from_settings(dict(settings["gates"]), waveform)
+    return RecordStep(0, "align", (), Pose(0, "present pose", {}), **settings)
 
 
 def _gate(gate: Gate) -> Check:

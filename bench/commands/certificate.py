@@ -31,7 +31,7 @@ from bench.commands.options import (
 from bench.commands.output import JSON, ask_passphrase, show, wants_json
 from bench.evidence.findings import Verification
 from bench.evidence.key_trust import Trust, read_trust
-from bench.evidence.keys import BenchKey, ensure_key, require_usable
+from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
 from bench.evidence.verify import verify_folder
@@ -207,16 +207,13 @@ def void(number: str, reason: str, by: str | None) -> int:
 
     The number was reserved by a command that was stopped or failed, so no certificate has it.
     """
-    import getpass
-    import socket
-
     from bench.certificate.issue import complete_open
+    from bench.run.control import operator_at_terminal
 
     text = _stated(reason)
     ledger = bench_ledger()
     with one_at_a_time(ledger.home):
         done = complete_open(ledger)  # the certificate of this number may lie sealed in its folder
-        who = by or f"{getpass.getuser()}@{socket.gethostname()}"
         if number in done:
             raise EvidenceError(
                 f"{number} is issued: its certificate was complete, and only its line in the ledger was missing."
@@ -224,7 +221,7 @@ def void(number: str, reason: str, by: str | None) -> int:
                 where=str(ledger.path),
                 remedy="To replace it: `starbench certificate issue` with its folder.",
             )
-        one = declare_void(ledger, number, reason=text, by=who)
+        one = declare_void(ledger, number, reason=text, by=by or operator_at_terminal())
     show({"number": one.number, "state": "VOID", "reason": one.reason}, f"{one.number} is void: {one.reason}")
     return 0
 
@@ -361,9 +358,7 @@ def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory
     from bench.certificate.issue import Laboratory
 
     def key() -> BenchKey:
-        found = ensure_key(home_folder(), ask_passphrase=ask_passphrase)
-        require_usable(home_folder(), found, datetime.now(UTC))
-        return found
+        return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
 
     sign = None
     if dcc_key is not None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Any, Literal, NotRequired, TypedDict, cast
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.device_ends import DeviceEnd
@@ -279,13 +279,7 @@ class Runner:
         if failure is None:
             self.context.log.write(events.RunEnded, how=how, why=why, **self._end_data())
             return
-        error: FailureData = {
-            "kind": failure.kind,
-            "what": failure.what,
-            "where": failure.where,
-            "remedy": failure.remedy,
-        }
-        data = self._end_data()
+        error, data = cast("FailureData", failure.to_dict()), self._end_data()
         if crashed:
             self.context.log.write(events.RunEnded, how=how, why=why, error=error, crashed=True, **data)
         else:
