@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -248,9 +248,7 @@ class PageRequests:
             hands=bench.hands.seen,
         )
         proposal = propose_values(Path(self._files.station), values, Station, target=target)
-        return Proposal(
-            proposal.path, proposal.source, proposal.before, proposal.after, (*notes, *proposal.notes)
-        )
+        return replace(proposal, notes=(*notes, *proposal.notes))
 
     def _light_values(self) -> dict[str, str]:
         """Return the present flicker as a sequence states it. Its level is relative to the station's brightest one."""
