@@ -1,6 +1,6 @@
 """What results.json holds: the types that its writer, the report, the certificate, the table and the panel share.
 
-docs/results.md explains the values. ``NotRequired`` parts are missing in earlier versions, or where they do not apply.
+docs/results.md explains the values. ``NotRequired`` parts are missing where they do not apply.
 U of a value is its ``coverage_factors``, or else ``coverage_factor``, times its ``sigma``. Print and collimator are in
 mm, images in px, readings in degrees, unless a name says otherwise.
 """

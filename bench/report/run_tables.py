@@ -31,9 +31,6 @@ from bench.report.text import (
 
 # Rows of the report about what a calibration used: passport of the collimator, readings and parallax, input
 # files.
-#
-# The functions take the parts of results.json as plain mappings, also of results that older versions wrote
-# without them.
 
 Rows = list[tuple[str, str]]
 

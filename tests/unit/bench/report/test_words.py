@@ -111,8 +111,8 @@ def test_a_planar_calibration_without_devices_is_reported_too(data):
     )
 
 
-#: In results.json only if the station states it, if a board was seen, or not in earlier versions; not in the sample.
-ONLY_IF_STATED = {"conformity", "run.target", "run.board", "run.plugins", "calibration.engine"}
+#: In results.json only if the station states it, or if a board was seen; not in the sample.
+ONLY_IF_STATED = {"conformity", "run.target", "run.board", "run.plugins"}
 ONLY_IF_STATED |= {"calibration.boresight", "check", "mount_faces"}
 
 
