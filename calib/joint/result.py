@@ -283,7 +283,7 @@ def _gimbal(
         **{name: turns[name] for name in names if name in turns},
     }
     sigmas = np.sqrt(np.diag(found.covariance)[at])
-    times = float(np.exp(found.optimum.eta[marginal.problem.hyper.at(amp.READING)]))
+    times = float(np.exp(found.largest.eta[marginal.problem.hyper.at(amp.READING)]))
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     if times >= MOST_SCATTER:  # the posterior's mean may have other scales instead
         off = bench.readings_off(found.optimum.state)
