@@ -51,7 +51,7 @@ _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
 #: thermal expansion, the parallax over the one that is expected without a bound.
-_FREE_RADIUS, _FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 2.0
+_FREE_RADIUS, FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 2.0
 _FREE_TERMS = {"thermal": 1e-3, "print_scale": 5e-3}
 _SKEW_DEG = 0.1
 #: The pupil of another camera lies so far from that of the passport's, as a share of the radius: 4 mm (1-sigma).
@@ -338,7 +338,7 @@ def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
                     source,
                     {name: 1.0},
                     stated,
-                    _FREE_SCALE,
+                    FREE_SCALE,
                     "1",
                 )
             )

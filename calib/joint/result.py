@@ -17,13 +17,13 @@ from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
-from calib.joint.knowledge import READINGS
+from calib.joint.knowledge import FREE_SCALE, READINGS
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
 from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.solve import Optimum
-from calib.joint.words import MOST_SCATTER, contradiction, notes, require_determined
+from calib.joint.words import contradiction, notes, require_determined
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
@@ -46,6 +46,10 @@ _PLAIN = (
     amp.PRISM,
     amp.RIM,
 )
+#: Readings that scatter this many times more than stated contradict the stars, and do not enter.
+_MOST_SCATTER = 3.0
+#: Nor if a scale differs by this many times what a wrong statement is expected to.
+_FARTHEST_SCALE = 3.0
 
 
 def calibrate_jointly(
@@ -71,10 +75,9 @@ def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Post
     if options.gimbal is None:
         return found, None
     gimbal = _gimbal(found, _parameters(found), options)
-    if gimbal is None or gimbal.scatter < MOST_SCATTER:
+    if gimbal is None or gimbal.entered:
         return found, None
-    alone = posterior(adjust(views, replace(options, gimbal=None)))
-    return alone, replace(gimbal, entered=False, values={}, sigma={})
+    return posterior(adjust(views, replace(options, gimbal=None))), gimbal
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:
@@ -283,14 +286,17 @@ def _gimbal(
         **{name: turns[name] for name in names if name in turns},
     }
     sigmas = np.sqrt(np.diag(found.covariance)[at])
-    times = float(np.exp(found.largest.eta[marginal.problem.hyper.at(amp.READING)]))
+    reading = marginal.problem.hyper.at(amp.READING)
+    times = float(np.exp(found.largest.eta[reading]))
+    away = max((abs(values[name] - 1.0) for name in names if name in SCALES), default=0.0)
+    entered = times < _MOST_SCATTER and away < _FARTHEST_SCALE * max(options.gimbal.scale_sigma, FREE_SCALE)
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
-    if times >= MOST_SCATTER:  # the posterior's mean may have other scales instead
-        off = bench.readings_off(found.optimum.state)
+    if not entered:  # the mean may hold other scales instead
+        times, off = float(np.exp(found.optimum.eta[reading])), bench.readings_off(found.optimum.state)
     return GimbalEstimate(
-        entered=True,
-        values={name: float(u * values[name]) for name, u in zip(names, unit, strict=True)},
-        sigma=dict(zip(names, (unit * sigmas).tolist(), strict=True)),
+        entered=entered,
+        values={name: float(u * values[name]) for name, u in zip(names, unit, strict=True) if entered},
+        sigma=dict(zip(names, (unit * sigmas).tolist(), strict=True)) if entered else {},
         chi_square=float((off**2).sum()) / bench.readings.sigma_rad**2,
         degrees_of_freedom=max(off.size - 6, 1),
         rms_deg=float(np.rad2deg(np.sqrt((off**2).sum(axis=1).mean()))),

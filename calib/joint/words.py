@@ -27,8 +27,6 @@ from calib.view import View
 _DOUBTED = 0.1
 #: Readings that scatter this many times more than stated are named.
 _SCATTER = 2.0
-#: Readings that scatter this many times more than stated contradict the stars, and do not enter.
-MOST_SCATTER = 3.0
 _WEAK_FOCAL_SIGMA = 0.01
 _BACKWARDS = (
     "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
