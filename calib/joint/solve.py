@@ -25,9 +25,6 @@ _FIRST_ROUNDS = 1
 #: Stars are weighed again in so many rounds, and then no more: a k-step M-estimator (Bickel, 1975). Where the errors at
 #: the rim are no smooth field, the weights would go on to fall for 20 rounds.
 _REWEIGHTED = 7
-#: From this round on it is enough that the camera stands still. With a strong error at the rim, the foot of the
-#: perpendicular goes on to move along a curve, by a sigma in 20 rounds, and the camera does not follow.
-_CENTRE_ROUNDS = 12
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
@@ -35,8 +32,6 @@ _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 _LATE, _LATE_SHARE = 20, 0.25
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
-#: From this round on the amplitudes go half way to the better ones: else state and amplitudes may swing on for ever.
-_DAMPED = 12
 _HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966).
 _LEAST_GAIN = 0.1
@@ -83,11 +78,11 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         equations = bench.linearised(state, limit, kept)
         marginal = Marginal(problem, equations, state)
         eta, found = _in_round(k, marginal, eta)
-        centre, share = k < _CENTRE_ROUNDS, _SMALL_SHARE if k < _LATE else _LATE_SHARE
-        if k > _FIRST_ROUNDS and small(marginal, found, share, centre=centre):
+        share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
+        if k > _FIRST_ROUNDS and small(marginal, found, share):
             if k < _LATE:
                 eta, found = better_amplitudes(marginal, eta)
-            if small(marginal, found, share, centre=centre):
+            if small(marginal, found, share):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
         kept = equations if k >= _REWEIGHTED else None
@@ -100,13 +95,9 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
 
 def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
     """Return the amplitudes of a round, and their solution."""
-    if not _FIRST_ROUNDS <= k < _LATE:
-        return eta, solved(marginal, eta)
-    better, found = trusted_amplitudes(marginal, eta)
-    if k < _DAMPED:
-        return better, found
-    half = 0.5 * (eta + better)
-    return half, solved(marginal, half)
+    if _FIRST_ROUNDS <= k < _LATE:
+        return trusted_amplitudes(marginal, eta)
+    return eta, solved(marginal, eta)
 
 
 def approached(problem: Problem, start: State, rounds: int) -> State:
@@ -145,16 +136,12 @@ def solved(marginal: Marginal, eta: Array, damped: float = 0.0, *, held: bool = 
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
 
-def small(marginal: Marginal, found: Solution, share: float = _SMALL_SHARE, *, centre: bool = True) -> bool:
-    """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas.
-
-    If ``centre`` does not count, it may still move by as much as the equations hold.
-    """
+def small(marginal: Marginal, found: Solution, share: float = _SMALL_SHARE) -> bool:
+    """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas."""
     layout = marginal.problem.bench.layout
-    at = layout.places((*layout.camera, *("x", "y", "r")[: 3 if centre else 0]))
+    at = layout.places((*layout.camera, "x", "y", "r"))
     steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
-    enough = bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
-    return enough and (centre or relative_step(marginal, found.step) < _TRUSTED)
+    return bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
 
 
 def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
