@@ -10,7 +10,7 @@ import json
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ParamSpec
@@ -32,7 +32,7 @@ from bench.batch.batch_record import (
     choose_next,
     resume_text,
 )
-from bench.batch.batch_summary import RUNS, newest_place, summarise, summary_lines, write_summary
+from bench.batch.batch_summary import RUNS, summarise, summary_lines, write_summary
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.history.chart_findings import standard_problem
 from bench.messaging.messages import Courier, Outbox
@@ -43,6 +43,7 @@ from bench.records.journal import Journal, UnsyncedJournal, read_journal
 from bench.records.run_folder import JOURNAL, is_sealed
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import lock_folder, make_folder, storage_errors, sync_folder, write_atomic
+from bench.records.summaries import BatchSummary, newest_place
 from bench.run.status import read_status, status_text
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
@@ -81,9 +82,9 @@ class BatchMessages:
         own_message = _journal_head(run) if end.how == "failed" else ""
         courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
 
-    def batch_ended(self, summary: Mapping[str, Any], folder: Path, line: str) -> None:
+    def batch_ended(self, summary: BatchSummary, folder: Path, line: str) -> None:
         """Send what the terminal prints at the batch's end to all; ``line`` is the hash of its journal line."""
-        name, how, why = (summary[key] for key in ("queue", "how", "why"))
+        name, how, why = summary["queue"], summary["how"], summary["why"]
         what = f"{how}{': ' if why else ''}{why}"
         text = "\n".join(summary_lines(summary))
         for courier in self._couriers.values():
@@ -94,7 +95,7 @@ class BatchMessages:
                 run=name,
                 folder=folder,
                 key=line,
-                place=newest_place(summary),
+                place=newest_place(summary["items"]),
             )
 
     def add_recipients(self, stations: Iterable[str]) -> None:
@@ -167,7 +168,7 @@ class Batch:
         self._messages = BatchMessages(clock, say)
         self._told_of_standard = ""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> BatchSummary:
         """Do every run that is not done yet, in a folder that belongs to nothing else."""
         make_folder(self.folder / RUNS)
         lock = lock_folder(self.folder)

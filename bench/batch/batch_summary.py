@@ -19,7 +19,6 @@ from bench.batch.batch_record import (
     BatchRecord,
     Item,
     Requested,
-    RunAttempt,
     UpcomingRun,
     by_priority,
     look_ahead,
@@ -33,6 +32,14 @@ from bench.records.run_facts import REPEATS_TEXT, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run_and_details
 from bench.records.storage import is_locked, storage_errors, write_atomic
+from bench.records.summaries import (
+    BatchSummary,
+    CameraData,
+    ItemData,
+    PointData,
+    RequestData,
+    TotalsData,
+)
 from bench.report.batch_page import render_batch
 from bench.report.text import unit_text, with_uncertainty
 from bench.results.trends import by_camera, hours_after, trends_of
@@ -44,16 +51,27 @@ from sequences.reader import read_document
 RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
-_NO_RUN: Mapping[str, Any] = {
-    "accepted": 0,
-    "recordings": 0,
-    "deviations": 0,
-    "temperature_c": None,
-    "model": None,
-    "rms_px": None,
-    "sealed": False,
-}
-_NO_PLACE = {"ledger_number": None, "ledger_head": None}
+_NO_RUN = IndexedRun(
+    folder="",
+    id="",
+    sequence="",
+    station="",
+    camera="",
+    operator=None,
+    simulated=False,
+    rehearsal=False,
+    begun_utc="",
+    how="",
+    sealed=False,
+    accepted=0,
+    recordings=0,
+    deviations=0,
+    temperature_c=None,
+    model=None,
+    rms_px=None,
+    parameters={},
+)
+"""What is stated of a run without a journal of its own."""
 
 
 def read_batch(folder: Path) -> BatchRecord:
@@ -75,7 +93,7 @@ def read_batch(folder: Path) -> BatchRecord:
     return replay_batch(queue, read_journal(folder / JOURNAL)[0])
 
 
-def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
+def write_summary(folder: Path, record: BatchRecord) -> BatchSummary:
     """Write ``summary.json`` and ``summary.html``, and return the content of the first."""
     summary = summarise(folder, record)
     write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
@@ -83,7 +101,7 @@ def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
     return summary
 
 
-def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
+def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     """Return the content of ``summary.json`` of a batch, finished or not."""
     runs: dict[str, IndexedRun] = {}
     details: dict[str, dict[str, Any]] = {}
@@ -134,14 +152,6 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
     }
 
 
-def newest_place(summary: Mapping[str, Any]) -> tuple[int, str] | None:
-    """Return number and hash of the newest run of a batch in the bench's ledger; None if it holds none."""
-    places = [
-        (item["ledger_number"], item["ledger_head"]) for item in summary["items"] if item["ledger_head"]
-    ]
-    return max(places, default=None)
-
-
 def _in_order_of_begin(record: BatchRecord) -> list[Item]:
     """Return the runs in the order in which they began; runs that did not begin are last, by priority."""
     never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
@@ -155,8 +165,10 @@ def _item(
     run: IndexedRun | None,
     conformity: str | None,
     unread: Mapping[str, str],
-) -> dict[str, Any]:
+) -> ItemData:
     end, path = record.ends.get(item.key), f"{RUNS}/{item.key}"
+    attempts = record.ended_attempts.get(item.key, [])
+    stated = run or _NO_RUN
     return {
         "item": item.key,
         "job": item.job.name,
@@ -166,9 +178,24 @@ def _item(
         "attempts": record.attempts.get(item.key, 0),
         "begun_utc": _iso(record.begun_at.get(item.key)),
         "ended_utc": _iso(end.ended) if end else None,
-        **_attempt_times(record.ended_attempts.get(item.key, [])),
+        "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
+        "tries": [
+            {"begun_utc": one.begun.isoformat(), "ended_utc": one.ended.isoformat(), "how": one.how}
+            for one in attempts
+        ],
         "report": f"{path}/{REPORT}" if (folder / path / REPORT).is_file() else None,
-        **_run_facts(run, _planned_poses(folder / path)),
+        "camera": stated.camera,
+        "poses": _planned_poses(folder / path),
+        "accepted": stated.accepted,
+        "recordings": stated.recordings,
+        "deviations": stated.deviations,
+        "temperature_c": stated.temperature_c,
+        "model": stated.model,
+        "rms_px": stated.rms_px,
+        "sealed": stated.sealed,
+        "parameters": parameters_data(stated.parameters),
+        "ledger_number": stated.ledger_number,
+        "ledger_head": stated.ledger_head,
         "conformity": conformity,
     }
 
@@ -182,29 +209,7 @@ def _outcome(item: Item, record: BatchRecord) -> str:
     return "cut off" if item.key in record.attempts else "not begun"
 
 
-def _attempt_times(attempts: Sequence[RunAttempt]) -> dict[str, Any]:
-    """Return the total duration of the attempts, s, and the times of each."""
-    return {
-        "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
-        "tries": [
-            {"begun_utc": _iso(one.begun), "ended_utc": _iso(one.ended), "how": one.how} for one in attempts
-        ],
-    }
-
-
-def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, Any]:
-    """Return what a run's own journal says about it; default values if it has none."""
-    stated = vars(run) if run is not None else {**_NO_RUN, **_NO_PLACE}
-    return {
-        "camera": stated.get("camera", ""),
-        "poses": planned_poses,
-        **{name: stated[name] for name in _NO_RUN},
-        "parameters": parameters_data(run.parameters) if run is not None else {},
-        **{name: stated[name] for name in _NO_PLACE},
-    }
-
-
-def _point(run: IndexedRun) -> dict[str, Any]:
+def _point(run: IndexedRun) -> PointData:
     return {
         "item": run.id,
         "begun_utc": run.begun_utc,
@@ -213,12 +218,12 @@ def _point(run: IndexedRun) -> dict[str, Any]:
     }
 
 
-def _totals(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _totals(items: Sequence[ItemData]) -> TotalsData:
     counted: dict[str, int] = {}
     for item in items:
         counted[item["how"]] = counted.get(item["how"], 0) + 1
-    begun = [item for item in items if item["begun_utc"]]
-    ended = [item["ended_utc"] for item in begun if item["ended_utc"]]
+    begun = [item["begun_utc"] for item in items if item["begun_utc"]]
+    ended = [item["ended_utc"] for item in items if item["begun_utc"] and item["ended_utc"]]
     return {
         "runs": len(items),
         "by_end": dict(sorted(counted.items())),
@@ -226,14 +231,19 @@ def _totals(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "poses": sum(item["accepted"] for item in items),
         "recordings": sum(item["recordings"] for item in items),
         "deviations": sum(item["deviations"] for item in items),
-        "hours": round(hours_after(max(ended), begun[0]["begun_utc"]), 3) if ended else 0.0,
-        "working_hours": round(sum(item["took_s"] or 0.0 for item in begun) / 3600.0, 3),
+        "hours": round(hours_after(max(ended), begun[0]), 3) if ended else 0.0,
+        "working_hours": round(sum(item["took_s"] or 0.0 for item in items) / 3600.0, 3),
     }
 
 
-def _request(data: Requested) -> dict[str, Any]:
-    what = data.get("name") or (data.get("job") or {}).get("name", "")
-    return {k: data.get(k, "") for k in ("word", "by", "taken", "why")} | {"job": what}
+def _request(data: Requested) -> RequestData:
+    return {
+        "word": data["word"],
+        "by": data.get("by", ""),
+        "taken": data["taken"],
+        "why": data["why"],
+        "job": data.get("name") or data.get("job", {}).get("name", ""),
+    }
 
 
 def _planned_poses(run: Path) -> int | None:
@@ -424,21 +434,21 @@ def _clock(moment: datetime, zone: tzinfo | None, *, day: bool = False) -> str:
 _K = 2.0  # of a change per hour
 
 
-def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Return the end of a batch, its runs, and means with their U; ``summary`` is the content of summary.json."""
+def summary_lines(summary: BatchSummary) -> Iterator[str]:
+    """Return the end of a batch, its runs, and means with their U."""
     how = summary["how"] or "not ended"
     rehearsal = "REHEARSAL of batch" if summary["rehearsal"] else "Batch"
     yield f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}"
     for item in summary["items"]:
         why = f": {item['why']}" if item["why"] else ""
-        verdict = f"  {item['conformity']}" if item.get("conformity") else ""
+        verdict = f"  {item['conformity']}" if item["conformity"] else ""
         attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
         yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
     for camera in summary["cameras"]:
         yield from _trend_lines(camera)
 
 
-def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
+def _trend_lines(camera: CameraData) -> list[str]:
     """Return one line per parameter of a camera, if more than one of its runs has a result."""
     lines = []
     width = max((len(trend["name"]) for trend in camera["parameters"]), default=0)

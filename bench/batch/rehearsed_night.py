@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import BenchError, UsageError
@@ -20,6 +19,7 @@ from bench.batch.batch_plan import WORKER_S
 from bench.batch.batch_record import Item
 from bench.batch.supervisor import WorkerEnd
 from bench.records.storage import make_folder, storage_errors
+from bench.records.summaries import BatchSummary
 from bench.rehearsal.rehearsal import rehearse_run
 from sequences.queue import Queue
 from sequences.reader import Located
@@ -30,7 +30,7 @@ _ROOM_BYTES = 1_000_000_000
 
 def rehearse_batch(
     queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
-) -> dict[str, Any]:
+) -> BatchSummary:
     """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
 
     The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
@@ -61,7 +61,7 @@ def _memory() -> str | None:
 
 def _rehearse(
     queue: Located[Queue], folder: Path, clock: VirtualClock, seed: int, say: Callable[[str], None]
-) -> dict[str, Any]:
+) -> BatchSummary:
 
     def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
         clock.sleep(WORKER_S)

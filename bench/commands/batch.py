@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,6 +16,9 @@ from bench.base.home import home_folder
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, command
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
 from bench.evidence.keys import usable_key
+
+if TYPE_CHECKING:
+    from bench.records.summaries import BatchSummary
 
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 
@@ -101,11 +103,11 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
     return status
 
 
-def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
+def show_summary(folder: Path, summary: BatchSummary) -> int:
     """Print a batch's end; exit status 0 every run has a result, 3 stopped, 4 a limit is not kept, else 1."""
     from bench.batch.batch_summary import PAGE, summary_lines
 
     show(summary, [*summary_lines(summary), f"Summary: {folder / PAGE}"])
-    if summary["how"] == "finished" and any(item.get("conformity") == "FAIL" for item in summary["items"]):
+    if summary["how"] == "finished" and any(item["conformity"] == "FAIL" for item in summary["items"]):
         return NOT_KEPT
     return {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)

@@ -6,7 +6,7 @@ import asyncio
 import json
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from bench.panel.watching import MOST_LOG_LINES, Answer, Extras, Helper, RunWatc
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import is_locked, storage_errors
+from bench.records.summaries import BatchSummary, ItemData
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
 from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
@@ -35,8 +36,6 @@ from bench.web.pages import EventStream, Message, last_id, page_app, read_object
 #
 # The summary is read again only when the batch's journal has grown; what comes next is told every few
 # seconds.
-
-Json = dict[str, Any]
 
 LOOK_S = 0.5
 AGAIN_S = 3.0
@@ -51,7 +50,7 @@ class BatchView:
         self.folder = folder
         self._lock = threading.Lock()
         self._stamp: tuple[Any, ...] = ()
-        self._summary: Json = {}
+        self._summary: BatchSummary | None = None
         self._lines = 0
         self._text = ""
         self._made_at_s = float("-inf")
@@ -74,18 +73,19 @@ class BatchView:
         is_new = stamp != self._stamp
         if not is_new and (not running or now_s - self._made_at_s < AGAIN_S):
             return
-        if is_new:
+        summary = self._summary
+        if is_new or summary is None:
             record = read_batch(self.folder)
-            self._summary = summarise(self.folder, record)
+            summary = self._summary = summarise(self.folder, record)
             self._lines = _line_count(self.folder / JOURNAL)
         status = read_batch_status(self.folder).to_dict()
-        shown = {name: value for name, value in self._summary.items() if name != "items"}
+        shown = {name: value for name, value in summary.items() if name != "items"}
         body = {
             **shown,
             "fault": "",
             "line": self._lines,
             "status": status,
-            "items": _failures_first(self._summary["items"]),
+            "items": _failures_first(summary["items"]),
             "runs_folder": RUNS,
         }
         self._text = json.dumps(body, separators=(",", ":"), allow_nan=False)
@@ -103,10 +103,10 @@ async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIte
         await asyncio.sleep(every_s)
 
 
-def _failures_first(items: list[Json]) -> list[Json]:
+def _failures_first(items: Sequence[ItemData]) -> list[ItemData]:
     """Return the runs of a batch: failures, then those with a result and others, then those that have not begun."""
 
-    def place(item: Json) -> int:
+    def place(item: ItemData) -> int:
         return 0 if item["how"] in _FAILURES else 2 if item["how"] in _NOT_BEGUN else 1
 
     return sorted(items, key=place)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
@@ -60,6 +60,15 @@ class Estimate(NamedTuple):
         return self.k * self.sigma
 
 
+class EstimateData(TypedDict):
+    """A parameter of one run as JSON carries it."""
+
+    value: float
+    sigma: float
+    coverage_factor: float
+    expanded: float
+
+
 def coverage_factor(stated: Mapping[str, Any], name: str = "") -> float:
     """Return k (2 if none is stated): U = k u has a coverage probability of about 95 % (JCGM 100, 6.2, annex G).
 
@@ -94,8 +103,8 @@ def estimates(solved: Mapping[str, Any]) -> dict[str, Estimate]:
     }
 
 
-def parameters_data(parameters: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
-    """Return parameters as JSON carries them: ``value sigma coverage_factor expanded`` by name."""
+def parameters_data(parameters: Mapping[str, Estimate]) -> dict[str, EstimateData]:
+    """Return parameters as JSON carries them, by name."""
     return {
         name: {"value": one.value, "sigma": one.sigma, "coverage_factor": one.k, "expanded": one.expanded}
         for name, one in parameters.items()

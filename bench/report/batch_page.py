@@ -6,7 +6,7 @@ It needs ``summary.json`` alone; the template escapes every text.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime, tzinfo
 from functools import partial
 from typing import Any
@@ -15,6 +15,14 @@ from zoneinfo import ZoneInfo
 from markupsafe import Markup
 
 from bench.records.run_facts import REPEATS_TEXT, factors_text
+from bench.records.summaries import (
+    BatchSummary,
+    CameraData,
+    ItemData,
+    SlopeData,
+    TrendData,
+    newest_place,
+)
 from bench.report.control_chart import chart_section, choose_drawn
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, number, with_uncertainty
@@ -29,10 +37,8 @@ _LEAST_RANGE_C = 0.2
 _CONTROL_PICTURES = 3
 """Pictures of one parameter: values, moving ranges, EWMA."""
 
-Json = Mapping[str, Any]
 
-
-def render_batch(summary: Json) -> str:
+def render_batch(summary: BatchSummary) -> str:
     """Render a complete HTML document that loads nothing and depends on ``summary`` (summary.json) alone."""
     zone = _zone(summary)
     failures = [
@@ -51,7 +57,7 @@ def render_batch(summary: Json) -> str:
                 (item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures
             ],
             not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
-            not_kept=[item["item"] for item in summary["items"] if item.get("conformity") == "FAIL"],
+            not_kept=[item["item"] for item in summary["items"] if item["conformity"] == "FAIL"],
             withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
             cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
             rows=[item for item in summary["items"] if item["begun_utc"]],
@@ -63,7 +69,7 @@ def render_batch(summary: Json) -> str:
     )
 
 
-def _zone(summary: Json) -> tzinfo | None:
+def _zone(summary: BatchSummary) -> tzinfo | None:
     """Return the time zone of the page: the queue's, otherwise this computer's at the begin of the batch."""
     if summary["zone"]:
         return ZoneInfo(summary["zone"])
@@ -71,14 +77,14 @@ def _zone(summary: Json) -> tzinfo | None:
     return datetime.fromisoformat(begun).astimezone().tzinfo if begun else None
 
 
-def _zone_name(summary: Json, zone: tzinfo | None) -> str:
+def _zone_name(summary: BatchSummary, zone: tzinfo | None) -> str:
     if summary["zone"]:
-        return str(summary["zone"])
+        return summary["zone"]
     begun = summary["begun_utc"]
     return datetime.fromisoformat(begun).astimezone(zone).strftime("UTC%z") if begun else "UTC"
 
 
-def _headline(summary: Json, zone: tzinfo | None) -> str:
+def _headline(summary: BatchSummary, zone: tzinfo | None) -> str:
     begun, ended = _local(summary["begun_utc"], zone), _local(summary["ended_utc"], zone)
     same_day = begun[:10] == ended[:10]
     return f"{begun} to {ended[11:] if same_day else ended}"
@@ -88,7 +94,7 @@ def _local(utc: str | None, zone: tzinfo | None) -> str:
     return f"{datetime.fromisoformat(utc).astimezone(zone):%Y-%m-%d %H:%M}" if utc else NOTHING
 
 
-def _key_figures(summary: Json) -> list[tuple[str, str]]:
+def _key_figures(summary: BatchSummary) -> list[tuple[str, str]]:
     """Return the large numbers at the top of the page, each with its meaning."""
     totals = summary["totals"]
     by_end = totals["by_end"]
@@ -106,13 +112,13 @@ def _key_figures(summary: Json) -> list[tuple[str, str]]:
     ]
 
 
-def _newest_line(items: Sequence[Json]) -> str:
+def _newest_line(items: Sequence[ItemData]) -> str:
     """Return the place of the newest run in the ledger as text; empty if no run is in a ledger."""
-    places = [(item["ledger_number"], item["ledger_head"]) for item in items if item.get("ledger_head")]
-    return "run {} of this bench, line {}".format(*max(places)) if places else ""
+    place = newest_place(items)
+    return f"run {place[0]} of this bench, line {place[1]}" if place else ""
 
 
-def _chart_sections(summary: Json) -> list[dict[str, Any]]:
+def _chart_sections(summary: BatchSummary) -> list[dict[str, Any]]:
     """Return the control charts of the cameras with enough runs."""
     groups = [group for group in summary["charts"]["groups"] if group["state"] != "too few"]
     drawn = choose_drawn(groups)
@@ -123,15 +129,11 @@ def _chart_sections(summary: Json) -> list[dict[str, Any]]:
     return sections
 
 
-def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:
+def _camera_section(camera: CameraData, place: int, zone: tzinfo | None) -> dict[str, Any]:
     """Return the part of the page about one camera."""
     runs, trends = camera["runs"], camera["parameters"]
-    temperatures = [run["temperature_c"] for run in runs]
-    warm = (
-        all(t is not None for t in temperatures)
-        and len(runs) > 1
-        and max(temperatures) - min(temperatures) >= _LEAST_RANGE_C
-    )
+    temperatures = [t for run in runs if (t := run["temperature_c"]) is not None]
+    warm = len(temperatures) == len(runs) > 1 and max(temperatures) - min(temperatures) >= _LEAST_RANGE_C
     time_plot = over_time(runs, trends, zone, f"time-{place}") if trends else ""
     warm_plot = against_temperature(runs, trends, f"warm-{place}") if trends and warm else ""
     return {
@@ -147,15 +149,15 @@ def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, 
     }
 
 
-def _scatters(trend: Json, runs: int) -> bool:
+def _scatters(trend: TrendData, runs: int) -> bool:
     """Whether the runs scatter significantly more than their uncertainties predict.
 
     A Birge ratio has a standard deviation of about 1 / sqrt(2 (n - 1)) (Birge, Phys. Rev. 40 (1932) 207).
     """
-    return bool(trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1)))
+    return trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1))
 
 
-def _trend_row(trend: Json, runs: int, *, warm: bool) -> dict[str, str]:
+def _trend_row(trend: TrendData, runs: int, *, warm: bool) -> dict[str, str]:
     name = trend["name"]
     mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
     moves = trend["per_hour"] is not None and trend["per_hour"]["seen"]
@@ -181,14 +183,14 @@ def _trend_row(trend: Json, runs: int, *, warm: bool) -> dict[str, str]:
     }
 
 
-def _slope_text(found: Json | None) -> str:
+def _slope_text(found: SlopeData | None) -> str:
     if found is None:
         return NOTHING
     value, expanded = with_uncertainty(found["value"], _K * found["sigma"])
     return f"{value} ± {expanded}"
 
 
-def _verdict(trends: Sequence[Json], runs: int) -> str:
+def _verdict(trends: Sequence[TrendData], runs: int) -> str:
     """Summarise the trends in one sentence."""
     if not trends:
         return "Only one run has a result, so there is no comparison."

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, tzinfo
 from textwrap import shorten
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.summaries import ItemData, PointData, TrendData
 from bench.report.svg_plot import (
     INK,
     MUTED,
@@ -90,13 +90,15 @@ END_COLOURS = {
 """Colour of a run's bar for each outcome."""
 
 
-Json = Mapping[str, Any]
-
-
-def timeline(items: Sequence[Json], zone: tzinfo | None) -> str:
+def timeline(items: Sequence[ItemData], zone: tzinfo | None) -> str:
     """Draw when each run of summary.json was in progress, one row for each job; zone None is this computer's."""
     bars = [
-        (item["job"], *(datetime.fromisoformat(one[end]) for end in ("begun_utc", "ended_utc")), one["how"])
+        (
+            item["job"],
+            datetime.fromisoformat(one["begun_utc"]),
+            datetime.fromisoformat(one["ended_utc"]),
+            one["how"],
+        )
         for item in items
         for one in item["tries"]
     ]
@@ -123,14 +125,16 @@ def timeline(items: Sequence[Json], zone: tzinfo | None) -> str:
     return picture.svg()
 
 
-def over_time(runs: Sequence[Json], trends: Sequence[Json], zone: tzinfo | None, identifier: str) -> str:
+def over_time(
+    runs: Sequence[PointData], trends: Sequence[TrendData], zone: tzinfo | None, identifier: str
+) -> str:
     """Draw each parameter of a camera over time, with U = 2 u; ``zone`` None is this computer's."""
     moments = [datetime.fromisoformat(run["begun_utc"]) for run in runs]
     hours = np.array([_hours(moment, moments[0]) for moment in moments])
     return _panels(hours, runs, trends, identifier, begin=moments[0].astimezone(zone), label="")
 
 
-def against_temperature(runs: Sequence[Json], trends: Sequence[Json], identifier: str) -> str:
+def against_temperature(runs: Sequence[PointData], trends: Sequence[TrendData], identifier: str) -> str:
     """Draw each parameter of a camera against its temperature, degrees Celsius, with U = 2 u."""
     degrees_c = np.array([run["temperature_c"] for run in runs], float)
     return _panels(degrees_c, runs, trends, identifier, begin=None, label="camera, °C")
@@ -138,16 +142,17 @@ def against_temperature(runs: Sequence[Json], trends: Sequence[Json], identifier
 
 def _panels(
     x: NDArray[np.float64],
-    runs: Sequence[Json],
-    trends: Sequence[Json],
+    runs: Sequence[PointData],
+    trends: Sequence[TrendData],
     identifier: str,
     *,
     begin: datetime | None,
     label: str,
 ) -> str:
     """Draw one panel for each parameter; ``x`` is in hours after ``begin`` if there is one."""
-    key, per = ("per_c", "°C") if begin is None else ("per_hour", "h")
-    slopes = [trend[key]["value"] if trend[key] and trend[key]["seen"] else None for trend in trends]
+    per = "°C" if begin is None else "h"
+    fitted = [trend["per_c"] if begin is None else trend["per_hour"] for trend in trends]
+    slopes = [one["value"] if one and one["seen"] else None for one in fitted]
     about = "; ".join(_about(*one, per) for one in zip(trends, slopes, strict=True)) + "."
     rows = math.ceil(len(trends) / _COLUMNS)
     picture = Picture(_WIDTH, _KEY_HEIGHT + _ROW * rows, identifier, "Parameters of the runs", about)
@@ -161,8 +166,9 @@ def _panels(
         row, column = divmod(number, _COLUMNS)
         place = (column * width, _KEY_HEIGHT + row * _ROW, width - _GAP, _ROW - _GAP / 2)
         words = Words((_titled(trend["name"]),), label)
-        values = np.array([[run["parameters"][trend["name"]][k] for run in runs] for k in ("value", "sigma")])
-        _panel(picture, place, across, words, np.vstack([x, values]), trend, slope)
+        found = [run["parameters"][trend["name"]] for run in runs]
+        points = np.array([x, [one["value"] for one in found], [one["sigma"] for one in found]])
+        _panel(picture, place, across, words, points, trend, slope)
     return picture.svg()
 
 
@@ -176,7 +182,7 @@ def _panel(
     across: Scale,
     words: Words,
     points: NDArray[np.float64],
-    trend: Json,
+    trend: TrendData,
     slope: float | None,
 ) -> None:
     """Draw the values of a parameter with bars, the weighted mean with its band, and the slope if it is significant.
@@ -217,7 +223,7 @@ def _key(picture: Picture) -> None:
     write_legend(picture, keys, 0.0, 0.0, picture.width)
 
 
-def _about(trend: Json, slope: float | None, per: str) -> str:
+def _about(trend: TrendData, slope: float | None, per: str) -> str:
     """Return the mean of a parameter, and its slope if that is significant."""
     found = f"{trend['name']}: mean {trend['mean']:.6g}"
     return found if slope is None else f"{found}, trend {slope:.2g} per {per}"

@@ -15,6 +15,7 @@ from typing import Any
 from bench.base.errors import UsageError
 from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
+from bench.records.summaries import SlopeData, TrendData
 
 # Agreement of several runs of one camera: each parameter's values against their weighted mean.
 #
@@ -159,8 +160,8 @@ class Slope:
         """Whether the slope is larger than `SIGNIFICANT_SIGMAS` standard uncertainties."""
         return abs(self.value) > SIGNIFICANT_SIGMAS * self.sigma
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return ``value sigma seen`` as JSON holds them; ``seen`` is `significant`."""
+    def to_dict(self) -> SlopeData:
+        """Return the slope as JSON holds it."""
         return {"value": self.value, "sigma": self.sigma, "seen": self.significant}
 
 
@@ -176,12 +177,15 @@ class Trend:
     per_hour: Slope | None
     per_c: Slope | None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return ``name mean sigma coverage_factor expanded birge repeats per_hour per_c`` as JSON holds them."""
-        agreed = self.agreed.to_dict()
-        del agreed["deviations"]
+    def to_dict(self) -> TrendData:
+        """Return the trend as JSON holds it."""
         return {
-            **agreed,
+            "name": self.name,
+            "mean": self.agreed.mean,
+            "sigma": self.agreed.sigma,
+            "coverage_factor": self.agreed.k,
+            "expanded": self.agreed.expanded,
+            "birge": self.agreed.birge,
             "repeats": self.repeats,
             "per_hour": self.per_hour.to_dict() if self.per_hour else None,
             "per_c": self.per_c.to_dict() if self.per_c else None,

@@ -9,12 +9,12 @@ from station_texts import PLAIN
 from bench.base.clock import VirtualClock
 from bench.base.device_ends import DeviceEnd
 from bench.batch.batch import BatchMessages
-from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
 from bench.messaging.messages import Message, Outbox, channels_of
 from bench.records.journal import Journal
 from bench.records.run_facts import Estimate
+from bench.records.summaries import newest_place
 from bench.results.trends import Trend, agreement
 from bench.stations.station import load_station
 
@@ -95,6 +95,7 @@ def item(key, number=None, head=None):
         "attempts": 1,
         "ledger_number": number,
         "ledger_head": head,
+        "conformity": None,
     }
 
 
@@ -136,7 +137,7 @@ def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, oc
 
 def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
     items = [item("c", 10, "b" * 64), item("b", 9, "a" * 64), item("a")]
-    assert newest_place({"items": items[2:]}) is None
+    assert newest_place(items[2:]) is None
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
     (delivery,) = outbox.deliveries()

@@ -66,7 +66,8 @@ def item(key, how="finished", why="", **facts):
         "begun_utc": "2026-03-01T19:00:00+00:00", "ended_utc": "2026-03-01T19:10:00+00:00", "took_s": 600.0,
         "report": None, "camera": "1", "poses": 9, "accepted": 9, "recordings": 10, "deviations": 0,
         "temperature_c": None, "model": "spherical", "rms_px": 0.05, "sealed": True,
-        "parameters": parameters_data({"fx": Estimate(3300.0, 0.5)}),
+        "parameters": parameters_data({"fx": Estimate(3300.0, 0.5)}), "ledger_number": None, "ledger_head": None,
+        "conformity": None,
     }  # fmt: skip
     told["tries"] = [{"begun_utc": told["begun_utc"], "ended_utc": told["ended_utc"], "how": how}]
     return {**told, **facts}
