@@ -43,6 +43,8 @@ STATES = (
     "aborting",
 )
 END = "  - wait: {duration_s: 1}\n  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
+ORDERED_GAP = "a gap that belongs to every run here"
+"""Why the first recording is refused; it tells of no fault."""
 MOST_S = 120.0
 """A run that nothing befalls takes 15 s of virtual time, its hold included; none may take longer than that."""
 
@@ -97,7 +99,7 @@ def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) ->
             name == "camera.record" and not refused[0]
         ):  # the first recording is refused, so that there is a second
             refused[0] = True
-            return lambda facts: replace(facts, gaps=("a gap",))
+            return lambda facts: replace(facts, gaps=(ORDERED_GAP,))
         return None
 
     scene.hook = happens
@@ -162,7 +164,22 @@ def _left_behind(scene, how, fault, state):
             wrong.append("the journal does not tell its end")
         if how == "failed" and not ended[-1]["why"]:
             wrong.append("it does not say why")
+    if how == "finished" and not _reported(entries):
+        wrong.append("it does not report the fault")
     return wrong
+
+
+def _reported(entries):
+    """Whether the journal tells of a fault: a rejected or lost recording, a lost device, one that did not confirm."""
+    for entry in entries:
+        event, data = entry.event, entry.data
+        if event in {Event.ATTEMPT_LOST, Event.INTERLOCK_RELEASED}:
+            return True
+        if event == Event.ATTEMPT_CHECKED and any(ORDERED_GAP not in reason for reason in data["reasons"]):
+            return True
+        if event == Event.DEVICES_LEFT and any(end["state"] != "confirmed safe" for end in data["devices"]):
+            return True
+    return False
 
 
 def _resumed(scene, patch):
@@ -224,9 +241,9 @@ named, the fault cannot occur, because the run does not use the device in it.
 | aborts safely | the run ended on request; a fault while it aborts does not keep it from ending safely |
 | ends at once | the process was killed |
 
-If a run did not finish, the cause was removed and the run was resumed. In all these cases, the run then ended with each
-pose recorded once, and every recording named in the journal was on the disk, byte for byte. The code of a run works on
-virtual devices and a virtual clock here. Other tests check with the simulated devices that the drivers report these faults.
+If a run did not finish, the cause was removed and the run was resumed. The run then ended with each pose recorded once,
+and every recording named in the journal was on the disk, byte for byte. The code of a run works on virtual devices and a
+virtual clock here. Other tests check with the simulated devices that the drivers report these faults.
 
 A motor that is blocked, a pulled cable or an open lamp is in the journal after 0 to 3 s, and in a message soon after. A silent
 device takes 3 to 14 s, because it is asked several times. A process that hangs is noticed within 10 s

@@ -78,8 +78,9 @@ def _light_off(scene):
     scene.light_and_stage()[0].lit = False
 
 
-def _moved(_scene):
-    return lambda found: {axis: angle + 0.01 for axis, angle in found.items()}
+def _moved(scene):
+    stage = scene.light_and_stage()[1]
+    stage.at_deg = {axis: angle + 0.01 for axis, angle in stage.at_deg.items()}
 
 
 def _facts(**changed):
@@ -101,7 +102,9 @@ ABORTED, FINISHED = frozenset({"aborted"}), frozenset({"finished"})
 FAULTS = (
     Fault("stage unplugged", ("stage.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
     Fault("light unplugged", ("light.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
-    Fault("camera unplugged", ("camera.", "open"), raising(CameraLost("gone")), FAILED, lasts=True),
+    # After the last recording the camera is only asked how it is left: the run finishes, and says that it
+    # does not answer.
+    Fault("camera unplugged", ("camera.", "open"), raising(CameraLost("gone")), ENDED, lasts=True),
     *(
         Fault(
             f"{device} lost for 20 s, interlock `device_lost`",
@@ -160,7 +163,7 @@ FAULTS = (
     Fault("lamp open or too hot", ("light.on", "light.read"), raising(LightFault("lamp open")), FAILED),
     Fault("light: level or frequency clipped", ("light.apply",), raising(SettingRefused("clipped")), FAILED),
     Fault("light silently off", ("camera.record",), _light_off, ENDED),
-    Fault("stage creeps during a recording", ("stage.position_deg",), _moved, ENDED),
+    Fault("stage creeps during a recording", ("camera.record",), _moved, ENDED),
     Fault("recording interrupted", ("camera.record",), raising(RecordingFailed("USB drop")), FINISHED),
     Fault("events or triggers lost", ("camera.record",), _facts(gaps=("12 ms are missing",)), FINISHED),
     Fault("recording cut short", ("camera.record",), _facts(complete=False), FINISHED),

@@ -11,7 +11,9 @@ DOCUMENT = Path(__file__).parents[4] / "docs" / "faults.md"
 SOME = [
     ("stage unplugged", "slewing"),
     ("camera lost for 20 s, interlock `device_lost`", "recording"),
+    ("camera unplugged", "parking"),
     ("recording interrupted", "recording"),
+    ("stage creeps during a recording", "recording"),
     ("events or triggers lost", "recording"),
     ("disk full", "checking"),
     ("process killed", "parking"),
