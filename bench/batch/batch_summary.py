@@ -24,7 +24,8 @@ from bench.batch.batch_record import (
     look_ahead,
     replay_batch,
 )
-from bench.history.chart_findings import find_charts, group_runs
+from bench.history.chart_findings import find_charts
+from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
 from bench.records.journal import read_journal

@@ -16,7 +16,8 @@ from bench.commands.ledger import RunChoice, print_findings
 from bench.commands.output import show
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
-from bench.history.chart_findings import Grouped, Level, drifts, find_charts, group_runs, needs_attention
+from bench.history.chart_findings import find_charts, needs_attention
+from bench.history.chart_groups import Grouped, Level, group_runs
 from bench.history.merged_runs import (
     LedgerSource,
     MergedRuns,
@@ -30,6 +31,7 @@ from bench.history.table import SCHEMA, parameter_unit, require_writable_table, 
 from bench.records.ledger import Ledger
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.records.storage import write_atomic
+from bench.records.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
 from bench.report.text import number
 from bench.terminal.encoding import counted
@@ -141,7 +143,7 @@ def _require_parameter(grouped: Grouped, parameter: str | None) -> None:
         )
 
 
-def _verdict_text(groups: Sequence[Mapping[str, Any]]) -> str:
+def _verdict_text(groups: Sequence[ChartGroupData]) -> str:
     """Return the verdict: the groups that need attention first; of very many others, only their number."""
     wrong = [group for group in groups if needs_attention(group)]
     rest = [group for group in groups if not needs_attention(group)]
@@ -159,7 +161,7 @@ def _verdict_text(groups: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _verdict_lines(group: Mapping[str, Any]) -> list[str]:
+def _verdict_lines(group: ChartGroupData) -> list[str]:
     """Return the verdict about a group, and a line for each parameter that needs attention."""
     charts, alone = group["parameters"], len(group["parameters"]) == 1
     shown = [c for c in charts if alone or c["state"] in {"out of control", "check"} or drifts(c)]
@@ -170,14 +172,14 @@ def _verdict_lines(group: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _told(group: Mapping[str, Any]) -> dict[str, Any]:
+def _told(group: ChartGroupData) -> dict[str, Any]:
     """Return a group as ``--json`` prints it: without the values of every run."""
     long = {"values", "sigmas", "expanded", "ranges", "ewma"}
     charts = [
         {name: value for name, value in chart.items() if name not in long} for chart in group["parameters"]
     ]
     for told, chart in zip(charts, group["parameters"], strict=True):
-        told["ewma_beyond"] = chart["ewma"]["beyond"] if chart["ewma"] else []
+        told["ewma_beyond"] = chart["ewma"]["beyond"] if has_limits(chart) else []
     return {**group, "parameters": charts, "runs": [run["run"] for run in group["runs"]]}
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,10 +169,10 @@ class Slope:
     degrees_of_freedom: int  # Of Student's t in the test
     runs: int
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return all attributes, and ``expanded``: the 95 % half-width by Student's t."""
-        k = float(stats.t.ppf(0.975, self.degrees_of_freedom))
-        return {**vars(self), "expanded": k * self.sigma}
+    @property
+    def expanded(self) -> float:
+        """The 95 % half-width by Student's t."""
+        return float(stats.t.ppf(0.975, self.degrees_of_freedom)) * self.sigma
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What is stated of many runs: the types of ``summary.json`` of a batch, which its writer, page, panel and mail share.
+"""What is stated of many runs: the types of ``summary.json`` of a batch and of control charts, shared by all readers.
 
 Times are ISO 8601 with their offset. A parameter is in its own unit (`bench.report.text.unit_of`).
 """
@@ -6,7 +6,7 @@ Times are ISO 8601 with their offset. A parameter is in its own unit (`bench.rep
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, TypedDict
+from typing import Literal, TypedDict, TypeGuard
 
 from bench.records.run_facts import EstimateData
 
@@ -111,6 +111,135 @@ class RequestData(TypedDict):
     job: str
 
 
+class DriftSlopeData(TypedDict):
+    """Drift of a parameter per day or per degree Celsius, and its test (`bench.history.statistics.Slope`)."""
+
+    value: float
+    sigma: float
+    p: float
+    degrees_of_freedom: int
+    runs: int
+    expanded: float
+    p_adjusted: float  # For the number of tests of the page
+    seen: bool  # Whether it is significant
+    text: str  # With its uncertainty, and with its unit per ``per``
+    per: str
+
+
+class DriftData(TypedDict):
+    """Drift of a parameter (`bench.history.statistics.Drift`)."""
+
+    per_day: DriftSlopeData | None  # None if it cannot be tested, as per degree Celsius
+    per_c: DriftSlopeData | None
+    joint: bool
+    separable: bool
+    between_runs: float | None
+    scatter: float | None
+
+
+EwmaData = TypedDict(
+    "EwmaData",
+    {
+        "lambda": float,
+        "limit": float,
+        "values": Sequence[float],
+        "lower": Sequence[float],
+        "upper": Sequence[float],
+        "beyond": Sequence[int],
+    },
+)
+"""The moving average of a parameter (`bench.history.statistics.Ewma`)."""
+
+ChartState = Literal["out of control", "check", "in control", "too few"]
+"""Worst first; chance can explain ``check``."""
+
+
+class ChartValues(TypedDict):
+    """A parameter in each run of a group, in its order."""
+
+    name: str
+    unit: str  # Empty for a pure number
+    meaning: str
+    values: Sequence[float]
+    sigmas: Sequence[float]
+    expanded: Sequence[float]
+
+
+class ChartJudgement(TypedDict):
+    """What is said of a chart."""
+
+    drift: DriftData
+    state: ChartState
+    verdict: str
+
+
+class ChartOfFew(ChartValues, ChartJudgement):
+    """Control chart of a parameter with too few runs for limits."""
+
+    lower: None
+    upper: None
+    ewma: None
+    provisional: bool
+
+
+class LimitedChart(ChartValues, ChartJudgement):
+    """Control chart of a parameter with its limits (`bench.history.statistics.Individuals`); places count from 0."""
+
+    lower: float
+    upper: float
+    ewma: EwmaData
+    provisional: bool  # Whether the limits come from few runs
+    centre: float
+    sigma: float
+    beyond: Sequence[int]
+    ranges: Sequence[float]
+    range_mean: float
+    range_upper: float
+    ranges_beyond: Sequence[int]
+    baseline: int
+
+
+ChartData = LimitedChart | ChartOfFew
+
+
+class ChartRunData(TypedDict):
+    """A run in a group of charts."""
+
+    run: str
+    serial: str
+    begun_utc: str
+    temperature_c: float | None
+
+
+class ChartGroupData(TypedDict):
+    """The charts of runs that can be compared, of one camera or of all of a type."""
+
+    level: Literal["camera", "type"]
+    kind: str  # ``measured``, ``simulated`` or ``rehearsed``
+    bench: str
+    station: str
+    camera_type: str
+    serial: str  # Empty for a type
+    collimator: str
+    target: str
+    model: str
+    cameras: int
+    runs: Sequence[ChartRunData]  # Oldest first
+    parameters: Sequence[ChartData]
+    title: str
+    place: str
+    state: ChartState  # The worst of the parameters
+    verdict: str
+
+
+class ChartsData(TypedDict):
+    """All charts of a page, judged together."""
+
+    schema: str
+    level: float  # Chance of one false drift or more
+    groups: Sequence[ChartGroupData]
+
+
 class BatchSummary(TypedDict):
     """``summary.json``."""
 
@@ -126,7 +255,7 @@ class BatchSummary(TypedDict):
     totals: TotalsData
     items: Sequence[ItemData]  # In the order of their begin, then those not begun, by priority
     cameras: Sequence[CameraData]
-    charts: Mapping[str, Any]
+    charts: ChartsData
     requests: Sequence[RequestData]
 
 
@@ -138,3 +267,14 @@ def newest_place(items: Iterable[ItemData]) -> tuple[int, str] | None:
         if item["ledger_number"] is not None and item["ledger_head"]
     ]
     return max(places, default=None)
+
+
+def has_limits(chart: ChartData) -> TypeGuard[LimitedChart]:
+    """Return whether a chart has control limits."""
+    return chart["lower"] is not None
+
+
+def drifts(chart: ChartData) -> bool:
+    """Return whether a parameter has a significant drift."""
+    drift = chart["drift"]
+    return any(slope is not None and slope["seen"] for slope in (drift["per_day"], drift["per_c"]))

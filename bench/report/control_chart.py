@@ -5,7 +5,7 @@ Each run shows its stated expanded uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from html import escape
 from typing import Any
@@ -13,6 +13,15 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from bench.records.summaries import (
+    ChartData,
+    ChartGroupData,
+    ChartsData,
+    DriftSlopeData,
+    LimitedChart,
+    drifts,
+    has_limits,
+)
 from bench.report.html import environment
 from bench.report.svg_plot import (
     FONT,
@@ -144,39 +153,37 @@ def _wider(
 
 _TICKS = 4
 
-Json = Mapping[str, Any]
 
-
-def pictures(chart: Json, group: Json) -> list[str]:
+def pictures(chart: ChartData, group: ChartGroupData) -> list[str]:
     """Draw one parameter of a group as SVG elements; with too few runs, only the values."""
     found = [_values(chart, group)]
-    if chart["lower"] is not None:
+    if has_limits(chart):
         found += [_ranges(chart, group), _averages(chart, group)]
-    if chart["drift"]["per_day"] is not None:
-        found.append(_over_time(chart, group))
-    if chart["drift"]["per_c"] is not None:
-        found.append(_over_temperature(chart, group))
+    if (by_day := chart["drift"]["per_day"]) is not None:
+        found.append(_over_time(chart, group, by_day))
+    if (by_c := chart["drift"]["per_c"]) is not None:
+        found.append(_over_temperature(chart, group, by_c))
     return found
 
 
-def _values(chart: Json, group: Json) -> str:
+def _values(chart: ChartData, group: ChartGroupData) -> str:
     values, runs = chart["values"], list(range(1, len(chart["values"]) + 1))
     lows, highs = _ends(chart)
-    limits = [] if chart["lower"] is None else [chart["lower"], chart["upper"]]
+    limits = [chart["lower"], chart["upper"]] if has_limits(chart) else []
     axes = _Chart(_titled("Values", chart), [1, len(runs)], [*lows, *highs, *limits], _dates(group))
-    if limits:
+    if has_limits(chart):
         axes.band([1, len(runs)], [chart["lower"]] * 2, [chart["upper"]] * 2)
     axes.bars(runs, lows, highs)
     _join(axes, runs, values)
-    if limits:
+    if has_limits(chart):
         _name_limits(axes, chart["centre"], chart["lower"], chart["upper"], chart["sigma"])
         if chart["baseline"] < len(runs):
             axes.upright(chart["baseline"] + 0.5, "limits from here back")
-    axes.dots(runs, values, _texts(chart, group), chart["beyond"] if limits else ())
+    axes.dots(runs, values, _texts(chart, group), chart["beyond"] if has_limits(chart) else ())
     return axes.svg()
 
 
-def _ranges(chart: Json, group: Json) -> str:
+def _ranges(chart: LimitedChart, group: ChartGroupData) -> str:
     places = list(range(2, len(chart["values"]) + 1))
     values = [0.0, *chart["ranges"], chart["range_upper"]]
     axes = _Chart(_titled("Moving ranges", chart), [1, places[-1]], values, _dates(group))
@@ -189,7 +196,7 @@ def _ranges(chart: Json, group: Json) -> str:
     return axes.svg()
 
 
-def _averages(chart: Json, group: Json) -> str:
+def _averages(chart: LimitedChart, group: ChartGroupData) -> str:
     average, runs = chart["ewma"], list(range(1, len(chart["values"]) + 1))
     axes = _Chart(
         _titled(f"EWMA, λ = {average['lambda']:g}, L = {average['limit']:g}", chart),
@@ -198,9 +205,9 @@ def _averages(chart: Json, group: Json) -> str:
         _dates(group),
     )
     axes.band(runs, average["lower"], average["upper"])
-    for bound in ("lower", "upper"):
-        axes.line(runs, average[bound], INK, dash="5 3")
-        axes.name_at_right(average[bound][-1], with_uncertainty(average[bound][-1], chart["sigma"] or 1.0)[0])
+    for bound in (average["lower"], average["upper"]):
+        axes.line(runs, bound, INK, dash="5 3")
+        axes.name_at_right(bound[-1], with_uncertainty(bound[-1], chart["sigma"] or 1.0)[0])
     axes.rule(chart["centre"], "centre", dashed=False)
     _join(axes, runs, average["values"])
     texts = [f"{one['run']}: {v:.8g}" for one, v in zip(group["runs"], average["values"], strict=True)]
@@ -208,41 +215,40 @@ def _averages(chart: Json, group: Json) -> str:
     return axes.svg()
 
 
-def _over_time(chart: Json, group: Json) -> str:
+def _over_time(chart: ChartData, group: ChartGroupData, slope: DriftSlopeData) -> str:
     days = _days(group)
-    return _drift(chart, group, days, list(range(len(days))), "per_day", "time", _day_ticks(days, group))
+    return _drift(chart, group, days, list(range(len(days))), slope, "time", _day_ticks(days, group))
 
 
-def _over_temperature(chart: Json, group: Json) -> str:
-    degrees = [run["temperature_c"] for run in group["runs"]]
-    known = [place for place, c in enumerate(degrees) if c is not None]
-    warm = [float(degrees[place]) for place in known]
+def _over_temperature(chart: ChartData, group: ChartGroupData, slope: DriftSlopeData) -> str:
+    degrees = [(place, run["temperature_c"]) for place, run in enumerate(group["runs"])]
+    known = {place: c for place, c in degrees if c is not None}
+    warm = list(known.values())
     low, high = min(warm), max(warm)
     labels = [(value, f"{tick_label(value, high - low)} °C") for value in ticks(low, high, _TICKS)]
-    return _drift(chart, group, warm, known, "per_c", "temperature", labels)
+    return _drift(chart, group, warm, list(known), slope, "temperature", labels)
 
 
 def _drift(
-    chart: Json,
-    group: Json,
+    chart: ChartData,
+    group: ChartGroupData,
     xs: Sequence[float],
     places: Sequence[int],
-    slope: str,
+    slope: DriftSlopeData,
     what: str,
     labels: Sequence[tuple[float, str]],
 ) -> str:
     """Draw the values over a quantity, with the fitted line; a line that is no more than chance is grey and dashed."""
-    found = chart["drift"][slope]
     values = [chart["values"][place] for place in places]
     lows, highs = ([one[place] for place in places] for one in _ends(chart))
     middle_x, middle_y = sum(xs) / len(xs), sum(values) / len(values)
     ends = [min(xs), max(xs)]
-    line = [middle_y + found["value"] * (x - middle_x) for x in ends]
-    axes = _Chart(f"Over {what}: {found['text']}", ends, [*lows, *highs, *line], labels)
+    line = [middle_y + slope["value"] * (x - middle_x) for x in ends]
+    axes = _Chart(f"Over {what}: {slope['text']}", ends, [*lows, *highs, *line], labels)
     axes.bars(xs, lows, highs)
     texts = _texts(chart, group)
     axes.dots(xs, values, [texts[place] for place in places], ())
-    axes.line(ends, line, RED if found["seen"] else INK, 1.5, "" if found["seen"] else "5 3")
+    axes.line(ends, line, RED if slope["seen"] else INK, 1.5, "" if slope["seen"] else "5 3")
     return axes.svg()
 
 
@@ -252,7 +258,7 @@ def _join(axes: _Chart, xs: Sequence[float], values: Sequence[float]) -> None:
         axes.line(xs, values, BLUE, 0.6)
 
 
-def _titled(what: str, chart: Json) -> str:
+def _titled(what: str, chart: ChartData) -> str:
     unit = f", {chart['unit']}" if chart["unit"] else ""
     return f"{what} of {chart['name']}{unit}"
 
@@ -262,12 +268,12 @@ def _name_limits(axes: _Chart, centre: float, lower: float, upper: float, sigma:
         axes.rule(value, with_uncertainty(value, sigma)[0], dashed=dashed)
 
 
-def _ends(chart: Json) -> tuple[list[float], list[float]]:
+def _ends(chart: ChartData) -> tuple[list[float], list[float]]:
     pairs = list(zip(chart["values"], chart["expanded"], strict=True))
     return [v - u for v, u in pairs], [v + u for v, u in pairs]
 
 
-def _texts(chart: Json, group: Json) -> list[str]:
+def _texts(chart: ChartData, group: ChartGroupData) -> list[str]:
     """Return what is shown for each run under the pointer."""
     unit = f" {chart['unit']}" if chart["unit"] else ""
     found = []
@@ -277,7 +283,7 @@ def _texts(chart: Json, group: Json) -> list[str]:
     return found
 
 
-def _days(group: Json) -> list[float]:
+def _days(group: ChartGroupData) -> list[float]:
     moments = [datetime.fromisoformat(run["begun_utc"]) for run in group["runs"]]
     return [(moment - moments[0]).total_seconds() / 86400.0 for moment in moments]
 
@@ -287,7 +293,7 @@ def _label(utc: str, span_days: float) -> str:
     return f"{moment:%H:%M}" if span_days < 2.0 else f"{moment:%Y-%m-%d}"
 
 
-def _dates(group: Json) -> list[tuple[float, str]]:
+def _dates(group: ChartGroupData) -> list[tuple[float, str]]:
     """Return ticks of an axis that counts the runs, with the date of the run at each."""
     count = len(group["runs"])
     span = _days(group)[-1]
@@ -295,7 +301,7 @@ def _dates(group: Json) -> list[tuple[float, str]]:
     return [(place + 1, _label(group["runs"][place]["begun_utc"], span)) for place in places]
 
 
-def _day_ticks(days: Sequence[float], group: Json) -> list[tuple[float, str]]:
+def _day_ticks(days: Sequence[float], group: ChartGroupData) -> list[tuple[float, str]]:
     """Return ticks of an axis of days, at runs that are near to even distances."""
     wanted = [days[-1] * n / (_TICKS - 1) for n in range(_TICKS)]
     places = sorted({min(range(len(days)), key=lambda p: abs(days[p] - day)) for day in wanted})
@@ -312,7 +318,7 @@ _ORDER = ("out of control", "check", "in control", "too few")
 _PILLS = {"in control": "pass", "check": "marginal", "out of control": "fail", "too few": "marginal"}
 
 
-def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] = ()) -> str:
+def render_charts(page: ChartsData, notes: Sequence[str] = (), faults: Sequence[str] = ()) -> str:
     """Render the page of charts, with sentences about what was noticed when the runs were found."""
     groups = page["groups"]
     drawn = choose_drawn(groups)
@@ -337,10 +343,10 @@ def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] =
     )
 
 
-def choose_drawn(groups: Sequence[Json]) -> dict[int, frozenset[str]]:
+def choose_drawn(groups: Sequence[ChartGroupData]) -> dict[int, frozenset[str]]:
     """Choose at most `MOST_DRAWN` parameters: those with findings first. Names by the place of their group."""
     waiting = [
-        (not _drifts(chart), _ORDER.index(chart["state"]), number, place, chart["name"])
+        (not drifts(chart), _ORDER.index(chart["state"]), number, place, chart["name"])
         for number, group in enumerate(groups)
         for place, chart in enumerate(group["parameters"])
     ]
@@ -351,17 +357,13 @@ def choose_drawn(groups: Sequence[Json]) -> dict[int, frozenset[str]]:
     return {number: frozenset(names) for number, names in chosen.items()}
 
 
-def _drifts(chart: Json) -> bool:
-    return any((chart["drift"][name] or {}).get("seen") for name in ("per_day", "per_c"))
-
-
-def chart_section(group: Json, drawn: frozenset[str]) -> dict[str, Any]:
+def chart_section(group: ChartGroupData, drawn: frozenset[str]) -> dict[str, Any]:
     """Return what the macros of the template print about one group: the group, its pictures, and its colours."""
     charts = group["parameters"]
     return {
         **group,
         "pills": _PILLS,
-        "drifts": any(_drifts(chart) for chart in charts),
+        "drifts": any(drifts(chart) for chart in charts),
         "pictures": {
             chart["name"]: [Markup(one) for one in pictures(chart, group)]  # noqa: S704 - escaped when drawn
             for chart in charts

@@ -7,14 +7,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.history.chart_findings import (
-    ChartGroup,
-    ChartKey,
-    ChartRun,
-    find_charts,
-    group_runs,
-    needs_attention,
-)
+from bench.history.chart_findings import find_charts, needs_attention
+from bench.history.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
 from bench.history.merged_runs import RunPlace
 from bench.records.run_facts import Estimate
 from bench.records.run_index import IndexedRun
