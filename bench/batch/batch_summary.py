@@ -29,7 +29,7 @@ from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
 from bench.records.journal import read_journal
-from bench.records.run_facts import REPEATS_TEXT, factors_text, parameters_data
+from bench.records.run_facts import REPEATS_TEXT, RunDetails, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run_and_details
 from bench.records.storage import is_locked, storage_errors, write_atomic
@@ -105,7 +105,7 @@ def write_summary(folder: Path, record: BatchRecord) -> BatchSummary:
 def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     """Return the content of ``summary.json`` of a batch, finished or not."""
     runs: dict[str, IndexedRun] = {}
-    details: dict[str, dict[str, Any]] = {}
+    details: dict[str, RunDetails] = {}
     unread: dict[str, str] = {}
     for key in record.attempts:
         if (folder / RUNS / key / JOURNAL).is_file():
@@ -122,7 +122,7 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
             record,
             folder,
             runs.get(item.key),
-            details.get(item.key, {}).get("conformity"),
+            details[item.key]["conformity"] if item.key in details else None,
             unread,
         )
         for item in _in_order_of_begin(record)

@@ -29,6 +29,7 @@ from bench.history.merged_runs import (
 from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
 from bench.history.table import SCHEMA, parameter_unit, require_writable_table, table_row, write_table
 from bench.records.ledger import Ledger
+from bench.records.run_facts import RunDetails
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.records.storage import write_atomic
 from bench.records.summaries import ChartGroupData, drifts, has_limits
@@ -193,14 +194,14 @@ class _Run:
     """A run with a result, and what it has in common with others."""
 
     run: IndexedRun
-    details: Mapping[str, Any]
+    details: RunDetails
     place: RunPlace
 
     @property
     def kind(self) -> tuple[str, ...]:
         """What all runs of a study share."""
         names = sorted(name for name in self.run.parameters if name in _OF_THE_CAMERA)
-        camera = str(self.details.get("camera_type") or "camera type not known")
+        camera = self.details["camera_type"] or "camera type not known"
         return self.run.kind, camera, f"model {self.run.model}", ", ".join(names)
 
 
@@ -281,8 +282,7 @@ def _studied(
 ) -> _Studied:
     values = [one.run.parameters[name].value for one in chosen]
     found = study(values, cameras, levels)
-    stated = (chosen[-1].details.get("limits") or {}).get(name)
-    lower, upper = stated or (None, None)
+    lower, upper = chosen[-1].details["limits"].get(name, (None, None))
     return _Studied(name, found, capability(lower, upper, fmean(values), found.total, found.gauge))
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from bench.history.merged_runs import RunPlace
-from bench.records.run_facts import Estimate
+from bench.records.run_facts import Estimate, RunDetails
 from bench.records.run_index import IndexedRun
 
 Level = Literal["camera", "type"]
@@ -58,9 +58,7 @@ class Grouped:
     left_out: list[str]  # One sentence for each reason why runs are in no chart
 
 
-def group_runs(
-    found: Iterable[tuple[IndexedRun, Mapping[str, Any], RunPlace]], by: Level | None = None
-) -> Grouped:
+def group_runs(found: Iterable[tuple[IndexedRun, RunDetails, RunPlace]], by: Level | None = None) -> Grouped:
     """Put runs into groups that can be in one chart, by ``camera`` or ``type``; by both where None."""
     by_key: dict[ChartKey, ChartGroup] = {}
     without: dict[str, list[str]] = {}
@@ -86,17 +84,17 @@ def _wanted(group: ChartGroup, by: Level | None) -> bool:
     return by in {None, group.key.level}
 
 
-def _key(run: IndexedRun, details: Mapping[str, Any], place: RunPlace) -> ChartKey:
+def _key(run: IndexedRun, details: RunDetails, place: RunPlace) -> ChartKey:
     bench = f"{place.bench}, ledger {place.ledger}" if place.ledger else ""
     return ChartKey(
         "camera",
         run.kind,
         bench,
         run.station,
-        str(details.get("camera_type") or "camera type not known"),
+        details["camera_type"] or "camera type not known",
         run.camera,
-        str(details.get("collimator_serial") or ""),
-        str(details.get("target_serial") or ""),
+        details["collimator_serial"] or "",
+        details["target_serial"] or "",
         str(run.model),
         tuple(run.parameters),
     )

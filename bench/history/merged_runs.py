@@ -176,7 +176,7 @@ def merge_runs(
     _strangers(merged, ledgers.sources)
     merged.runs.sort(key=lambda run: (run.begun_utc, run.folder))
     for run, details in zip(merged.runs, index.details(merged.runs), strict=True):
-        if details.get("results_fault"):
+        if details["results_fault"]:
             merged.faults.append(f"{run.folder}: {details['results_fault']}")
     return merged
 

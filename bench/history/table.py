@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 from bench.base.errors import UsageError
 from bench.evidence.states import ShownState
 from bench.history.merged_runs import RunPlace
+from bench.records.run_facts import RunDetails
 from bench.records.run_index import IndexedRun
 from bench.records.storage import move_into_place, storage_errors
 from bench.report.text import known_parameters, meaning_of, unit_of
@@ -185,14 +186,12 @@ COLUMNS: Sequence[Column] = (
 _COPIED = frozenset(column.name for column in COLUMNS)
 
 
-def table_row(
-    run: IndexedRun, details: Mapping[str, Any], place: RunPlace, state: ShownState
-) -> dict[str, Any]:
+def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: ShownState) -> dict[str, Any]:
     """Return the row of a run by column, in the order of `table_schema.COLUMNS`; None where nothing is known."""
     row: dict[str, Any] = dict.fromkeys(column.name for column in COLUMNS)
     stated = {**vars(run), **details}
     row |= {name: value for name, value in stated.items() if name in _COPIED}
-    software = details.get("software") or {}
+    software = details["software"]
     row |= {
         "schema": SCHEMA,
         "run": run.id,

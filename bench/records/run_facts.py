@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
@@ -144,8 +144,65 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
     }
 
 
-def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dict[str, Any]:
-    """Return what the table of runs has beyond the row of the index, as JSON can carry it; None if not known."""
+class RunConditions(TypedDict):
+    """Conditions of the accepted recordings of a run; None if not known."""
+
+    temperature_min_c: float | None
+    temperature_max_c: float | None
+    illumination_lux: float | None
+    light_frequency_hz: float | None
+    flicker_hz: float | None
+    events: int | None
+    recordings_bytes: int | None
+    stars: int
+
+
+class ResultFacts(TypedDict):
+    """What of a run only ``results.json`` states; None if not known."""
+
+    laboratory: str | None
+    collimator_serial: str | None
+    target_serial: str | None
+    passport_number: str | None
+    degrees_of_freedom: float | None
+    corner_expanded_px: float | None
+    conformity: Literal["PASS", "FAIL"] | None
+    limits: Mapping[str, tuple[float | None, float | None]]  # Lower and upper, by result
+
+
+class RunDetails(RunConditions, ResultFacts):
+    """What the table of runs has beyond the row of the index; None if not known."""
+
+    ended_utc: str | None
+    camera_type: str  # Maker and model, also of stages and light; may be empty
+    camera_sensor: str | None
+    camera_firmware: str | None
+    camera_lens: str | None
+    image_width_px: int | None
+    image_height_px: int | None
+    stage_types: Sequence[str]
+    stage_serials: Sequence[str]
+    light_type: str
+    light_serial: str | None
+    converged: bool | None
+    parameters: Sequence[str]
+    resumed: int
+    recordings_lost: int
+    poses_skipped: int
+    seed: int | None
+    software: Mapping[str, str]
+    sequence_sha256: str | None
+    station_sha256: str | None
+    passport_sha256: str | None
+    journal_head: str | None
+    deviations: Sequence[str]
+    results_sha256: str | None  # As the journal states it
+    results_fault: str | None
+    warnings: Sequence[str]
+
+
+def run_details(history: History, entries: Sequence[Entry], folder: Path) -> RunDetails:
+    """Return the details of a run by its journal and ``results.json``."""
     results, fault = _results(entries, folder)
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
     stages = [one for one in history.devices.get("stage", ()) if isinstance(one, Mapping)]
@@ -182,8 +239,7 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dic
     }
 
 
-def _conditions(history: History) -> dict[str, Any]:
-    """Return the conditions of the accepted recordings."""
+def _conditions(history: History) -> RunConditions:
     warm, accepted = _reported(history, "temperature_c"), list(history.accepted().values())
     first: _Json = accepted[0].stored.get("light", {}) if accepted else {}
     checks: list[_Json] = [one.checked for one in accepted if one.checked is not None]
@@ -200,8 +256,7 @@ def _conditions(history: History) -> dict[str, Any]:
     }
 
 
-def _from_results(results: _Json) -> dict[str, Any]:
-    """Return what only ``results.json`` states."""
+def _from_results(results: _Json) -> ResultFacts:
     run, calibration = _part(results, "run"), _part(results, "calibration")
     corner = _part(_part(results, "projection"), "worst_corner")
     conformity = _part(results, "conformity")
@@ -215,7 +270,7 @@ def _from_results(results: _Json) -> dict[str, Any]:
         "degrees_of_freedom": calibration.get("degrees_of_freedom"),
         "corner_expanded_px": corner.get("expanded_px"),
         "conformity": None if passed is None else "PASS" if passed else "FAIL",
-        "limits": {one["result"]: [one["lower"], one["upper"]] for one in statements},
+        "limits": {one["result"]: (one["lower"], one["upper"]) for one in statements},
     }
 
 

@@ -19,7 +19,7 @@ from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.ledger_marks import KnownRun
-from bench.records.run_facts import Estimate, parameters_data, run_details, run_facts
+from bench.records.run_facts import Estimate, RunDetails, parameters_data, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import is_locked, make_folder, storage_errors
 
@@ -149,12 +149,12 @@ class RunIndex:
         ]
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
 
-    def details(self, runs: Iterable[IndexedRun]) -> Iterator[dict[str, Any]]:
-        """Yield the `run_details` of runs that ``runs`` has listed, in the same order; empty if a row is gone."""
+    def details(self, runs: Iterable[IndexedRun]) -> Iterator[RunDetails]:
+        """Yield the `run_details` of runs that ``runs`` has listed, in the same order."""
         with self._open() as index:
             for run in runs:
                 row = index.execute("SELECT found FROM details WHERE folder = ?", (run.folder,)).fetchone()
-                yield json.loads(row[0]) if row else {}
+                yield json.loads(row[0]) if row else _read(Path(run.folder))[1]  # the index was deleted since
 
     def entered(self) -> list[KnownRun]:
         """List the runs of the index that name their line in a ledger. No run folder is read."""
@@ -259,13 +259,13 @@ def read_run(folder: Path) -> IndexedRun:
     return read_run_and_details(folder)[0]
 
 
-def read_run_and_details(folder: Path) -> tuple[IndexedRun, dict[str, Any]]:
+def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
     """Read one run and its details (`bench.records.run_facts.run_details`) from its folder, without an index."""
     facts, details = _read(folder)
     return _listed(folder, facts), details
 
 
-def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def _read(folder: Path) -> tuple[dict[str, Any], RunDetails]:
     """Return what the index keeps of a run: its `run_facts`, and its details."""
     entries = read_journal(folder / JOURNAL)[0]
     history = replay(entries)

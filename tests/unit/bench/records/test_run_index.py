@@ -120,6 +120,14 @@ def test_an_index_that_does_not_hold_is_made_anew(index, three, harm):
     assert index.runs(three) == before
 
 
+def test_details_are_those_of_the_journal_also_where_the_index_was_deleted_since(index, three):
+    runs, _ = index.runs(three)
+    kept = list(index.details(runs))
+    index.path.unlink()
+    assert list(index.details(runs)) == kept
+    assert [one["deviations"] for one in kept] == [["so"]] * 3
+
+
 def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
     journal = three[0] / "journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b"Three", b"Seven"))
