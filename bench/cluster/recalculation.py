@@ -21,9 +21,14 @@ from bench.base.errors import FORESEEN, EvidenceError, Failure, StorageError, Us
 from bench.base.home import forms
 from bench.cluster.tasks import (
     ROW_FORMAT,
+    CalibratedData,
+    DoneRow,
+    FailedRow,
     FoundView,
     Listed,
     Place,
+    RunRow,
+    SkippedRow,
     Task,
     calibrate_found,
     find_view,
@@ -63,7 +68,6 @@ from sequences.reader import Located
 # in the order of the runs.
 
 TABLE = "recalculated.jsonl"
-DONE, FAILED = "done", "failed"
 _PART = ".part-"
 _KEY_SHOWN = 8
 
@@ -90,16 +94,16 @@ class ResultsFolders(Table):
             self.__exit__()
             raise
 
-    def done(self, place: str, key: str) -> dict[str, Any] | None:
+    def done(self, place: str, key: str) -> DoneRow | None:
         """Return the row of a calibration of this key; None if it is to be done, or its results have changed."""
-        row = self._rows.get(place)
-        if row is None or row["state"] != DONE or row["key"] != key:
+        row: RunRow | None = self._rows.get(place)
+        if row is None or row["state"] != "done" or row["key"] != key:
             return None
         if self.table_only:
             return row
         if row["results"] is None:
             return None
-        results = self.folder / str(row["results"]) / RESULTS
+        results = self.folder / row["results"] / RESULTS
         try:
             whole = results.is_file() and sha256_of(results) == row["results_sha256"]
         except OSError:
@@ -116,7 +120,7 @@ class ResultsFolders(Table):
         self._reserved.add(name)
         return name
 
-    def write(self, name: str, files: Mapping[str, bytes], row: dict[str, Any]) -> None:
+    def write(self, name: str, files: Mapping[str, bytes], row: DoneRow) -> None:
         """Write, seal and name a folder of results, and add its row."""
         part = self.folder / f"{_PART}{name}"
         try:
@@ -131,13 +135,13 @@ class ResultsFolders(Table):
             part.rename(self.folder / name)
             sync_folder(self.folder)
 
-    def add(self, row: dict[str, Any]) -> None:
+    def add(self, row: RunRow) -> None:
         """Add a row to the table, synced."""
         self._append(row)
 
-    def finish(self, rows: Iterable[Mapping[str, Any]]) -> None:
+    def finish(self, rows: Iterable[RunRow]) -> None:
         """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""
-        given = {str(row["folder"]): row for row in rows}
+        given = {row["folder"]: row for row in rows}
         others = [row for place, row in self._rows.items() if place not in given]
         write_atomic(self.path, b"".join(line_of(row) for row in (*given.values(), *others)))
 
@@ -209,7 +213,7 @@ class Recalculation:
         workers: Workers,
         output: ResultsFolders | None = None,
         *,
-        ended: Callable[[Mapping[str, Any]], None] = lambda _row: None,
+        ended: Callable[[RunRow], None] = lambda _row: None,
         progress: Callable[[Counts, float | None], None] = lambda _counts, _left: None,
         remark: Callable[[str], None] = lambda _text: None,
     ) -> None:
@@ -217,13 +221,13 @@ class Recalculation:
         self._folders = None if output is None or output.table_only else output
         self._ended, self._progress, self._remark = ended, progress, remark
         self.counts = Counts(len(places))
-        self._rows: dict[int, Mapping[str, Any]] = {}
+        self._rows: dict[int, RunRow] = {}
         self._runs: dict[int, _Run] = {}
         self._waiting: deque[Work] = deque()
         self._defects: set[str] = set()
         self._time = TimeLeft()
 
-    def run(self) -> list[Mapping[str, Any]]:
+    def run(self) -> list[RunRow]:
         """Calibrate all runs. A row for each, in their order."""
         source = listed_ahead(self._places, self._task)
         try:
@@ -257,7 +261,8 @@ class Recalculation:
         if row is not None:
             self.counts.skipped += 1
             self._rows[number] = row
-            self._ended({**row, "skipped": True})
+            told: SkippedRow = {**row, "skipped": True}
+            self._ended(told)
             self._show()
             return
         name = self._folders.name_for(place.base_name, listed.key) if self._folders else place.base_name
@@ -292,9 +297,16 @@ class Recalculation:
         self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
         run.found = {}
 
-    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: Mapping[str, Any]) -> None:
+    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: CalibratedData) -> None:
         name = run.name if self._folders is not None else None
-        row = {**_head(run.place, DONE, run.key), "results": name, **calibrated}
+        row: DoneRow = {
+            "schema": ROW_FORMAT,
+            "folder": run.place.name,
+            "state": "done",
+            "key": run.key,
+            "results": name,
+            **calibrated,
+        }
         if self._folders is not None:
             self._folders.write(run.name, files, row)
         elif self._output is not None:
@@ -313,8 +325,11 @@ class Recalculation:
         self._fail(run.number, run.place, end.failure, run.key)
 
     def _fail(self, number: int, place: Place, failure: Failure, key: str) -> None:
-        row = {
-            **_head(place, FAILED, key),
+        row: FailedRow = {
+            "schema": ROW_FORMAT,
+            "folder": place.name,
+            "state": "failed",
+            "key": key,
             "results": None,
             "results_sha256": None,
             "failure": failure.to_dict(),
@@ -324,7 +339,7 @@ class Recalculation:
         self.counts.failed += 1
         self._end(number, row)
 
-    def _end(self, number: int, row: Mapping[str, Any]) -> None:
+    def _end(self, number: int, row: RunRow) -> None:
         self._rows[number] = row
         self._ended(row)
         self._show()
@@ -354,10 +369,6 @@ def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, 
         yield from waiting
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _head(place: Place, state: str, key: str) -> dict[str, Any]:
-    return {"schema": ROW_FORMAT, "folder": place.name, "state": state, "key": key}
 
 
 def _failure(error: BaseException) -> Failure:

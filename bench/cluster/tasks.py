@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 from bench.base.errors import FORESEEN, BenchError, StorageError, UsageError
 from bench.cluster.work import require_program_of
@@ -241,12 +241,69 @@ class FoundView:
     kept: bool = False  # Whether the view was kept from an earlier calculation
 
 
+class BeforeData(TypedDict):
+    """What the run's own results state."""
+
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+
+
+class CalibratedData(TypedDict):
+    """What the table states about a calibration; U of a value is its k times its ``sigma``."""
+
+    model: str
+    views: int
+    stars: int  # Or points of a board
+    board: str | None
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+    coverage_factor: float
+    coverage_factors: Mapping[str, float]
+    rms_px: float
+    converged: bool
+    notes: Sequence[str]
+    left_out: Sequence[str]
+    before: BeforeData | None
+    results_sha256: str | None  # None if no folder is written
+
+
+class DoneRow(CalibratedData):
+    """Row of a run that was calibrated."""
+
+    schema: str
+    folder: str
+    state: Literal["done"]
+    key: str
+    results: str | None  # Name of the folder of its results; None if none is written
+
+
+class SkippedRow(DoneRow):
+    """Row of a run that was done before, as it is told; the table does not state it."""
+
+    skipped: Literal[True]
+
+
+class FailedRow(TypedDict):
+    """Row of a run that could not be calibrated."""
+
+    schema: str
+    folder: str
+    state: Literal["failed"]
+    key: str  # Empty if its recordings could not be listed
+    results: None
+    results_sha256: None
+    failure: Mapping[str, str]  # ``kind``, ``what``, ``where``, ``remedy``
+
+
+RunRow = DoneRow | FailedRow
+
+
 @dataclass(frozen=True)
 class Recalculated:
     """A calibration as files, and its row in the table."""
 
     files: Mapping[str, bytes]  # Contents by name within the folder; empty if no folder is written
-    row: Mapping[str, Any]
+    row: CalibratedData
 
 
 def list_recordings(place: Place, task: Task) -> Listed:
@@ -374,7 +431,7 @@ def _given(found: FoundView) -> View:
     return found.view
 
 
-def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> dict[str, Any]:
+def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> CalibratedData:
     """Return what the table states about a calibration."""
     solved = result.calibration
     values = dict(zip(solved.parameter_names, solved.values.tolist(), strict=True))
@@ -397,7 +454,7 @@ def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, 
     }
 
 
-def _before(folder: Path) -> dict[str, Any] | None:
+def _before(folder: Path) -> BeforeData | None:
     """Return values and sigmas of the run's own results; None if there are none."""
     try:
         stored = read_json(folder / RESULTS)["calibration"]

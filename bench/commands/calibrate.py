@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -13,7 +13,7 @@ from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
 from bench.base.home import forms, home_folder
 from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
-from bench.cluster.tasks import Task, find_places
+from bench.cluster.tasks import DoneRow, RunRow, Task, find_places
 from bench.commands.calibrations import BOARD, collimator_options, engine_options, offline_dict, offline_lines
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
@@ -67,7 +67,7 @@ def calibrate_each(
         progress.clear()
         click.echo(text, err=err)
 
-    def ended(row: Mapping[str, Any]) -> None:
+    def ended(row: RunRow) -> None:
         say(run_text(row), err=as_json)
 
     with reliable_interrupts(), ExitStack() as stack:
@@ -104,14 +104,14 @@ def _sum_lines(counts: Counts, output: Path | None) -> Iterator[str]:
         yield f"Table: {output / TABLE}"
 
 
-def run_text(row: Mapping[str, Any]) -> str:
+def run_text(row: RunRow) -> str:
     """Return one line on a run: values with U and k, the largest change from its own results; or why it failed."""
-    name = Path(str(row["folder"]).rstrip("/")).name
+    name = Path(row["folder"].rstrip("/")).name
     if row["state"] != "done":
         failure = row["failure"]
         place = f" ({failure['where']})" if failure["where"] else ""
         return printable(f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip())
-    if row.get("skipped"):
+    if "skipped" in row:
         where = f"; its results are in {row['results']}" if row["results"] else ""
         return printable(f"{name}: was done before{where}.")
     shown, factors = [], []
@@ -131,7 +131,7 @@ def run_text(row: Mapping[str, Any]) -> str:
     return printable(f"{name}: {'; '.join([*parts, change_text(row)])}.")
 
 
-def change_text(row: Mapping[str, Any]) -> str:
+def change_text(row: DoneRow) -> str:
     """Return the largest change against the run's own results, in the standard uncertainties that it stated."""
     before = row["before"]
     if before is None:
