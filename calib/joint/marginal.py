@@ -35,6 +35,7 @@ class Problem:
     blocks: Sequence[RandomBlock]
     hyper: amp.Hyperprior
     pupils: Pupils | None = None  # What the visible discs show, if the camera is moved by hand
+    faults: Faults = NO_FAULT  # Of statements, where none are named
 
     @cached_property
     def random(self) -> RandomPrior:
@@ -47,6 +48,7 @@ class Problem:
 
     def stated(self, faults: Faults = NO_FAULT) -> Stated:
         """Return all statements, of which some may be at fault."""
+        faults = faults or self.faults
         if faults not in self._stated:
             self._stated[faults] = Stated.of(self.knowledge.statements, faults)
         return self._stated[faults]

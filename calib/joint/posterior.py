@@ -23,7 +23,7 @@ from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.pupil_spread import spread_of_pupils
 from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
-from calib.joint.solve import Optimum
+from calib.joint.solve import Optimum, beside
 from calib.model.result_parts import GIMBAL_SCALE
 
 Array = NDArray[np.float64]
@@ -44,6 +44,8 @@ _LARGEST_LOG = 100.0
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas.
 _APART = 2.0
+#: The equations hold at the most probable faults if these would keep this weight (`calib.joint.samples.trusted`).
+_NEAR = 0.95
 #: Nodes whose fx is known only to this many U count half in the variances.
 _FAR = 2.0
 #: Within this number of sigma of the others, a fault is at most 1.25 times more probable than it was: 0.5 %.
@@ -162,8 +164,21 @@ def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probabi
     return Innovation(one.name, one, one.values - away, sigma, z, probability)
 
 
-def posterior(optimum: Optimum) -> Posterior:
-    """Return the posterior about an optimum."""
+def posterior(optimum: Optimum, rounds: int) -> Posterior:
+    """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
+
+    ``rounds``: largest number of linearisations of the search there.
+    """
+    found = _posterior(optimum)
+    if (
+        not found.largest.faults
+        or trusted(optimum.marginal, found.largest.solution, optimum.solution) > _NEAR
+    ):
+        return found
+    return _posterior(beside(optimum, found.largest.faults, rounds))
+
+
+def _posterior(optimum: Optimum) -> Posterior:
     marginal = optimum.marginal
     curvature = 0.5 * expected_curvature(marginal, optimum.eta, optimum.solution)
     lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)

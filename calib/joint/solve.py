@@ -7,7 +7,7 @@ are searched by Newton's method (`calib.joint.curvature`). A worse likelihood is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.curvature import FINE, ROUGH, best_amplitudes
 from calib.joint.equations import State, robust_sigma
 from calib.joint.marginal import Marginal, Problem, Solution
+from calib.joint.prior import Faults
 
 Array = NDArray[np.float64]
 
@@ -112,6 +113,18 @@ def approached(problem: Problem, start: State, rounds: int) -> State:
         if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
             break
     return state
+
+
+def beside(optimum: Optimum, faults: Faults, rounds: int) -> Optimum:
+    """Return an optimum whose equations are those of the state that some faults of statements lead to.
+
+    A grossly wrong statement takes the state so far away that the equations do not hold where the others lead.
+    """
+    problem = optimum.marginal.problem
+    there = search(replace(problem, faults=faults), optimum.state, rounds)
+    marginal = Marginal(problem, there.marginal.equations, there.state)
+    eta, found = searched(marginal, optimum.eta, _LONG, enough=FINE)
+    return Optimum(marginal, eta, found, optimum.iterations + there.iterations, there.converged)
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:

@@ -89,7 +89,7 @@ def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
 
 
 def test_parts_of_the_budget_add_up_to_the_variance(optimum):
-    found = posterior(optimum)
+    found = posterior(optimum, 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
     parts = variances(found, np.eye(len(found.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
@@ -98,7 +98,7 @@ def test_parts_of_the_budget_add_up_to_the_variance(optimum):
 
 @pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
 def test_innovation_is_what_an_adjustment_without_the_statement_says(optimum, name):
-    one = next(one for one in posterior(optimum).innovations() if one.name == name)
+    one = next(one for one in posterior(optimum, 30).innovations() if one.name == name)
     marginal = optimum.marginal
     kept = tuple(
         replace(s, covariance=1e8 * s.covariance) if s.name == name and s.free is not None else s
@@ -166,12 +166,22 @@ def test_statements_that_agree_are_not_doubted(views):
     assert not [note for note in result.notes if "statement" in note]
 
 
-def test_a_wrong_certificate_beside_right_readings_is_named(views):
-    result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * 1.01, 0.05)))
+@pytest.mark.parametrize("times", [1.01, 0.9, 1.1])
+def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right(views, bench, times):
+    result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05)))
     certificate = next(one for one in result.witnesses if one.name == CERTIFICATE)
-    assert certificate.innovation > 5.0
+    assert abs(certificate.innovation) > 5.0
     assert certificate.fault_probability > sum(FAULTS.values())
     assert any(CERTIFICATE in note for note in result.notes)
+    assert abs(result.camera.fx - bench.fx) < result.coverage_factors["fx"] * result.sigma["fx"]
+
+
+@pytest.mark.parametrize("known", [KNOWN, replace(KNOWN, gimbal=None)], ids=["with readings", "alone"])
+@pytest.mark.parametrize("times", [0.5, 0.8, 2.0])
+def test_the_certificate_of_another_collimator_is_refused(views, times, known):
+    other = Passport.of_radius(255.0 * times, 0.05)
+    with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
+        calibrate(views, replace(known, passport=other))
 
 
 def test_result_has_amplitudes_witnesses_and_factors(views):

@@ -34,7 +34,7 @@ def with_pupils(optimum, places):
 
 
 def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
-    found = posterior(optimum)
+    found = posterior(optimum, 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
     parts = variances(found, np.eye(len(found.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
