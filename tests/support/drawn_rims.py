@@ -40,9 +40,7 @@ class DrawnRims:
     def fitted(self) -> list[Disc]:
         """Return the fitted discs."""
         seen = np.concatenate([np.vstack([rim.points_mm, rim.lit_mm]) for rim in self.rims])
-        middle = seen.mean(axis=0)
-        reach = float(np.linalg.norm(seen - middle, axis=1).max())
-        return fit_rims(self.rims, self.looks_mm, middle, reach).of_views
+        return fit_rims(self.rims, self.looks_mm, seen).of_views
 
 
 def draw_rims(truth: Truth, poses: Sequence[tuple[float, float]], seed: int) -> DrawnRims:
