@@ -10,5 +10,5 @@ Array32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
-"""Pictures of 8 bits a pixel, masks, polarities, and levels of brightness."""
+"""Numbers from 0 to 255, such as pictures, masks and polarities."""
 AnyArray = NDArray[np.generic]

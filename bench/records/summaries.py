@@ -1,6 +1,6 @@
 """What is stated of many runs: the types of ``summary.json`` of a batch and of control charts, shared by all readers.
 
-Times are ISO 8601 with their offset. A parameter is in its own unit (`bench.report.text.unit_of`).
+Times are ISO 8601 with the offset from UTC. `bench.report.text.unit_of` gives the unit of each parameter.
 """
 
 from __future__ import annotations

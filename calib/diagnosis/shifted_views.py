@@ -240,7 +240,7 @@ class _ShiftEquations:
     Sum of squares, weighted, for shifts s_i: ``squares - 2 sum_i gradient_i s_i + sum_ij s_i information_ij s_j``.
     """
 
-    squares: float  # Sum of the squared weighted residuals without shifts
+    squares: float  # Sum of squares of the weighted residuals if nothing is shifted
     gradient: Array  # (n, 2) float64, 1 / mm for shifts of the target, 1 / px for shifts of the image
     information: Array  # (n, 2, n, 2) float64, the same units squared
 

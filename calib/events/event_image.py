@@ -349,9 +349,9 @@ def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, f
 
 
 def motion_between(first: View, second: View) -> Array:
-    """Return the typical shift, (2,) px, of the stars that two views of one pose share, from the first to the second.
+    """Return the median shift, (2,) px, of the stars between two views of one pose.
 
-    Medians along x and y, so that single wrong stars do not matter; at least `MIN_COMMON` stars.
+    Along x and along y, so that single wrong stars do not matter; at least `MIN_COMMON` stars.
     """
     _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     if a.size < MIN_COMMON:

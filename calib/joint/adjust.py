@@ -161,7 +161,7 @@ def refuse_other_collimator(views: Sequence[View], options: CalibrationOptions) 
         near = approached(problem, state, options.max_iterations)
         marginal = Marginal(problem, problem.bench.linearised(near, _WIDE), near)
         at, found = problem.bench.layout.index["r"], solved(marginal, problem.hyper.mean)
-    except CalibrationError:
+    except (CalibrationError, np.linalg.LinAlgError):
         return
     seen, sigma = float(near.shared[at]), float(np.sqrt(found.covariance[at, at]))
     if abs(stated - seen) > max(_OTHER_RADIUS * seen, _CLEARLY * sigma):

@@ -35,7 +35,7 @@ class Problem:
     blocks: Sequence[RandomBlock]
     hyper: amp.Hyperprior
     pupils: Pupils | None = None  # What the visible discs show, if the camera is moved by hand
-    faults: Faults = NO_FAULT  # Of statements, where none are named
+    faults: Faults = NO_FAULT  # Statements that are at fault unless a call names others
 
     @cached_property
     def random(self) -> RandomPrior:

@@ -242,7 +242,7 @@ def check_one_view(camera: CameraModel, covariance: Array | None, view: View) ->
 
 @dataclass(frozen=True)
 class _Seen:
-    """Whitened residuals of a view after the best pose, and how the camera's parameters move them."""
+    """Residuals of a view at its best pose, over their sigmas, and their derivatives by the camera's parameters."""
 
     residuals: Array  # (2 N,)
     columns: Array  # (2 N, K) without what a pose imitates

@@ -157,7 +157,7 @@ class SeenRotations:
         return replace(self._scatters[best], variance=variance), bool(2.0 * (more - none) > DECISIVE)
 
     def _grid(self, fit: GimbalFit, hypotheses: Sequence[tuple[Fault, ...]]) -> Array:
-        """Return (R, K, H) log(likelihood times prior) of hypotheses, with every shape S and variance s."""
+        """Return (R, K, H) log(likelihood times prior) of each hypothesis, for each shape S and variance s."""
         faults = list(dict.fromkeys(fault for one in hypotheses for fault in one))
         count = len(fit.model.free)
         turns, singular, _ = np.linalg.svd(fit.jacobian[:, :6], full_matrices=False)

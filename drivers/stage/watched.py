@@ -79,8 +79,7 @@ class WatchedStage(ABC, Generic[A]):
         self._stops = 0
         self._position_doubt = ""
         """Why the position is in doubt; empty while it is known."""
-        self._homed_in: Any = None
-        """The `_lifetime` of the controller at the last homing; None if this driver has not homed it."""
+        self._homed_in: Any = None  # `_lifetime` of the controller at the last homing by this driver
 
     # ------------------------------------------------------------ what a family implements
 
@@ -239,15 +238,7 @@ class WatchedStage(ABC, Generic[A]):
             raise self._stopped_after(error) from error
 
     def stop(self) -> None:
-        """See `Stage.stop`. Returns when all axes stand; no clock interrupts it.
-
-        Raises
-        ------
-        MoveTimeout
-            An axis does not come to rest.
-        ReplyError, PortLost
-            The controller does not answer.
-        """
+        """See `Stage.stop`. Returns when all axes stand; no clock interrupts it."""
         self._stops += 1
         self._send_stop()
         limits = self.limits.values()
