@@ -54,8 +54,6 @@ class CalibrationOptions:
         Passport of the collimator; one view is then enough. A certificate states the radius alone.
     guard_band
         Stars farther from the centre of the visible disc than this share of its radius are left out.
-    drift_mm
-        Of sequences of earlier versions; it has no effect.
     gimbal
         Readings of the gimbal, one for each view in their order.
     radial_sigma
@@ -86,7 +84,6 @@ class CalibrationOptions:
     max_iterations: int = 100
     passport: Passport | None = None
     guard_band: float = 1.0
-    drift_mm: float = 0.3
     gimbal: GimbalReadings | None = None
     radial_sigma: float | None = None
     budget: tuple[TypeBTerm, ...] = ()
@@ -111,7 +108,7 @@ class CalibrationOptions:
             raise InputMismatch(
                 f"guard_band is {self.guard_band}; it must be above 0 and at most 1 (share of the disc's radius)."
             )
-        for name in ("huber_px", "drift_mm", "radial_sigma"):
+        for name in ("huber_px", "radial_sigma"):
             number = getattr(self, name)
             if number is not None and not number > 0:
                 raise InputMismatch(f"{name} is {number}; it must be positive.")

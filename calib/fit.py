@@ -21,7 +21,7 @@ from calib.adjustment.parameters import (
     require_constrained,
     require_distinct_poses,
 )
-from calib.arrays import Array, Bools
+from calib.arrays import RAYLEIGH_MEDIAN, Array, Bools, median
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.checks import check_adjustment
 from calib.diagnosis.gross_stars import GrossStars, used_stars
@@ -30,7 +30,6 @@ from calib.model import result_parts as names
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
-from calib.model.median import RAYLEIGH_MEDIAN, median
 from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
 from calib.uncertainty.covariance import (
     Uncertainty,

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from calib.adjustment.loss import Loss, lengths
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import median
 from calib.errors import InputMismatch
-from calib.model.median import median
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -80,12 +80,11 @@ class Bundle:
         slopes = curving = self.derivatives(parameters)
         if curved and loss.is_robust:
             curving = mapped(loss.curvature_root(residuals), slopes)
-        normal, right = [], []
-        for rows in self.observations.slices:
-            block = curving[:, :, rows].reshape(len(curving), -1)
-            normal.append(block @ block.T)
-            right.append(slopes[:, :, rows].reshape(len(slopes), -1) @ influence[rows].T.ravel())
-        return ViewEquations(np.array(normal), np.array(right), len(self.names))
+        bent = self.observations.by_view(curving)
+        steep = bent if curving is slopes else self.observations.by_view(slopes)
+        pulled = self.observations.by_view(influence.T[None])
+        right = (steep @ np.swapaxes(pulled, 1, 2))[:, :, 0]
+        return ViewEquations(bent @ np.swapaxes(bent, 1, 2), right, len(self.names))
 
     def rounding(self, cost: float) -> float:
         """Return how much rounding of the image points changes the cost.
@@ -101,9 +100,9 @@ class Bundle:
     def _in_camera(self, parameters: AdjustmentParameters) -> Array:
         """Return the (3, N) stars in the camera frame, P = R (X - c), mm (arXiv:2512.16092, eq. 2)."""
         obs = self.observations
-        of_views = zip(obs.slices, parameters.rotations, parameters.centres, strict=True)
-        seen = [turn @ (obs.target[rows] - centre).T for rows, turn, centre in of_views]
-        return np.concatenate(seen, axis=1)
+        x, y, z = (obs.target - parameters.centres[obs.view]).T
+        turns = parameters.rotations[obs.view].transpose(1, 2, 0)
+        return np.asarray(turns[:, 0] * x + turns[:, 1] * y + turns[:, 2] * z)
 
     def derivatives(self, parameters: AdjustmentParameters) -> Array:
         """Return the (G + L, 2, N) derivatives of the weighted image points, one row of stars for each.
@@ -115,9 +114,8 @@ class Bundle:
         slopes = by_point.transpose(2, 1, 0)
         (x, y, z), (u, v, w) = points, slopes
         turned = [y * w - z * v, z * u - x * w, x * v - y * u]
-        of_views = zip(obs.slices, parameters.rotations, strict=True)
-        shifted = [np.tensordot(-turn, slopes[:, :, rows], (0, 0)) for rows, turn in of_views]
-        moved = np.concatenate(shifted, axis=2)
+        turns = parameters.rotations[obs.view].transpose(1, 2, 0)[:, :, None]
+        moved = -(turns[0] * u + turns[1] * v + turns[2] * w)
         known = dict(zip(parameters.camera.parameter_names, by_camera.transpose(2, 1, 0), strict=True))
         known |= {"x": moved[0], "y": moved[1], "r": -moved[2]}
         rows = [*(known[name] for name in self.names), *turned, *(moved if self.free_centres else ())]
@@ -166,6 +164,17 @@ class Observations:
     def factors(self) -> Array:
         """(2, 2, N) float64 the whitening as contiguous rows over the stars, for `mapped`."""
         return np.ascontiguousarray(self.whitening.transpose(1, 2, 0))
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """(N,) int64 place of each row in its view."""
+        return np.concatenate([np.arange(count) for count in self.stars])
+
+    def by_view(self, values: Array) -> Array:
+        """Return values (G, 2, N) of the rows as (n, G, 2 M): those of each view, and zeros up to the most stars."""
+        found = np.zeros((len(self.stars), len(values), 2, int(self.stars.max())))
+        found[self.view, :, :, self._places] = values.transpose(2, 0, 1)
+        return found.reshape(len(found), len(values), -1)
 
     def part(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
         """Return observations of one view for each entry of `rows`: its row indices, (N_i,) int64."""

@@ -14,14 +14,14 @@ from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geome
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, State, ViewStars, turns_of
+from calib.joint.equations import Bench, Equations, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
-from calib.joint.knowledge import gather, term_shapes, wavefront
+from calib.joint.knowledge import CERTIFICATE, gather, term_shapes, wavefront
 from calib.joint.layout import RIM, Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.readings import Readings
-from calib.joint.solve import Optimum, approached, search, solved
+from calib.joint.solve import Optimum, approached, first_equations, search, solved
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -146,21 +146,22 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
         ) from error
 
 
-def refuse_other_collimator(views: Sequence[View], options: CalibrationOptions) -> None:
+def _refuse_other_collimator(
+    problem: Problem, state: State, equations: Equations, options: CalibrationOptions
+) -> None:
     """Refuse a certificate whose radius is far from what the views alone show: it is another collimator's.
 
     Camera, lens and fields would take up even twice the radius. Views that show too little of it say nothing.
     """
     if options.passport is None or not options.passport.is_certificate:
         return
-    stated, lens = options.passport.values_by_name["r"], lens_names(options.distortion)
+    stated, knowledge = options.passport.values_by_name["r"], problem.knowledge
+    others = tuple(one for one in knowledge.statements if one.name != CERTIFICATE)
+    free = replace(problem, knowledge=replace(knowledge, statements=others))
     try:
-        start = first_parameters(views, options, lens)
-        free = replace(options, passport=None)
-        problem, state = posed(views, free, start, lens, _discs(views, free, start))
-        near = approached(problem, state, options.max_iterations)
-        marginal = Marginal(problem, problem.bench.linearised(near, _WIDE), near)
-        at, found = problem.bench.layout.index["r"], solved(marginal, problem.hyper.mean)
+        near = approached(free, state, equations, options.max_iterations)
+        marginal = Marginal(free, free.bench.linearised(near, _WIDE), near)
+        at, found = free.bench.layout.index["r"], solved(marginal, free.hyper.mean)
     except (CalibrationError, np.linalg.LinAlgError):
         return
     seen, sigma = float(near.shared[at]), float(np.sqrt(found.covariance[at, at]))
@@ -183,7 +184,9 @@ def _searched(
 ) -> Optimum:
     discs = _discs(views, options, start)
     problem, state = posed(views, options, start, lens, discs)
-    near = approached(problem, state, options.max_iterations)
+    equations = first_equations(problem, state)
+    _refuse_other_collimator(problem, state, equations, options)
+    near = approached(problem, state, equations, options.max_iterations)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)

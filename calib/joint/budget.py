@@ -58,7 +58,7 @@ def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Arra
     """Return the variances by group for given amplitudes."""
     squares, hyper = np.exp(2.0 * node.eta), marginal.problem.hyper
     x = node.solution.covariance @ gradients.T
-    fields = -node.solution.follow @ x
+    fields = -np.swapaxes(node.solution.own_root, 1, 2) @ (node.solution.between @ x)
     stars = (x * (marginal.shared @ x)).sum(axis=0)
     stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))

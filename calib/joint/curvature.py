@@ -6,6 +6,8 @@ information Q and the posterior covariance V of the unknowns (Harville, 1977, se
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,8 @@ _LONGEST = 1.5
 _HALVINGS = 5
 #: A search ends where a step promises less than this of -2 log: 0.01 is a tenth of a sigma.
 ROUGH, FINE = 0.02, 1e-3
+#: Products of columns are faster from so many times more rows on.
+_MANY = 2
 #: The curvature is found again after a step that changes a logarithm by more than this.
 _CURVED = 0.3
 
@@ -31,26 +35,43 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
     random = problem.random
     at = random.places
     scale = np.sqrt(marginal.problem.own_information(squares))
-    fields = (scale[:, None] * found.followed).reshape(n * f, size)
-    own = -(fields @ fields.T)
-    blocks = np.eye(f) - scale[:, None] * found.own * scale
-    for k in range(n):
-        own[k * f : (k + 1) * f, k * f : (k + 1) * f] += blocks[k]
+    fields = scale[:, None] * found.followed
+    alone = np.eye(f) - scale[:, None] * found.own * scale
     pulled = random.pulled(squares, found.inside)
-    spread = random.times_pulled(found.root[:, at], pulled)
+    spread = random.times_pulled(found.root.T[at].T, pulled)
     shared = -(spread.T @ spread)
     for rows, columns in random.blocks:
         shapes = random.shapes[rows, columns] * np.sqrt(squares[random.amplitudes[columns]])
         shared[columns, columns] += shapes.T @ pulled[rows, columns]
-    both = fields @ spread
-    parts = np.block([[own, both], [both.T, shared]])
+    parts = np.zeros((f + len(shared), f + len(shared)))
+    parts[:f, :f] = (alone * (alone - 2.0 * fields @ np.swapaxes(fields, 1, 2))).sum(axis=0)
+    flat = fields.reshape(n * f, size)
+    both = (flat @ spread).reshape(n, f, -1)
+    parts[:f, f:] = (both * both).sum(axis=0)
+    parts[f:, :f] = parts[:f, f:].T
+    parts[f:, f:] = shared * shared
     belongs = np.zeros((len(parts), len(eta)))
-    belongs[range(len(parts)), np.concatenate([np.tile(problem.pose_amplitudes, n), random.amplitudes])] = 1.0
-    whole = 4.0 * belongs.T @ (parts**2) @ belongs
+    belongs[range(len(parts)), np.concatenate([problem.pose_amplitudes, random.amplitudes])] = 1.0
+    whole = 4.0 * (belongs.T @ parts @ belongs + _of_products(flat, np.tile(belongs[:f], (n, 1))))
     star = problem.hyper.at(amp.STAR)
     whole[star, star] += 4.0 * marginal.rows_observed
     whole += 2.0 * problem.hyper.information
     return _with_readings(marginal, squares, found, spread, whole) if marginal.uses_readings else whole
+
+
+def _of_products(rows: Array, belongs: Array) -> Array:
+    """Return (A, A) the sums of the squares of the products of (N, S) rows that belong to (N, A) amplitudes, 0 or 1.
+
+    By the products of the columns if there are many rows: |A B^T|^2 = tr (A^T A) (B^T B).
+    """
+    if len(rows) < _MANY * rows.shape[1]:
+        return np.asarray(belongs.T @ (rows @ rows.T) ** 2 @ belongs)
+    found = np.zeros((belongs.shape[1], belongs.shape[1]))
+    places = np.flatnonzero(belongs.any(axis=0))
+    columns = [rows[belongs[:, at] > 0.0] for at in places]
+    products = [one.T @ one for one in columns]
+    found[places[:, None], places] = [[np.vdot(one, other) for other in products] for one in products]
+    return found
 
 
 def _with_readings(marginal: Marginal, squares: Array, found: Solution, spread: Array, whole: Array) -> Array:
@@ -81,17 +102,20 @@ def best_amplitudes(
     faults: Faults = NO_FAULT,
     farthest: float = np.inf,
     enough: float = FINE,
+    found: Solution | None = None,
     curvature: Array | None = None,
+    until: Callable[[Array], bool] | None = None,
 ) -> tuple[Array, Solution]:
     """Return the logarithms of the amplitudes of the largest posterior, from a start, and their solution.
 
     Steps of Newton with the expected curvature, halved while the value does not fall; each changes a logarithm by at
-    most ``farthest``, and promises at least ``enough``. The equations must be solvable at the start, whose (A, A)
-    ``curvature`` may be known.
+    most ``farthest``, and promises at least ``enough``. The equations must be solvable at the start, whose solution
+    and (A, A) curvature may be known. The search ends where ``until`` is true.
     """
     bounds = np.array(marginal.problem.hyper.bounds).T
     low, high = np.maximum(bounds[0], eta - farthest), np.minimum(bounds[1], eta + farthest)
-    found = marginal.solve(eta, faults)
+    if found is None:
+        found = marginal.solve(eta, faults)
     if curvature is None:
         curvature = expected_curvature(marginal, eta, found)
     for _ in range(steps):
@@ -108,17 +132,18 @@ def best_amplitudes(
         else:
             break
         assert tried is not None
-        tried = marginal.with_gradient(tried, ahead, faults)
         if float(np.abs(ahead - eta).max()) > _CURVED:
             curvature = expected_curvature(marginal, ahead, tried)
         eta, found = ahead, tried
+        if until is not None and until(eta):
+            break
     return eta, found
 
 
 def _tried(marginal: Marginal, eta: Array, faults: Faults) -> Solution | None:
     """Return the solution; None if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, faults, slope=False)
+        return marginal.solve(eta, faults)
     except np.linalg.LinAlgError:
         return None
 

@@ -15,13 +15,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment.bundle import mapped
 from calib.joint.fields import COEFFICIENTS
 from calib.joint.layout import RIM_POWERS, Layout
 from calib.joint.readings import Readings
 from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
 from calib.model.rim_fit import Disc
-from calib.model.rotation import exp_map, skew
+from calib.model.rotation import exp_map
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -68,10 +69,6 @@ class ViewStars:
     disc: Disc | None  # Where the layout has displacements about it
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
     rim_noise: Array  # (N,) what 1 px of noise at the rim adds, over the stated noise; 0 without a disc
-
-    def whitened(self, values: Array) -> Array:
-        """Return (N, 2, ...) values of the image times the whitening."""
-        return np.asarray(np.einsum("nab,nb...->na...", self.whitening, values))
 
     @classmethod
     def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
@@ -171,6 +168,26 @@ class Bench:
         """Places of the gimbal's unknowns."""
         return self.layout.places(self.layout.gimbal)
 
+    @cached_property
+    def _rows(self) -> list[slice]:
+        """Rows of each view among those of all stars."""
+        ends = np.cumsum([len(one.points_px) for one in self.stars]).tolist()
+        return [slice(end - len(one.points_px), end) for end, one in zip(ends, self.stars, strict=True)]
+
+    @cached_property
+    def _points_px(self) -> Array:
+        """(N, 2) the stars of all views."""
+        return np.concatenate([one.points_px for one in self.stars])
+
+    @cached_property
+    def _factors(self) -> Array:
+        """(2, 2, N) the whitening of all stars, for `mapped`."""
+        return np.ascontiguousarray(np.concatenate([one.whitening for one in self.stars]).transpose(1, 2, 0))
+
+    def _of_views(self, values: Array) -> list[Array]:
+        """Return values (N, ...) of all stars for each view."""
+        return [values[rows] for rows in self._rows]
+
     def camera(self, shared: Array) -> CameraModel:
         """Return the camera of given shared unknowns."""
         names = self.layout.camera
@@ -212,39 +229,38 @@ class Bench:
         points = self._points(v, state, fields)
         return self.stars[v].points_px - self.camera(state.shared).project(points @ state.rotations[v].T)
 
+    def _in_camera(self, state: State) -> Array:
+        """Return (N, 3) the stars of all views in the camera's axes, mm."""
+        of_views = zip(self.points(state), state.rotations, strict=True)
+        return np.concatenate([points @ rotation.T for points, rotation in of_views])
+
+    def _off_px(self, state: State) -> Array:
+        """Return (N, 2) the residuals of the stars of all views, as `residuals`."""
+        return np.asarray(self._points_px - self.camera(state.shared).project(self._in_camera(state)))
+
     def residuals(self, state: State) -> list[Array]:
         """Return for each view (N, 2) image points found minus predicted, px; NaN behind the camera."""
-        camera = self.camera(state.shared)
-        return [
-            one.points_px - camera.project(points @ rotation.T)
-            for one, points, rotation in zip(self.stars, self.points(state), state.rotations, strict=True)
-        ]
+        return self._of_views(self._off_px(state))
 
     def whitened(self, state: State) -> list[Array]:
         """Return for each view (N,) the lengths of the residuals over their sigma."""
-        return [
-            np.linalg.norm(one.whitened(e), axis=1)
-            for one, e in zip(self.stars, self.residuals(state), strict=True)
-        ]
+        return self._of_views(np.hypot(*mapped(self._factors, self._off_px(state).T)))
 
     def aligned(self, state: State, weights: Sequence[Array]) -> State:
         """Return the state with the rotations that fit the weighted stars best, by Gauss and Newton; all else stays."""
-        camera, points = self.camera(state.shared), self.points(state)
-        turned = []
-        for one, where, rotation, weight in zip(self.stars, points, state.rotations, weights, strict=True):
-            own = rotation
-            for _ in range(_ALIGNMENTS):
-                in_camera = where @ own.T
-                if not (in_camera[:, 2] > 0).all():
-                    break
-                predicted, by_point, _ = camera.project_with_jacobians(in_camera)
-                white = np.sqrt(weight)[:, None, None] * one.whitening
-                rows = (white @ (-by_point @ skew(in_camera))).reshape(-1, 3)
-                left = (white @ (one.points_px - predicted)[:, :, None]).reshape(-1)
-                turn: Array = np.asarray(np.linalg.solve(rows.T @ rows, rows.T @ left), np.float64)
-                own = exp_map(turn) @ own
-            turned.append(own)
-        return replace(state, rotations=np.array(turned))
+        camera, roots = self.camera(state.shared), np.sqrt(np.concatenate(list(weights)))
+        for _ in range(_ALIGNMENTS):
+            in_camera = self._in_camera(state)
+            predicted, by_point, _ = camera.project_with_jacobians(in_camera)
+            slopes = roots * mapped(self._factors, _by_turn(in_camera, by_point.transpose(2, 1, 0)))
+            left = roots * mapped(self._factors, (self._points_px - predicted).T)
+            turns = np.zeros((len(self.stars), 3))
+            for v, own in enumerate(self._rows):
+                if (in_camera[own, 2] > 0).all():
+                    rows = slopes[:, :, own].reshape(3, -1)
+                    turns[v] = np.linalg.solve(rows @ rows.T, rows @ left[:, own].reshape(-1))
+            state = replace(state, rotations=exp_map(turns) @ state.rotations)
+        return state
 
     def readings_off(self, state: State) -> Array:
         """Return (m, 3) rotation vectors from the gimbal's predictions to the rotations, rad."""
@@ -255,12 +271,18 @@ class Bench:
 
     def linearised(self, state: State, limit: float, before: Equations | None = None) -> Equations:
         """Return the equations; ``limit`` is the stars' sigma over the stated one; weights are those of ``before``."""
-        camera = self.camera(state.shared)
-        rim_px = before.rim_px if before else self._rim_px(state)
+        in_camera = self._in_camera(state)
+        predicted, by_point, by_camera = self.camera(state.shared).project_with_jacobians(in_camera)
+        residuals = mapped(self._factors, (self._points_px - predicted).T)
+        lengths = np.where(in_camera[:, 2] > 0.0, np.hypot(*residuals), np.nan)
+        of_views = self._of_views(lengths)
+        rim_px = before.rim_px if before else self._rim_px(of_views)
         precisions = tuple(one.precision(rim_px) for one in self.stars)
-        weights = before.weights if before else self._weights(state, limit, precisions)
+        weights = before.weights if before else _weights(of_views, limit, precisions)
+        slopes = mapped(self._factors, np.concatenate([by_camera, by_point], axis=2).transpose(2, 1, 0))
         found = [
-            self._view(v, points, state, camera, weights[v]) for v, points in enumerate(self.points(state))
+            self._view(v, state, in_camera[rows], residuals[:, rows], slopes[:, :, rows], weights[v])
+            for v, rows in enumerate(self._rows)
         ]
         shares = before.shares if before else self._shares(found)
         found = found if before else [one.times(share) for one, share in zip(found, shares, strict=True)]
@@ -291,18 +313,10 @@ class Bench:
             shares,
         )
 
-    def _weights(self, state: State, limit: float, precisions: Sequence[Array]) -> list[Array]:
-        """Return for each view (N,) the weights of the stars: robust ones times their precision near the rim."""
-        return [
-            own * robust_weights(np.sqrt(own) * lengths, limit)
-            for own, lengths in zip(precisions, self.whitened(state), strict=True)
-        ]
-
-    def _rim_px(self, state: State) -> float:
+    def _rim_px(self, lengths: Sequence[Array]) -> float:
         """Return the most probable noise, px, that the rims of the visible discs add; 0 without discs."""
         if not self.discs:
             return 0.0
-        lengths = self.whitened(state)
         scaled = (np.concatenate(lengths) / robust_sigma(lengths)) ** 2
         costs = []
         usual = float(np.median(np.concatenate([one.sigma_px for one in self.stars])))
@@ -336,37 +350,36 @@ class Bench:
         return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _view(
-        self, v: int, points: Array, state: State, camera: CameraModel, weights: Array
+        self, v: int, state: State, in_camera: Array, residuals: Array, slopes: Array, weights: Array
     ) -> _ViewEquations:
-        """Linearise the stars of one view. weights: (N,)."""
-        one, r_mm, rotation = self.stars[v], self.layout.basis.reference[2], state.rotations[v]
-        in_camera = points @ rotation.T
-        predicted, by_point, by_camera = camera.project_with_jacobians(in_camera)
-        residual = one.whitened(one.points_px - predicted)
-        lengths = np.hypot(residual[:, 0], residual[:, 1])
-        root = np.sqrt(weights)[:, None]
-        by_point = root[:, :, None] * one.whitened(by_point)
-        by_star = by_point @ rotation
-        size, k = self.layout.size, by_camera.shape[2]
-        columns = np.empty((len(points), 2, size + 4))
-        columns[:, :, :k] = root[:, :, None] * one.whitened(by_camera)
-        columns[:, :, k] = by_star[:, :, 2]
-        if self.layout.rim:
-            moved, slopes = one.about_disc(state.fields[self.poses[v], -2:])
-            columns[:, :, k + 1 : self.layout.field] = by_star[:, :, :2] @ moved
-            by_middle = np.einsum("ncrd,r->ncd", slopes, self._rims(v, state))
-            columns[:, :, self.layout.middle : size] = by_star[:, :, :2] @ by_middle
-        fields = columns[:, :, self.layout.field : self.layout.middle].reshape(len(points), 2, 2, -1)
-        np.multiply((r_mm * by_star[:, :, :2])[..., None], one.polynomials[:, None, None], out=fields)
-        columns[:, :, size] = root * residual
-        columns[:, :, size + 1 :] = -by_point @ skew(in_camera)
-        rows = columns.reshape(-1, size + 4)
-        own, turning = rows[:, : size + 1], rows[:, size + 1 :]
-        q, upper = np.linalg.qr(turning)
-        across = q.T @ own
-        own = own - q @ across
-        whole = own.T @ own
-        solved = np.linalg.solve(upper, across)
+        """Linearise the N stars of one view.
+
+        residuals: (2, N), whitened. slopes: (P + 3, 2, N) their changes by the camera and by the points in its axes.
+        """
+        one, layout, rotation = self.stars[v], self.layout, state.rotations[v]
+        size, k = layout.size, len(slopes) - 3
+        root = np.sqrt(weights)
+        by_point = root * slopes[k:]
+        by_star = np.tensordot(rotation, by_point, (0, 0))
+        columns = np.empty((size + 4, 2, len(weights)))
+        np.multiply(root, slopes[:k], out=columns[:k])
+        columns[k] = by_star[2]
+        if layout.rim:
+            moved, by_middle = one.about_disc(state.fields[self.poses[v], -2:])
+            columns[k + 1 : layout.field] = np.einsum("acn,nar->rcn", by_star[:2], moved)
+            along = by_middle.transpose(0, 1, 3, 2) @ self._rims(v, state)
+            columns[layout.middle : size] = np.einsum("acn,nad->dcn", by_star[:2], along)
+        fields = columns[layout.field : layout.middle].reshape(2, -1, 2, len(weights))
+        across_mm = layout.basis.reference[2] * by_star[:2]
+        np.multiply(across_mm[:, None], one.polynomials.T[:, None], out=fields)
+        np.multiply(root, residuals, out=columns[size])
+        columns[size + 1 :] = _by_turn(in_camera, by_point)
+        rows = columns.reshape(size + 4, -1)
+        q, upper = np.linalg.qr(rows[size + 1 :].T)
+        across = rows[: size + 1] @ q
+        own = rows[: size + 1] - across @ q.T
+        whole = own @ own.T
+        solved = np.linalg.solve(upper, across.T)
         return _ViewEquations(
             whole[:size, :size],
             whole[:size, size],
@@ -374,9 +387,9 @@ class Bench:
             upper.T @ upper,
             solved[:, :size],
             solved[:, size],
-            lengths,
+            np.hypot(*residuals),
             weights,
-            residual,
+            residuals.T,
         )
 
     def moved(self, state: State, shared: Array, fields: Array, rotations: Array) -> State:
@@ -419,6 +432,19 @@ class _ViewEquations:
             turn=share * self.turn,
             weights=share * self.weights,
         )
+
+
+def _by_turn(in_camera: Array, by_point: Array) -> Array:
+    """Return (3, 2, N) changes of the image by a rotation, from those by (N, 3) points in the camera, (3, 2, N)."""
+    (x, y, z), (by_x, by_y, by_z) = in_camera.T, by_point
+    return np.array([y * by_z - z * by_y, z * by_x - x * by_z, x * by_y - y * by_x])
+
+
+def _weights(lengths: Sequence[Array], limit: float, precisions: Sequence[Array]) -> list[Array]:
+    """Return for each view (N,) the weights of the stars: robust ones times their precision near the rim."""
+    return [
+        own * robust_weights(np.sqrt(own) * one, limit) for own, one in zip(precisions, lengths, strict=True)
+    ]
 
 
 def robust_weights(lengths: Array, limit: float) -> Array:

@@ -6,9 +6,9 @@ each pose are eliminated; S shared unknowns are left. The equations stand in doc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,12 @@ class Solution:
     own_root: Array  # (n, F, F) R, covariance R^T R of the own fields, if the shared unknowns were known
     between: Array  # (n, F, S) R times the information between own fields and shared unknowns
     inside: Array  # (K, K) prior information of the shared unknowns with amplitudes
-    gradient: Array  # (A,) of the value by the logarithms of the amplitudes
+    slope: Callable[[Solution], Array]  # Finds the gradient
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(A,) of the value by the logarithms of the amplitudes."""
+        return self.slope(self)
 
     @cached_property
     def covariance(self) -> Array:
@@ -194,13 +199,12 @@ class Marginal:
         eta: Array,
         faults: Faults = NO_FAULT,
         *,
-        slope: bool = True,
         damped: float = 0.0,
         held: bool = False,
     ) -> Solution:
         """Return the posterior for given logarithms of the amplitudes and faults of statements, by name.
 
-        The gradient is zero without ``slope``. The equations are singular if nothing determines an unknown. ``damped``
+        The equations are singular if nothing determines an unknown. ``damped``
         holds what has an amplitude at its present value, with so many times the weight of its prior: a shorter step.
         ``held`` holds all shared unknowns.
         """
@@ -223,9 +227,8 @@ class Marginal:
         value = normal.constant + logs + last - gain
         value += float(away @ self.problem.hyper.information @ away)
         fields = (np.swapaxes(own_root, 1, 2) @ (alone - (between @ step)[:, :, None]))[:, :, 0]
-        slopes = np.zeros(len(eta))
-        found = Solution(value, gain, step, root, fields, own_root, between, normal.inside, slopes)
-        return self.with_gradient(found, eta, faults) if slope else found
+        slope = partial(self._gradient, eta, squares, faults)
+        return Solution(value, gain, step, root, fields, own_root, between, normal.inside, slope)
 
     def _normal(self, squares: Array, faults: Faults) -> _Normal:
         """Return the normal equations."""
@@ -268,11 +271,7 @@ class Marginal:
         )
 
     # -- gradient
-    def with_gradient(self, found: Solution, eta: Array, faults: Faults = NO_FAULT) -> Solution:
-        """Return a solution for given logarithms of the amplitudes and faults with its gradient."""
-        return replace(found, gradient=self._gradient(eta, np.exp(2.0 * eta), found, faults))
-
-    def _gradient(self, eta: Array, squares: Array, found: Solution, faults: Faults) -> Array:
+    def _gradient(self, eta: Array, squares: Array, faults: Faults, found: Solution) -> Array:
         """Return the gradient of the value: number minus expected square of what each amplitude scales."""
         hyper, random = self.problem.hyper, self.problem.random
         n, f, size = self.dimensions

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
+from calib.joint.marginal import Solution
 from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.pupil_spread import spread_of_pupils
 from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
@@ -42,7 +43,7 @@ _FAULT_STEPS = 20
 _LARGEST_LOG = 100.0
 #: Start of the search of another mode: logarithms of the own fields lower, of what moves with the turn higher.
 _LOWER, _HIGHER = 2.5, 1.0
-#: A mode is another one if it is so far away: a square, in sigmas.
+#: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
 _APART = 2.0
 #: The equations hold at the most probable faults if these would keep this weight (`calib.joint.samples.trusted`).
 _NEAR = 0.95
@@ -85,10 +86,10 @@ class Posterior:
         return self.optimum.state.shared + np.array([node.solution.step for node in self.nodes])
 
     @cached_property
-    def _covariances(self) -> Array:
-        """(K, S, S) of the nodes."""
-        found = np.array([node.solution.covariance for node in self.nodes])
-        return found if self.pupils is None else found + self.pupils
+    def _covariances(self) -> list[Array]:
+        """(S, S) of each node."""
+        more = 0.0 if self.pupils is None else self.pupils
+        return [node.solution.covariance + more for node in self.nodes]
 
     @cached_property
     def pupils(self) -> Array | None:
@@ -104,7 +105,7 @@ class Posterior:
         """
         row = np.eye(1, self.means.shape[1])[0]
         away = (self.means - self.weights @ self.means) @ row
-        within = self._covariances[:, 0, 0]
+        within = np.array([own[0, 0] for own in self._covariances])
         share = np.sqrt(within + away**2) / (_FAR * self._half_width(row, self.weights @ self.means))
         weights = self.weights / (1.0 + share**4)
         return np.asarray(weights / weights.sum())
@@ -118,7 +119,7 @@ class Posterior:
     def covariance(self) -> Array:
         """(S, S) covariance of the shared unknowns."""
         away = self.means - self.mean
-        within = np.tensordot(self.counted, self._covariances, axes=1)
+        within = sum(weight * own for weight, own in zip(self.counted, self._covariances, strict=True))
         return np.asarray(within + (self.counted[:, None] * away).T @ away)
 
     def expanded(self, row: Array) -> float:
@@ -126,8 +127,9 @@ class Posterior:
         return self._half_width(row, self.mean)
 
     def _half_width(self, row: Array, mean: Array) -> float:
-        away = (self.means - mean) @ row
-        sigmas = np.sqrt(self._covariances @ row @ row)
+        at = np.flatnonzero(row)
+        away = (self.means[:, at] - mean[at]) @ row[at]
+        sigmas = np.sqrt([row[at] @ own[at[:, None], at] @ row[at] for own in self._covariances])
         low, high = 0.0, float((np.abs(away) + 6.0 * sigmas).max())
         for _ in range(_HALVINGS):
             half = 0.5 * (low + high)
@@ -207,12 +209,16 @@ def _others(optimum: Optimum, curvature: Array) -> list[Mode]:
     start = _usual(optimum)
     start[hyper.places(amp.POSE)] = hyper.mean[hyper.places(amp.POSE)] - _LOWER
     start[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
+
+    def near(eta: Array) -> bool:
+        away = eta - optimum.eta
+        return float(away @ curvature @ away) < _APART
+
     try:
-        eta, found = best_amplitudes(marginal, start, _FAULT_STEPS, enough=ROUGH)
+        eta, found = best_amplitudes(marginal, start, _FAULT_STEPS, enough=ROUGH, until=near)
     except np.linalg.LinAlgError:
         return []
-    away = eta - optimum.eta
-    if float(away @ curvature @ away) < _APART:
+    if near(eta):
         return []
     other = 0.5 * expected_curvature(marginal, eta, found)
     wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(other)[1])
@@ -227,23 +233,27 @@ def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
     """
     marginal, found = optimum.marginal, []
     starts = _starts(optimum, base)
-    possible = _possible(optimum, starts, base)
+    possible = _possible(optimum, [solution for _, solution in starts], base)
     # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
-    behind = best_amplitudes(marginal, base.eta, _FAULT_STEPS, base.faults)[1] if possible else base.solution
+    behind, known = base.solution, 2.0 * curvature if base.eta is optimum.eta else None
+    if possible:
+        behind = best_amplitudes(
+            marginal, base.eta, _FAULT_STEPS, base.faults, found=behind, curvature=known
+        )[1]
     none = max(0.0, log_odds(marginal, behind, base.solution))
     for names in possible:
         for fault, probability in FAULTS.items():
             faults: Faults = (*base.faults, *((name, fault) for name in names))
             start, eta = min(
-                ((marginal.solve(eta, faults, slope=False), eta) for eta in starts),
-                key=lambda one: one[0].value,
+                ((marginal.solve(eta, faults), eta) for eta, _ in starts), key=lambda one: one[0].value
             )
-            start = marginal.with_gradient(start, eta, faults)
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
             if 0.5 * (start.value - base.solution.value) + none - gain > _FOLLOWED:
                 continue
             known = 2.0 * curvature if eta is optimum.eta else None
-            eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, curvature=known)
+            eta, ended = best_amplitudes(
+                marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, found=start, curvature=known
+            )
             log = 0.5 * (base.solution.value - ended.value) - none
             log += math.log(trusted(marginal, ended, base.solution))
             if log > 0.0:
@@ -254,14 +264,13 @@ def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
     return [*found, *beside]
 
 
-def _starts(optimum: Optimum, base: Mode) -> tuple[Array, ...]:
+def _starts(optimum: Optimum, base: Mode) -> list[tuple[Array, Solution]]:
     """Return the amplitudes at which faults are looked for: the best, and the expected ones if they determine all."""
-    usual = _usual(optimum)
+    usual, first = _usual(optimum), (base.eta, base.solution)
     try:
-        optimum.marginal.solve(usual, base.faults, slope=False)
+        return [first, (usual, optimum.marginal.solve(usual, base.faults))]
     except np.linalg.LinAlgError:
-        return (base.eta,)
-    return base.eta, usual
+        return [first]
 
 
 def _usual(optimum: Optimum) -> Array:
@@ -276,16 +285,17 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(optimum: Optimum, starts: Sequence[Array], base: Mode) -> list[tuple[str, ...]]:
-    """Return the statements that contradict the others, at (A,) amplitudes of a start, so that a fault can be likelier.
+def _possible(optimum: Optimum, starts: Sequence[Solution], base: Mode) -> list[tuple[str, ...]]:
+    """Return the statements that contradict the others in one of the starts, so that a fault can be likelier.
 
     One source states the scales of all axes, so they can be wrong together.
     """
     doubted: dict[str, None] = {}
     scales: tuple[str, ...] = ()
-    for eta in starts:
-        solution = optimum.marginal.solve(eta, base.faults, slope=False)
-        said = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, eta, base.faults, solution)).innovations()
+    for solution in starts:
+        said = Posterior(
+            optimum, (), np.zeros(0), {}, Node(1.0, base.eta, base.faults, solution)
+        ).innovations()
         said = [one for one in said if one.name not in dict(base.faults)]
         doubted |= dict.fromkeys(one.name for one in said if abs(one.normalised) > _AGREES)
         scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)

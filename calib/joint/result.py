@@ -12,7 +12,7 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
-from calib.joint.adjust import adjust, refuse_other_collimator
+from calib.joint.adjust import adjust
 from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import State, ViewStars, robust_weights
@@ -58,7 +58,6 @@ def calibrate_jointly(
     """Return the result without the checks of wrong data, and its parameters for these; wrong stars take no part."""
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    refuse_other_collimator(kept, options)
     found, contradicted = _posterior(kept, options)
     if contradicted is not None:
         options = replace(options, gimbal=None)

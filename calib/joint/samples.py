@@ -64,7 +64,7 @@ def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share:
         beside *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(beside)
         at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + beside), *bounds)
         try:
-            one = marginal.solve(at, mode.faults, slope=False)
+            one = marginal.solve(at, mode.faults)
         except np.linalg.LinAlgError:
             continue
         found.append((at, one))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import FINE, ROUGH, best_amplitudes
-from calib.joint.equations import State, robust_sigma
+from calib.joint.equations import Equations, State, robust_sigma
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.prior import Faults
 
@@ -72,25 +72,22 @@ class Optimum:
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
     eta, state = first_amplitudes(problem, start), start
-    bench = problem.bench
-    limit = 3.0 * robust_sigma(bench.whitened(state))
-    kept = None
+    bench, equations = problem.bench, first_equations(problem, start)
     for k in range(rounds):
-        equations = bench.linearised(state, limit, kept)
         marginal = Marginal(problem, equations, state)
         eta, found = _in_round(k, marginal, eta)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
         if k > _FIRST_ROUNDS and small(marginal, found, share):
             if k < _LATE:
-                eta, found = better_amplitudes(marginal, eta)
+                eta, found = better_amplitudes(marginal, eta, found)
             if small(marginal, found, share):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
-        kept = equations if k >= _REWEIGHTED else None
         spread = robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
             limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
+        equations = bench.linearised(state, limit, equations if k >= _REWEIGHTED else None)
     return Optimum(marginal, eta, marginal.solve(eta), rounds, converged=False)
 
 
@@ -101,17 +98,23 @@ def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
     return eta, solved(marginal, eta)
 
 
-def approached(problem: Problem, start: State, rounds: int) -> State:
+def first_equations(problem: Problem, state: State, lengths: Sequence[Array] | None = None) -> Equations:
+    """Return the equations with wide robust limits; the residuals' ``lengths`` over their sigma may be known."""
+    spread = robust_sigma(lengths or problem.bench.whitened(state))
+    return problem.bench.linearised(state, 3.0 * spread)
+
+
+def approached(problem: Problem, start: State, equations: Equations, rounds: int) -> State:
     """Return a state near the optimum: at most ``rounds`` steps at the first amplitudes, with wide robust limits."""
-    state, bench = start, problem.bench
-    lengths = bench.whitened(state)
+    state = start
     for _ in range(rounds):
         eta = first_amplitudes(problem, state)
-        marginal = Marginal(problem, bench.linearised(state, 3.0 * robust_sigma(lengths)), state)
+        marginal = Marginal(problem, equations, state)
         before, found = state, solved(marginal, eta)
         state, lengths = shortened(marginal, eta, found)
         if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
             break
+        equations = first_equations(problem, state, lengths)
     return state
 
 
@@ -144,7 +147,7 @@ def first_amplitudes(problem: Problem, state: State) -> Array:
 def solved(marginal: Marginal, eta: Array, damped: float = 0.0, *, held: bool = False) -> Solution:
     """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, slope=False, damped=damped, held=held)
+        return marginal.solve(eta, damped=damped, held=held)
     except np.linalg.LinAlgError as error:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
@@ -169,11 +172,16 @@ def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]
 
 
 def searched(
-    marginal: Marginal, eta: Array, steps: int, farthest: float = np.inf, enough: float = ROUGH
+    marginal: Marginal,
+    eta: Array,
+    steps: int,
+    farthest: float = np.inf,
+    enough: float = ROUGH,
+    found: Solution | None = None,
 ) -> tuple[Array, Solution]:
     """Return the best amplitudes from a start, and their solution; `NotConverged` if it cannot be solved."""
     try:
-        return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough)
+        return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough, found=found)
     except np.linalg.LinAlgError as error:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
@@ -185,12 +193,10 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
+def better_amplitudes(marginal: Marginal, eta: Array, found: Solution) -> tuple[Array, Solution]:
     """Return the best amplitudes from a start; where the equations do not hold at their end, the start."""
-    better, found = searched(marginal, eta, _LONG, enough=FINE)
-    if relative_step(marginal, found.step) < _TRUSTED:
-        return better, found
-    return eta, marginal.solve(eta)
+    better, ended = searched(marginal, eta, _LONG, enough=FINE, found=found)
+    return (better, ended) if relative_step(marginal, ended.step) < _TRUSTED else (eta, found)
 
 
 def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, list[Array]]:

@@ -113,13 +113,13 @@ def expected_posterior(
     hyper = problem.hyper
     eta = expected_amplitudes(bench, hyper)
     try:
-        middle = _still(marginal.solve(eta, slope=False))
+        middle = _still(marginal.solve(eta))
         spread = np.linalg.inv(0.5 * expected_curvature(marginal, eta, middle))
         lower = np.linalg.cholesky(spread)
         deviates = np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
         places = [eta, *(eta + lower @ z for z in (*deviates, *-deviates))]
         bounds = np.array(hyper.bounds).T
-        solved = [_still(marginal.solve(np.clip(place, *bounds), slope=False)) for place in places]
+        solved = [_still(marginal.solve(np.clip(place, *bounds))) for place in places]
     except np.linalg.LinAlgError as error:
         raise DegenerateViews("These poses do not determine the camera.") from error
     weight = 1.0 / len(places)
