@@ -1,65 +1,42 @@
 """A certificate as data: `certificate.json`, from which PDF, DCC and every printed number derive. No file, no clock.
 
-Times are UTC, ``2026-03-31T09:15:00Z``; numbers in brackets are clauses of ISO/IEC 17025:2017.
+What the laboratory states are parts of lab.yaml as `bench.certificate.lab_config` reads it. Times are UTC,
+``2026-03-31T09:15:00Z``; numbers in brackets are clauses of ISO/IEC 17025:2017.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from bench.base.bounded_json import canonical_json, parse_json
+from bench.base.bounded_json import canonical_json, leaves, parse_json
 from bench.base.errors import EvidenceError
+from bench.certificate.lab_config import (
+    Accreditation,
+    Address,
+    AuthorisedBy,
+    Contact,
+    Customer,
+    Lens,
+    Method,
+    PlaceKind,
+)
 from bench.records.results import Verdict
 from sequences.tree import path_text
+from sequences.wording import MESSAGES
 
-PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 
 class _Strict:
     """What is read has every key and no other, and each value is of its type; numbers are finite."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-@dataclass(frozen=True)
-class Address(_Strict):
-    """A postal address."""
-
-    # street, post_code, city: Street with its number, post code, city; empty where there is none.
-    street: str
-    post_code: str
-    city: str
-    country: str  # Code of the country, two letters (ISO 3166-1)
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The address as it is printed."""
-        return tuple(filter(None, (self.street, f"{self.post_code} {self.city}".strip(), self.country)))
-
-
-@dataclass(frozen=True)
-class Contact(_Strict):
-    """How to reach somebody."""
-
-    # name, email, phone: Person or office, mail address, telephone number; empty where there is none.
-    name: str
-    email: str
-    phone: str
-
-
-@dataclass(frozen=True)
-class Accreditation(_Strict):
-    """The accreditation of the laboratory."""
-
-    body: str
-    number: str
-    scope: str
 
 
 @dataclass(frozen=True)
@@ -73,15 +50,6 @@ class Laboratory(_Strict):
     # place_kind, place: Kind of the place where it calibrated (a word of the DCC), and the place in words.
     place_kind: PlaceKind
     place: str
-
-
-@dataclass(frozen=True)
-class Customer(_Strict):
-    """The customer (7.8.2.1 e)."""
-
-    name: str
-    contact: Contact
-    address: Address
 
 
 @dataclass(frozen=True)
@@ -100,21 +68,6 @@ class Camera(_Strict):
 
 
 @dataclass(frozen=True)
-class Lens(_Strict):
-    """The lens. Camera and lens are calibrated as one."""
-
-    # maker, model, serial: Identification; empty where there is none.
-    maker: str
-    model: str
-    serial: str
-    focus: str
-    aperture: str
-    # focus_locked, aperture_locked: Whether each is locked.
-    focus_locked: bool
-    aperture_locked: bool
-
-
-@dataclass(frozen=True)
 class Item(_Strict):
     """The calibrated item (7.8.2.1 g)."""
 
@@ -122,15 +75,6 @@ class Item(_Strict):
     lens: Lens
     customer_id: str  # The customer's own number of the item; empty if there is none
     condition: str
-
-
-@dataclass(frozen=True)
-class Method(_Strict):
-    """The method of calibration (7.8.2.1 f)."""
-
-    id: str
-    version: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -173,16 +117,6 @@ class Traceability(_Strict):
     date: str
     sha256: str
     statement: str
-
-
-@dataclass(frozen=True)
-class AuthorisedBy(_Strict):
-    """The person who is to authorise the certificate (7.8.2.1 o). The signature itself lies beside the seal."""
-
-    # name, role, key_fingerprint: Name, role, and fingerprint of the person's key (``SHA256:...``).
-    name: str
-    role: str
-    key_fingerprint: str
 
 
 @dataclass(frozen=True)
@@ -424,16 +358,21 @@ class Certificate(_Strict):
 
     def to_json(self) -> bytes:
         """Return the certificate as `certificate.json` holds it."""
-        return canonical_json(asdict(self), ascii_only=False)
+        return canonical_json(_form().dump_python(self, mode="json", by_alias=True), ascii_only=False)
 
     @classmethod
     def from_json(cls, data: bytes, where: str = CERTIFICATE) -> Certificate:
         """Read a certificate. Unknown, missing and double keys and values of another type are refused."""
         try:
-            parse_json(data)  # refuses what two readers could read differently, and what is nested too deeply
-            return _reader().validate_json(data)
+            # It refuses what two readers could read differently, and what is nested too deeply.
+            stated = {place for place, _ in leaves(parse_json(data))}
+            found = _form().validate_json(data, strict=True)
+            written = leaves(parse_json(found.to_json()))
+            faults = [f"{path_text(place)} is missing" for place, _ in written if place not in stated]
+            if not faults:
+                return found
         except ValidationError as error:
-            faults = [_fault(one["type"], one["loc"], one.get("ctx", {})) for one in error.errors()]
+            faults = [_fault(one) for one in error.errors()]
         except ValueError as error:
             faults = [f"it is not readable JSON ({error})"]
         more = [f"and {len(faults) - _MOST_FAULTS} more"] if len(faults) > _MOST_FAULTS else []
@@ -456,25 +395,30 @@ _FORMS = {
     "int_type": "a whole number",
     "bool_type": "true or false",
     "tuple_type": "a list",
+    "dataclass_type": "a mapping",
+    "model_type": "a mapping",
 }
 
 
 @cache
-def _reader() -> TypeAdapter[Certificate]:
+def _form() -> TypeAdapter[Certificate]:
     return TypeAdapter(Certificate)
 
 
-def _fault(kind: str, place: tuple[int | str, ...], more: Mapping[str, Any]) -> str:
+def _fault(found: ErrorDetails) -> str:
     """Return what pydantic found as people read it, with its place in the certificate."""
-    path = path_text(place)
+    kind, place, more = found["type"], found["loc"], found.get("ctx", {})
+    path = path_text(place) or "the whole"
     if kind == "missing":
         return f"{path} is missing"
-    if kind == "unexpected_keyword_argument":
+    if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
         return f"{path_text((*place[:-1], str(place[-1])[:60]))} is unknown"
     if kind == "literal_error":
         wanted = str(more["expected"]).replace("'", "").replace(" or ", ", ")
         return f"{path} must be one of {wanted}"
-    return f"{path or 'the whole'} must be {_FORMS.get(kind, 'a mapping')}"
+    if kind in _FORMS:
+        return f"{path} must be {_FORMS[kind]}"
+    return f"{path} {MESSAGES.get(kind, found['msg']).format(**more)}".removesuffix(".")
 
 
 def sha256(data: bytes) -> str:

@@ -80,7 +80,7 @@ def _keys(*dotted: str) -> Callable[[LabConfig, Results], Sequence[Path]]:
 
     def missing(lab: LabConfig, results: Results) -> Sequence[Path]:
         del results
-        return [path for path in (tuple(key.split(".")) for key in dotted) if _value(lab, path) is None]
+        return [path for path in (tuple(key.split(".")) for key in dotted) if _value(lab, path) in (None, "")]
 
     return missing
 
@@ -130,7 +130,7 @@ def _traceability(lab: LabConfig, results: Results) -> Sequence[Path]:
     needed = [name for name in ("number", "date") if not in_run.get(name)] + ["issuer"]
     return [
         *missing,
-        *(("sources", name) for name in needed if getattr(stated, name, None) is None),
+        *(("sources", name) for name in needed if not getattr(stated, name, None)),
     ]
 
 
@@ -308,7 +308,7 @@ def _contradictions(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPa
 
 def _names(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
     """Yield what should identify somebody or something and does not."""
-    author = lab.authorised_by.name if lab.authorised_by else None
+    author = lab.authorised_by.name if lab.authorised_by else ""
     stated = (
         ("laboratory", "name", lab.laboratory.name),
         ("customer", "name", lab.customer.name),
@@ -316,7 +316,7 @@ def _names(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
         ("authorised_by", "name", author),
     )
     for part, key, text in stated:
-        if text is not None and text.lower() in _NO_NAMES:
+        if text and text.lower() in _NO_NAMES:
             yield (
                 (part, key),
                 f"{text!r} identifies nothing. A certificate needs the {'number' if key == 'serial' else key}.",

@@ -6,30 +6,24 @@ numbers, so that a reader can repeat it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import datetime as dt
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
 from bench.base.errors import EvidenceError
 from bench.certificate import run_facts
 from bench.certificate.budget_rows import RowSource, budget_of
 from bench.certificate.certificate_data import (
     FORMAT,
-    Accreditation,
-    Address,
     Amends,
-    AuthorisedBy,
     BeforeAdjustment,
     Certificate,
     Condition,
     Conformity,
-    Contact,
-    Customer,
     Deviation,
     Item,
     Laboratory,
-    Lens,
-    Method,
     Result,
     Run,
     Statement,
@@ -38,7 +32,7 @@ from bench.certificate.certificate_data import (
 )
 from bench.certificate.lab_config import (
     NONE,
-    AccreditationConfig,
+    Accreditation,
     ConditionConfig,
     LabConfig,
     LabRuleConfig,
@@ -52,7 +46,6 @@ from bench.records.run_facts import verdict_of
 from bench.report.text import words_of
 from calib.model.lens import is_fisheye
 from calib.model.result_parts import PASSPORT
-from sequences.strict_model import StrictModel
 
 _SIMULATED = (
     "SIMULATED: the devices of this calibration were simulated. This document shows the procedure; it is no calibration"
@@ -202,17 +195,13 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         series=(SIMULATED if simulated else "") + lab.numbers.format,
         simulated=simulated,
         laboratory=_laboratory(lab),
-        customer=Customer(
-            lab.customer.name or "",
-            _part(Contact, lab.customer.contact),
-            _part(Address, lab.customer.address),
-        ),
+        customer=lab.customer,
         item=_item(found, lab),
-        received=lab.item.received.isoformat() if lab.item.received else "",
+        received=_day(lab.item.received),
         begun_utc=run_facts.utc_seconds(found["run"]["started_utc"]),
         ended_utc=run_facts.utc_seconds(found["run"]["finished_utc"]),
         issued_utc=identity.issued_utc,
-        method=_part(Method, lab.method),
+        method=_needed(lab.method),
         deviations=(
             *run_facts.deviations_of(found),
             *(Deviation(text, "laboratory") for text in lab.deviations or ()),
@@ -231,11 +220,7 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,
-        authorised_by=_part(
-            AuthorisedBy,
-            lab.authorised_by,
-            key_fingerprint=lab.authorised_by.key if lab.authorised_by else "",
-        ),
+        authorised_by=_needed(lab.authorised_by),
         run=identity.run,
         amends=identity.amends,
         statements=statements_of(found, lab, also=identity.also, verified=identity.verified),
@@ -262,7 +247,7 @@ def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
         sources[one.row] = replace(
             known,
             number=one.number or known.number,
-            date=one.date.isoformat() if one.date else known.date,
+            date=_day(one.date) or known.date,
             sha256=one.sha256 or known.sha256,
         )
     return sources
@@ -271,47 +256,43 @@ def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
 def _laboratory(lab: LabConfig) -> Laboratory:
     stated = lab.laboratory.accreditation
     return Laboratory(
-        name=lab.laboratory.name or "",
-        address=_part(Address, lab.laboratory.address),
-        contact=_part(Contact, lab.laboratory.contact),
-        accreditation=_part(Accreditation, stated) if isinstance(stated, AccreditationConfig) else None,
-        place_kind=lab.place.kind if lab.place else "other",
-        place=lab.place.name if lab.place else "",
+        name=lab.laboratory.name,
+        address=_needed(lab.laboratory.address),
+        contact=_needed(lab.laboratory.contact),
+        accreditation=stated if isinstance(stated, Accreditation) else None,
+        place_kind=_needed(lab.place).kind,
+        place=_needed(lab.place).name,
     )
 
 
-def _part(kind: Callable[..., Part], one: StrictModel | None, **other: Any) -> Part:
-    """Return a part of the certificate: what lab.yaml states under the same names, else ``other`` or empty texts."""
-    stated = {} if one is None else dict(one)
-    return kind(
-        **{name: other[name] if name in other else stated.get(name) or "" for name in get_type_hints(kind)}
-    )
+def _needed(part: Part | None) -> Part:
+    """Return a part of lab.yaml that a clause asks for, so that `clauses` has refused a file without it."""
+    assert part is not None
+    return part
+
+
+def _day(date: dt.date | None) -> str:
+    return date.isoformat() if date else ""
 
 
 def _item(found: Results, lab: LabConfig) -> Item:
     lens = lab.item.lens
     return Item(
         camera=run_facts.camera_identity(found, lab.item),
-        lens=_part(
-            Lens,
-            lens,
-            serial="" if lens.serial in (None, NONE) else str(lens.serial),
-            focus_locked=bool(lens.focus_locked),
-            aperture_locked=bool(lens.aperture_locked),
-        ),
-        customer_id=lab.item.customer_id or "",
-        condition=lab.item.condition or "",
+        lens=lens.model_copy(update={"serial": ""}) if lens.serial == NONE else lens,
+        customer_id=lab.item.customer_id,
+        condition=lab.item.condition,
     )
 
 
 def _condition(one: ConditionConfig) -> Condition:
     if one.value is None:
-        return Condition(one.name, None, "1", None, None, one.text or "", one.instrument or "laboratory")
+        return Condition(one.name, None, "1", None, None, one.text, one.instrument or "laboratory")
     certificate = f", certificate {one.certificate}" if one.certificate else ""
     return Condition(
         one.name,
         one.value,
-        one.unit or "1",
+        one.unit,
         one.uncertainty,
         one.k if one.uncertainty is not None else None,
         "",
@@ -326,36 +307,35 @@ def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
     if in_run := found.get("passport"):
         rows.append(_collimator(found, in_run, by_row.get(PASSPORT)))
     rows += [
-        _part(
-            Traceability,
-            one,
-            what=one.what or one.row,
-            value=None,
-            U=None,
-            k=None,
-            unit="1",
-            date=one.date.isoformat() if one.date else "",
-        )
+        _reference(one, one.what or one.row or "")
         for one in lab.sources
         if not (in_run and one.row == PASSPORT)
     ]
     return tuple(rows)
 
 
+def _reference(one: SourceConfig, what: str) -> Traceability:
+    """Return the certificate of a reference as lab.yaml states it, without a value."""
+    return Traceability(
+        what, None, None, None, "1", one.number, one.issuer, _day(one.date), one.sha256, one.statement
+    )
+
+
 def _collimator(found: Results, in_run: PassportData, stated: SourceConfig | None) -> Traceability:
+    """Return the certificate or passport of the collimator, of the run before that of lab.yaml."""
     radius = in_run["values"].get("r")
     expanded, k = _radius_uncertainty(found, in_run)
-    return _part(
-        Traceability,
-        stated,
-        what=(stated and stated.what) or "focal length of the collimator",
+    known = _reference(stated or SourceConfig(row=PASSPORT), "focal length of the collimator")
+    return replace(
+        known,
+        what=(stated and stated.what) or known.what,
         value=None if radius is None else float(radius),
         U=expanded,
         k=k,
         unit="mm",
-        number=in_run["number"] or (stated and stated.number) or "",
-        date=in_run["date"] or (stated and stated.date and stated.date.isoformat()) or "",
-        sha256=(stated and stated.sha256) or in_run["sha256"],
+        number=in_run["number"] or known.number,
+        date=in_run["date"] or known.date,
+        sha256=known.sha256 or in_run["sha256"],
     )
 
 
@@ -380,7 +360,7 @@ def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
     change = earlier.get("change") if earlier else None
     number = date = digest = ""
     if isinstance(stated, PreviousConfig):
-        number, date, digest = stated.number, stated.date.isoformat(), stated.sha256 or ""
+        number, date, digest = stated.number, stated.date.isoformat(), stated.sha256
         texts.append(f"Certificate {number} of {date}" + (f", {stated.issuer}" if stated.issuer else ""))
     if earlier is not None:
         texts.append(

@@ -282,7 +282,7 @@ def _provenance(certificate: Certificate) -> dict[str, str]:
         "begun": certificate.begun_utc,
         "ended": certificate.ended_utc,
         "issued": certificate.issued_utc,
-        "authorisingKey": certificate.authorised_by.key_fingerprint,
+        "authorisingKey": certificate.authorised_by.key,
     }
 
 

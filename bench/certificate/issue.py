@@ -66,7 +66,7 @@ _UNFINISHED = ".tmp"
 
 def require_libraries() -> None:
     """Refuse to begin without the libraries of PDF and DCC."""
-    for name in ("lxml.etree", "matplotlib", "typst"):
+    for name in ("lxml.etree", "typst"):
         library(name)
 
 

@@ -1,7 +1,7 @@
 """The file ``lab.yaml``: what a certificate says that a run cannot know. One file for each calibrated item.
 
-Nearly every key may be left out here; `bench.certificate.clauses` refuses what is open. docs/certificates.md has them
-all.
+Its parts are parts of `certificate_data.Certificate` too. Nearly every key may be left out here;
+`bench.certificate.clauses` refuses what is open. docs/certificates.md has them all.
 """
 
 from __future__ import annotations
@@ -9,12 +9,22 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
-from bench.certificate.certificate_data import PlaceKind
 from bench.certificate.series import is_number_format
 from bench.stations.station_budget import Date
 from bench.stations.station_fields import Serial
@@ -52,6 +62,21 @@ Text = Annotated[
     AfterValidator(_plain),
 ]
 LongText = Annotated[str, Field(min_length=1, max_length=3000), AfterValidator(_plain)]
+
+
+def _or_empty(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    """Read an absent text as an empty one: lab.yaml leaves it out, certificate.json writes it as ``""``."""
+    return "" if value == ("" if info.mode == "json" else None) else read(value)
+
+
+Kind = TypeVar("Kind")
+OrEmpty = Annotated[
+    Kind,
+    WrapValidator(_or_empty),
+    Field(json_schema_extra={"type": ["string", "number", "null"]}),
+]
+"""A text that may be absent: it is then empty."""
+
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the certificate's file.")]
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 NotNegative = Annotated[float, Field(ge=0, le=1e12)]
@@ -81,30 +106,30 @@ def _list_or_none() -> Any:
     return Field(max_length=100, json_schema_extra={"type": ["array", "string"]})
 
 
-class AddressConfig(StrictModel):
+class Address(StrictModel):
     """A postal address."""
 
-    street: Text | None = None
-    post_code: Text | None = None
+    street: OrEmpty[Text] = ""
+    post_code: OrEmpty[Text] = ""
     city: Text
     country: Annotated[str, Field(pattern=r"^[A-Z]{2}$", description="Two letters, ISO 3166-1.")]
 
 
-class ContactConfig(StrictModel):
+class Contact(StrictModel):
     """How to reach somebody: at least one of mail and telephone."""
 
-    name: Text | None = None
-    email: Annotated[str | None, Field(pattern=r"^[^@\s]+@[^@\s]+$", max_length=254)] = None
-    phone: Text | None = None
+    name: OrEmpty[Text] = ""
+    email: OrEmpty[Annotated[str, Field(pattern=r"^[^@\s]+@[^@\s]+$", max_length=254)]] = ""
+    phone: OrEmpty[Text] = ""
 
     @model_validator(mode="after")
-    def _reachable(self) -> ContactConfig:
-        if self.email is None and self.phone is None:
+    def _reachable(self) -> Contact:
+        if not (self.email or self.phone):
             raise PydanticCustomError("unreachable", "needs email or phone.")
         return self
 
 
-class AccreditationConfig(StrictModel):
+class Accreditation(StrictModel):
     """An accreditation that covers this calibration."""
 
     body: Text
@@ -115,16 +140,19 @@ class AccreditationConfig(StrictModel):
 class LaboratoryConfig(StrictModel):
     """The laboratory."""
 
-    name: Text | None = None
-    address: AddressConfig | None = None
-    contact: ContactConfig | None = None
+    name: OrEmpty[Text] = ""
+    address: Address | None = None
+    contact: Contact | None = None
     accreditation: (
         Annotated[
-            Annotated[Literal["none"], Tag(NONE)] | Annotated[AccreditationConfig, Tag("values")],
+            Annotated[Literal["none"], Tag(NONE)] | Annotated[Accreditation, Tag("values")],
             _NONE_OR_VALUES,
         ]
         | None
     ) = None
+
+
+PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
 
 class PlaceConfig(StrictModel):
@@ -153,23 +181,23 @@ class NumbersConfig(StrictModel):
         return self
 
 
-class CustomerConfig(StrictModel):
-    """The customer."""
+class Customer(StrictModel):
+    """The customer (ISO/IEC 17025, 7.8.2.1 e)."""
 
-    name: Text | None = None
-    contact: ContactConfig | None = None
-    address: AddressConfig | None = None
+    name: OrEmpty[Text] = ""
+    contact: Contact | None = None
+    address: Address | None = None
 
 
-class LensConfig(StrictModel):
-    """The lens, with the settings that were calibrated."""
+class Lens(StrictModel):
+    """The lens, with the settings that were calibrated. Camera and lens are calibrated as one."""
 
-    maker: Text | None = None
-    model: Text | None = None
-    serial: Annotated[Text | None, Field(description="`none` if the lens has no serial number.")] = None
-    focus: Text | None = None
+    maker: OrEmpty[Text] = ""
+    model: OrEmpty[Text] = ""
+    serial: Annotated[OrEmpty[Text], Field(description="`none` if the lens has no serial number.")] = ""
+    focus: OrEmpty[Text] = ""
+    aperture: OrEmpty[Text] = ""
     focus_locked: bool | None = None
-    aperture: Text | None = None
     aperture_locked: bool | None = None
 
 
@@ -186,14 +214,14 @@ class ItemConfig(StrictModel):
     model: Annotated[
         Text | None, Field(description="Only for a camera that does not report its serial number.")
     ] = None
-    lens: LensConfig = LensConfig()
-    customer_id: Text | None = None
+    lens: Lens = Lens()
+    customer_id: OrEmpty[Text] = ""
     received: Annotated[Date | None, Field(description="Date of receipt.")] = None
-    condition: LongText | None = None
+    condition: OrEmpty[LongText] = ""
 
 
-class MethodConfig(StrictModel):
-    """The calibration procedure of the laboratory."""
+class Method(StrictModel):
+    """The calibration procedure of the laboratory (7.8.2.1 f)."""
 
     id: Text
     version: Text
@@ -205,18 +233,18 @@ class ConditionConfig(StrictModel):
 
     name: Text
     value: Number | None = None
-    unit: Text | None = None
+    unit: OrEmpty[Text] = ""
     uncertainty: Annotated[NotNegative | None, Field(description="Expanded uncertainty.")] = None
     k: Factor = 2.0
-    instrument: Text | None = None
-    certificate: Annotated[Text | None, Field(description="Number of the instrument's certificate.")] = None
-    text: Text | None = None
+    instrument: OrEmpty[Text] = ""
+    certificate: Annotated[OrEmpty[Text], Field(description="Number of the instrument's certificate.")] = ""
+    text: OrEmpty[Text] = ""
 
     @model_validator(mode="after")
     def _value_or_text(self) -> ConditionConfig:
-        if (self.value is None) == (self.text is None):
+        if (self.value is None) == (not self.text):
             raise PydanticCustomError("value_or_text", "needs either value or text.")
-        if self.value is not None and (self.unit is None or self.instrument is None):
+        if self.value is not None and not (self.unit and self.instrument):
             raise PydanticCustomError("value_alone", "a value needs unit and instrument.")
         return self
 
@@ -233,8 +261,8 @@ class PreviousConfig(StrictModel):
 
     number: Text
     date: Date
-    issuer: Text | None = None
-    sha256: Sha256 | None = None
+    issuer: OrEmpty[Text] = ""
+    sha256: OrEmpty[Sha256] = ""
 
 
 class SuppliedConfig(StrictModel):
@@ -251,11 +279,11 @@ class SourceConfig(StrictModel):
     what: Annotated[
         Text | None, Field(description="The reference, in words; without it, the row's name.")
     ] = None
-    number: Text | None = None
-    issuer: Text | None = None
+    number: OrEmpty[Text] = ""
+    issuer: OrEmpty[Text] = ""
     date: Date | None = None
-    sha256: Sha256 | None = None
-    statement: Annotated[LongText | None, Field(description="To what the reference is traceable.")] = None
+    sha256: OrEmpty[Sha256] = ""
+    statement: Annotated[OrEmpty[LongText], Field(description="To what the reference is traceable.")] = ""
 
     @model_validator(mode="after")
     def _names_something(self) -> SourceConfig:
@@ -264,8 +292,8 @@ class SourceConfig(StrictModel):
         return self
 
 
-class AuthorConfig(StrictModel):
-    """The person who is to authorise the certificate."""
+class AuthorisedBy(StrictModel):
+    """The person who is to authorise the certificate (7.8.2.1 o). The signature itself lies beside the seal."""
 
     name: Text
     role: Text
@@ -273,6 +301,8 @@ class AuthorConfig(StrictModel):
         str,
         Field(
             pattern=r"^SHA256:[A-Za-z0-9+/]{43}$",
+            validation_alias=AliasChoices("key", "key_fingerprint"),
+            serialization_alias="key_fingerprint",
             description="Fingerprint of the person's key, as `ssh-keygen -l` prints it.",
         ),
     ]
@@ -289,9 +319,9 @@ class LabConfig(StrictModel):
     numbers: NumbersConfig = NumbersConfig()
     laboratory: LaboratoryConfig = LaboratoryConfig()
     place: PlaceConfig | None = None
-    customer: CustomerConfig = CustomerConfig()
+    customer: Customer = Customer()
     item: ItemConfig = ItemConfig()
-    method: MethodConfig | None = None
+    method: Method | None = None
     deviations: _Texts | None = None
     conditions: Annotated[tuple[ConditionConfig, ...], Field(max_length=100)] | None = None
     sources: Annotated[tuple[SourceConfig, ...], Field(max_length=100)] = ()
@@ -315,7 +345,7 @@ class LabConfig(StrictModel):
         LongText | None,
         Field(description="Only if it was agreed with the customer; begins with 'agreed with'."),
     ] = None
-    authorised_by: AuthorConfig | None = None
+    authorised_by: AuthorisedBy | None = None
 
     @model_validator(mode="after")
     def _interval_was_agreed(self) -> LabConfig:

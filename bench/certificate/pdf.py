@@ -1,8 +1,8 @@
 """The certificate as PDF/A-3a, made by typst (extra ``certificate``). The same input gives the same bytes.
 
-Text reaches typst as data, never as markup; clock and fonts of the computer are not used. Fonts are Matplotlib's DejaVu
-Sans and DejaVu Sans Bold, without Chinese, Japanese, Korean, Indian and Thai letters: the laboratory's texts must be
-printable, or the certificate is refused; a character of the sealed run is printed as its code, ``[U+5C71]``.
+Text reaches typst as data, never as markup; clock and fonts of the computer are not used. Fonts are those that typst
+carries, without Chinese, Japanese, Korean, Indian and Thai letters: the laboratory's texts must be printable, or the
+certificate is refused; a character of the sealed run is printed as its code, ``[U+5C71]``.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate, Covariance
     from bench.report.view_picture import ViewPicture
 
-_FONTS = ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf")
+_FONTS = ("Libertinus Serif", "DejaVu Sans Mono", "New Computer Modern")
+"""The first has most letters; each of the others has letters that those before it do not have."""
 _JOINERS = frozenset("\N{ZERO WIDTH NON-JOINER}\N{ZERO WIDTH JOINER}")
 _UNPRINTABLE = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 """Control, format (which can turn the order of digits round), private and unassigned characters."""
@@ -52,20 +53,19 @@ CODE_NOTE = (
 )
 
 
-def font_folder() -> Path:
-    """Return the folder of the fonts."""
-    from matplotlib import get_data_path
-
-    return Path(get_data_path()) / "fonts" / "ttf"
-
-
 @cache
-def printable() -> frozenset[int]:
-    """Return the characters that every font of the certificate has."""
-    from matplotlib.ft2font import FT2Font
-
-    found = [set(FT2Font(str(font_folder() / name)).get_charmap()) for name in _FONTS]
-    return frozenset(set.intersection(*found))
+def _has_glyph(one: str) -> bool:
+    """Return whether the fonts have a character, regular and bold: without it typst makes no PDF/A."""
+    page = (
+        '#let d = json("letter.json")\n#set document(title: "-")\n'
+        "#set text(font: d.fonts, fallback: false)\n#d.letter *#d.letter*"
+    )
+    files = {"main.typ": page.encode(), "letter.json": json.dumps({"fonts": _FONTS, "letter": one}).encode()}
+    try:
+        _pdf_of(files)
+    except RuntimeError:
+        return False
+    return True
 
 
 def missing(text: str) -> list[str]:
@@ -76,7 +76,7 @@ def missing(text: str) -> list[str]:
 def _is_printable(one: str) -> bool:
     if one == "\n" or one in _JOINERS:
         return True
-    return ord(one) in printable() and unicodedata.category(one) not in _UNPRINTABLE
+    return unicodedata.category(one) not in _UNPRINTABLE and (one.isascii() or _has_glyph(one))
 
 
 def with_codes(text: str) -> str:
@@ -160,12 +160,6 @@ def render_pdf(
     return _compiled(document(certificate, shown, attachments), files, attachments)
 
 
-def _programs() -> str:
-    return "; ".join(
-        [f"Starbench {__version__}", *(f"{name} {version(name)}" for name in ("typst", "matplotlib"))]
-    )
-
-
 def document(
     certificate: Certificate, shown: Sequence[Picture], attachments: Mapping[str, bytes]
 ) -> dict[str, Any]:
@@ -182,8 +176,9 @@ def document(
                 certificate.item.camera.serial,
                 "calibration",
                 "ISO/IEC 17025",
-                f"rendered by {_programs()}",
+                f"rendered by Starbench {__version__}; typst {version('typst')}",
             ],
+            "fonts": _FONTS,
             "laboratory": shorten(certificate.laboratory.name, _HEADER, placeholder=" …"),
             "date": [issued.year, issued.month, issued.day, issued.hour, issued.minute, issued.second],
             "begun": moment(certificate.begun_utc),
@@ -239,7 +234,7 @@ def _state(certificate: Certificate) -> str:
     """Return the state of the document, and what makes it a certificate (ISO/IEC 17025, 7.8.2.1 o)."""
     person = certificate.authorised_by
     return (
-        f"SEALED; not a certificate until authorised by {person.name}, {person.role} (key {person.key_fingerprint})"
+        f"SEALED; not a certificate until authorised by {person.name}, {person.role} (key {person.key})"
         f" \N{EN DASH} see {AUTHORISATION}."
     )
 
@@ -310,18 +305,22 @@ def _compiled(content: Mapping[str, Any], svg: Mapping[str, str], attachments: M
         },
     }
     try:
-        make = _typst().Compiler
-        with (
-            TemporaryDirectory() as empty
-        ):  # without a root, a plot could name a file of the working directory
-            compiler = make(files, root=empty, font_paths=[font_folder()], ignore_system_fonts=True)
-            found = compiler.compile(format="pdf", pdf_standards=list(STANDARDS))
+        return _pdf_of(files)
     except RuntimeError as error:
         raise BenchError(
             f"typst could not make the certificate: {str(error).splitlines()[0]}",
             where=PDF,
             remedy="This is a fault of Starbench or another version of typst. Report it with certificate.json.",
         ) from error
+
+
+def _pdf_of(files: dict[str, bytes]) -> bytes:
+    """Return what typst makes of ``main.typ``, with the fonts that it carries; RuntimeError if it cannot."""
+    make = _typst().Compiler
+    with TemporaryDirectory() as empty:  # without a root, a plot could name a file of the working directory
+        found = make(files, root=empty, ignore_system_fonts=True).compile(
+            format="pdf", pdf_standards=list(STANDARDS)
+        )
     assert isinstance(found, bytes)
     return found
 

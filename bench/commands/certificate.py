@@ -325,7 +325,7 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
         f"Customer:   {certificate.customer.name}",
         f"Item:       {camera}; lens {lens}",
         f"Calibrated: {certificate.begun_utc[:10]}; issued {certificate.issued_utc[:10]}; run {certificate.run.id}",
-        f"To be authorised by {by.name}, {by.role} ({by.key_fingerprint})",
+        f"To be authorised by {by.name}, {by.role} ({by.key})",
         "",
         *(f"  {one.symbol:<4} {one.text}  (k = {one.k:.2f})" for one in certificate.results),
         *(f"  {one.name}: {one.text}" for one in certificate.further),

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from bench.certificate.certificate_data import (
     Amends,
-    AuthorisedBy,
     BeforeAdjustment,
     Certificate,
     Change,
@@ -121,7 +120,6 @@ def small_certificate() -> Certificate:
         laboratory=dataclasses.replace(full.laboratory, accreditation=None),
         before_adjustment=None,
         amends=None,
-        authorised_by=AuthorisedBy("Dr. Grace Hopper", "Head of laboratory", KEY),
         statements=tuple(one for one in full.statements if one.id not in ("simulated", "customer_data")),
         item=dataclasses.replace(full.item, customer_id=""),
         **nothing,

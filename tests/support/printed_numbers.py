@@ -1,6 +1,6 @@
 """Every number and every text of a certificate, and whether a printed page shows it."""
 
-import dataclasses
+import json
 import re
 import unicodedata
 from datetime import datetime
@@ -13,7 +13,7 @@ NOT_PRINTED = ("format", "language", "series", "title", "laboratory.place_kind")
 
 def leaves(certificate):
     """Each number and text of a certificate with the path of its field."""
-    yield from _leaves(dataclasses.asdict(certificate), "")
+    yield from _leaves(json.loads(certificate.to_json()), "")
 
 
 def _leaves(found, path):
