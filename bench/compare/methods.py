@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import TypedDict, TypeGuard
 
 import cv2
 import numpy as np
@@ -35,6 +35,70 @@ from calib.studies.reference_methods import (
 from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from calib.view import View
+
+# The result of one method in one repetition, as a line of ``rows.jsonl`` holds it.
+
+
+class _Row(TypedDict):
+    views: int
+    missed: Sequence[str]  # For each image without a view, the reason
+    images_cpu_s: float  # Time to record the images and to find their targets
+
+
+class FailedRow(_Row):
+    """A repetition without a result, and the reason."""
+
+    error: str
+
+
+class _Numbers(TypedDict):
+    camera: Mapping[str, float]
+    sigma: Mapping[str, float]
+    k: float
+    model: str | None  # Of the engine; other methods have no choice of models
+    rms_px: float
+    mean_px: float
+    left_out_px: float | None
+
+
+class Distances(TypedDict):
+    """Distances from the truth after the best common rotation, for a camera turned a little is the same.
+
+    Recorded data have no truth: only ``covered``, there whether two parts of them agree.
+    """
+
+    errors: Mapping[str, float]  # By parameter
+    direction_rms_urad: float | None
+    direction_worst_urad: float | None
+    centre_urad: float | None
+    corner_urad: float | None  # Largest of the corners
+    covered: dict[str, bool]  # Whether the error is within k sigma; ``corner`` is that of largest uncertainty
+
+
+class _Solved(_Row, _Numbers, Distances):
+    solve_cpu_s: float
+
+
+class SimulatedRow(_Solved):
+    """A result from simulated images."""
+
+    gimbal_ratio_error: float | None
+
+
+class DataRow(_Solved):
+    """A result from recorded data."""
+
+    halves_urad: float  # Rms difference of the two parts, for one of them
+
+
+SolvedRow = SimulatedRow | DataRow
+Row = FailedRow | SolvedRow
+
+
+def is_failed(row: Row) -> TypeGuard[FailedRow]:
+    """Return whether a repetition has no result."""
+    return "error" in row
+
 
 # What a bench shows without the truth: the gimbal's angles as a check from outside, and the time that
 # images take.
@@ -141,28 +205,29 @@ def read_data(data: DataConfig) -> tuple[View, ...]:
     return _read(data.model_dump_json(), data_digest(data))
 
 
-def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
-    """Calibrate two random disjoint subsets of views: camera, sigmas, residuals, and their difference; or ``error``."""
-    row: dict[str, Any] = {"views": 0, "missed": [], "images_cpu_s": 0.0}
+def solve_data(column: ColumnConfig, seed: int) -> Row:
+    """Calibrate two random disjoint subsets of views: camera, sigmas, residuals, and their difference."""
     began = time.process_time()
     assert column.data is not None
     try:
         views = read_data(column.data)
         if len(views) < 2 * column.images:
-            return row | {"error": f"{len(views)} views are too few for two subsets of {column.images}"}
+            return _failed_data(f"{len(views)} views are too few for two subsets of {column.images}")
         order = np.random.default_rng((seed, 41)).permutation(len(views))
         parts = [
             [views[i] for i in sorted(order[start : start + column.images])] for start in (0, column.images)
         ]
         (first, found), (second, _) = (_calibrated(column, part) for part in parts)
     except (BenchError, CalibrationError) as error:
-        return row | {"error": str(error)}
+        return _failed_data(str(error))
     numbers = _numbers(first, found)
     if column.data.board:
         numbers["left_out_px"] = _left_out_px(first.camera, parts[1])
     apart = np.asarray(camera_difference(second.camera, first.camera, _ACROSS).offset_px)
-    return row | {
+    return {
         "views": column.images,
+        "missed": [],
+        "images_cpu_s": 0.0,
         **numbers,
         "errors": {},
         "direction_rms_urad": None,
@@ -173,6 +238,10 @@ def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
         "covered": _agreement(first, second, numbers["k"]),
         "solve_cpu_s": time.process_time() - began,
     }
+
+
+def _failed_data(why: str) -> FailedRow:
+    return {"views": 0, "missed": [], "images_cpu_s": 0.0, "error": why}
 
 
 def _agreement(first: MethodResult, second: MethodResult, k: float) -> dict[str, bool]:
@@ -273,24 +342,40 @@ _FEWEST_VIEWS = 2
 _FLAT_AT_MM = 40.0
 
 
-def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
-    """Calibrate by the method of a column: values, sigmas, errors and residuals; or ``error``, the reason."""
-    row: dict[str, Any] = {"views": len(images.views), "missed": list(images.missed)}
+def solve(column: ColumnConfig, images: Images, images_cpu_s: float, seed: int) -> Row:
+    """Calibrate by the method of a column: values, sigmas, errors and residuals."""
     if len(images.views) < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
         reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"
-        return row | {"error": f"{len(images.views)} views with a target: {reasons}"}
+        return failed_row(images, images_cpu_s, f"{len(images.views)} views with a target: {reasons}")
     began = time.process_time()
     try:
         result, calibration = _result(column, images, seed)
     except CalibrationError as error:
-        return row | {"error": str(error)}
-    row["solve_cpu_s"] = time.process_time() - began
-    row |= _numbers(result, calibration)
-    row["gimbal_ratio_error"] = gimbal_ratio_error(result.camera, images.views, images.readings_deg)
-    return row | compare_with_truth(result.camera, images.camera, result.sigma, row["k"], calibration)
+        return failed_row(images, images_cpu_s, str(error))
+    solve_cpu_s = time.process_time() - began
+    numbers = _numbers(result, calibration)
+    return {
+        "views": len(images.views),
+        "missed": list(images.missed),
+        "solve_cpu_s": solve_cpu_s,
+        **numbers,
+        "gimbal_ratio_error": gimbal_ratio_error(result.camera, images.views, images.readings_deg),
+        **compare_with_truth(result.camera, images.camera, result.sigma, numbers["k"], calibration),
+        "images_cpu_s": images_cpu_s,
+    }
 
 
-def _numbers(result: MethodResult, calibration: Calibration | None) -> dict[str, Any]:
+def failed_row(images: Images, images_cpu_s: float, why: str) -> FailedRow:
+    """Return the row of images of which a method makes nothing."""
+    return {
+        "views": len(images.views),
+        "missed": list(images.missed),
+        "error": why,
+        "images_cpu_s": images_cpu_s,
+    }
+
+
+def _numbers(result: MethodResult, calibration: Calibration | None) -> _Numbers:
     """Return what a row of any column states about a result, and the engine's calibration if it is the engine's."""
     return {
         "camera": result.camera.to_dict(),
@@ -309,12 +394,8 @@ def compare_with_truth(
     sigma: Mapping[str, float],
     k: float,
     calibration: Calibration | None = None,
-) -> dict[str, Any]:
-    """Compare a calibrated camera with the true one, after the best common rotation: turned a little, it is the same.
-
-    ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``, ``corner_urad``
-    (largest); with a covariance, whether fx and the worst corner are ``covered`` by k sigma.
-    """
+) -> Distances:
+    """Compare a calibrated camera with the true one; the worst corner needs the covariance of a ``calibration``."""
     offset = np.asarray(camera_difference(found, true, _ACROSS).offset_px)
     away = np.linalg.norm(offset, axis=2) / true.fx * 1e6
     corners = away[[0, 0, -1, -1], [0, -1, 0, -1]]
@@ -323,7 +404,7 @@ def compare_with_truth(
         for name, value in true.to_dict().items()
         if name in found.to_dict()
     }
-    compared: dict[str, Any] = {
+    compared: Distances = {
         "errors": errors,
         "direction_rms_urad": float(np.sqrt(np.nanmean(away**2))),
         "direction_worst_urad": float(np.nanmax(away)),
@@ -338,7 +419,6 @@ def compare_with_truth(
     if calibration is not None:
         stated = projection_uncertainty(calibration.camera, calibration.camera_covariance, _ACROSS).sigma_px
         place = np.unravel_index(int(np.nanargmax(stated)), stated.shape)
-        compared["expanded_corner_urad"] = float(k * stated[place] / true.fx * 1e6)
         compared["covered"]["corner"] = bool(away[place] <= k * stated[place] / true.fx * 1e6)
     return compared
 

@@ -5,20 +5,27 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from bench import __version__
+from bench.compare.methods import Row, SolvedRow
 from bench.compare.spec import STAR_METHODS
-from bench.compare.table import DATA_HEADS, HEADS, PARAMETERS, data_rows, parameter_rows, table_rows
+from bench.compare.table import (
+    DATA_HEADS,
+    HEADS,
+    PARAMETERS,
+    ColumnSummary,
+    Summary,
+    data_rows,
+    parameter_rows,
+    table_rows,
+)
 from bench.report.html import environment
 from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Key, Picture, Scale, Words, axes_in, plain
 
 # Plots of a comparison: errors of direction and of the focal length of every repetition, column by column.
-
-Row = Mapping[str, Any]
 
 _WIDTH = 760.0
 _ROW_HEIGHT = 19.5
@@ -42,9 +49,9 @@ _COLOUR_OF = dict(
 """Colours of the methods."""
 
 
-def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
+def direction_plot(columns: Mapping[str, str], rows: Mapping[str, Sequence[Row]]) -> str:
     """Draw the error of direction of each repetition, on a logarithmic scale, columns from top to bottom."""
-    values = [[row["direction_rms_urad"] for row in _solved(rows, name)] for name in columns]
+    values = [_distances(_solved(rows[name])) for name in columns]
     return _dots(
         columns,
         values,
@@ -55,9 +62,9 @@ def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
     )
 
 
-def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
+def focal_plot(columns: Mapping[str, str], rows: Mapping[str, Sequence[Row]]) -> str:
     """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states."""
-    chosen = [_solved(rows, name) for name in columns]
+    chosen = [_solved(rows[name]) for name in columns]
     values = [[row["errors"]["fx"] for row in some] for some in chosen]
     stated = [
         float(np.mean([row["k"] * row["sigma"]["fx"] for row in some if "fx" in row["sigma"]] or [np.nan]))
@@ -73,7 +80,7 @@ def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
     )
 
 
-def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
+def images_plot(columns: Sequence[ColumnSummary]) -> str:
     """Draw the error of direction against the number of images, one line for alike columns, as SVG."""
     series = _by_images(columns)
     if not series:
@@ -105,7 +112,7 @@ def _longer(low: float, high: float) -> tuple[float, float]:
     return low / factor, high * factor
 
 
-def _by_images(columns: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]]]:
+def _by_images(columns: Sequence[ColumnSummary]) -> dict[str, list[tuple[int, float]]]:
     """Return for each group of at least three columns, which differ in name and number of images only, its points."""
     groups: dict[str, list[tuple[int, float]]] = {}
     names: dict[str, str] = {}
@@ -121,9 +128,13 @@ def _by_images(columns: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int
     return {names[key]: sorted(points) for key, points in groups.items() if len(points) >= _FEWEST_POINTS}
 
 
-def _solved(rows: Sequence[Row], name: str) -> list[Row]:
-    """Return the rows of a column that have a result."""
-    return [row for row in rows if row["column"] == name and "error" not in row]
+def _solved(rows: Sequence[Row]) -> list[SolvedRow]:
+    """Return the rows that have a result."""
+    return [row for row in rows if "error" not in row]
+
+
+def _distances(rows: Sequence[SolvedRow]) -> list[float]:
+    return [row["direction_rms_urad"] for row in rows if row["direction_rms_urad"] is not None]
 
 
 def _dots(
@@ -217,14 +228,11 @@ TABLE_1 = "Table 1"
 """Name of the comparison that makes the paper's Table 1 again; its page shows the paper's numbers as well."""
 
 
-def render_page(
-    summary: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], true: Mapping[str, float]
-) -> str:
+def render_page(summary: Summary, rows: Mapping[str, Sequence[Row]], true: Mapping[str, float]) -> str:
     """Render the page of a comparison from its summary and rows, and the true values of the camera."""
     simulated = [column for column in summary["columns"] if not column["settings"]["data"]]
     methods = {column["settings"]["name"]: column["settings"]["method"] for column in simulated}
-    have = {row["column"] for row in rows if "error" not in row}
-    solved = {name: method for name, method in methods.items() if name in have}
+    solved = {name: method for name, method in methods.items() if _solved(rows[name])}
     failures = [
         (column["settings"]["name"], failed["times"], failed["why"])
         for column in summary["columns"]
@@ -255,7 +263,7 @@ def render_page(
     )
 
 
-def _begins_group(columns: Sequence[Mapping[str, Any]]) -> list[bool]:
+def _begins_group(columns: Sequence[ColumnSummary]) -> list[bool]:
     """Return for each column whether it has another kind of target or another collimator than the one before."""
     kinds = []
     for column in columns:

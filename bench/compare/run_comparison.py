@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,12 @@ from bench.compare.spec import ColumnConfig, ComparisonConfig
 from bench.records.storage import MOST_TABLE_BYTES, make_folder, read_bounded, storage_errors
 
 if TYPE_CHECKING:
+    from bench.compare.methods import FailedRow, Row
     from bench.compare.scenes import Images
 
 ROWS = "rows.jsonl"
 SPEC = "spec.yaml"
 
-Row = dict[str, Any]
 _Result = TypeVar("_Result")
 
 
@@ -57,11 +57,11 @@ def compare(
     text: bytes,
     folder: Path,
     *,
-    do_tasks: Callable[[Sequence[Task]], Iterator[dict[str, Row]]],
+    do_tasks: Callable[[Sequence[Task]], Iterator[Mapping[str, Row]]],
     on_progress: Callable[[int, int, float | None], None] = lambda *_: None,
     monotonic: Callable[[], float] = time.monotonic,
-) -> list[Row]:
-    """Run what is not done yet; return one row for each repetition of each column, in their order.
+) -> dict[str, list[Row]]:
+    """Run what is not done yet; return for each column one row for each repetition, in their order.
 
     ``do_tasks`` yields the rows of tasks in any order; ``on_progress`` gets rows done, all rows, and s left, if known.
     """
@@ -85,11 +85,9 @@ def compare(
             known = sum(key in done for key in keys.values())
             rate = (known - first) / max(monotonic() - began, 1e-6)
             on_progress(known, total, (total - known) / rate if rate else None)
-    return [
-        {**done[keys[column.name, n]], "column": column.name, "repetition": n}
-        for column in spec.columns
-        for n in range(spec.repetitions)
-    ]
+    return {
+        column.name: [done[keys[column.name, n]] for n in range(spec.repetitions)] for column in spec.columns
+    }
 
 
 def _prepare(folder: Path, text: bytes) -> None:
@@ -141,8 +139,13 @@ def run_task(task: Task) -> dict[str, Row]:
     rows, why = _guarded(lambda: _task_rows(task))
     if rows is not None:
         return rows
-    failed = {"error": why, "views": 0, "missed": [], "images_cpu_s": time.process_time() - began}
-    return {row_key(column, task.seed): dict(failed) for column in task.columns}
+    failed: FailedRow = {
+        "error": why,
+        "views": 0,
+        "missed": [],
+        "images_cpu_s": time.process_time() - began,
+    }
+    return {row_key(column, task.seed): failed for column in task.columns}
 
 
 def _guarded(work: Callable[[], _Result]) -> tuple[_Result | None, str]:
@@ -159,7 +162,7 @@ def _guarded(work: Callable[[], _Result]) -> tuple[_Result | None, str]:
 
 def _task_rows(task: Task) -> dict[str, Row]:
     """Return the rows of a task whose images can be made."""
-    from bench.compare.methods import solve
+    from bench.compare.methods import failed_row, solve
     from bench.compare.scenes import find_targets, finding_key, record
 
     if task.columns[0].data is not None:
@@ -172,7 +175,7 @@ def _task_rows(task: Task) -> dict[str, Row]:
     recorded = record(task.columns[0], task.seed)
     record_cpu_s = time.process_time() - began
     found: dict[Any, tuple[Images, float]] = {}
-    rows = {}
+    rows: dict[str, Row] = {}
     for column in task.columns:
         how = finding_key(column)
         if how not in found:
@@ -180,7 +183,6 @@ def _task_rows(task: Task) -> dict[str, Row]:
             images = find_targets(column, recorded)
             found[how] = images, record_cpu_s + time.process_time() - began
         images, images_cpu_s = found[how]
-        solved, why = _guarded(partial(solve, column, images, task.seed))
-        row = solved or {"views": len(images.views), "missed": list(images.missed), "error": why}
-        rows[row_key(column, task.seed)] = {**without_nan(row), "images_cpu_s": images_cpu_s}
+        solved, why = _guarded(partial(solve, column, images, images_cpu_s, task.seed))
+        rows[row_key(column, task.seed)] = without_nan(solved or failed_row(images, images_cpu_s, why))
     return rows

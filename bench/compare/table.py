@@ -2,85 +2,133 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
-from bench.compare.methods import bench_time_s
-from bench.compare.spec import ComparisonConfig
+from bench.compare.methods import Row, SolvedRow, bench_time_s, is_failed
+from bench.compare.spec import ColumnConfig, ComparisonConfig
 
 # Statistics of a comparison: for each column the spread over the repetitions, errors against truth, and
 # coverage.
 
-Row = Mapping[str, Any]
-
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2")
 
 
-def summarise(spec: ComparisonConfig, rows: Sequence[Row]) -> dict[str, Any]:
-    """Return ``columns``: for each column of a comparison its statistics, in the order of the specification."""
+class ParameterSummary(TypedDict):
+    """One parameter of a column over its repetitions; None where fewer than needed state it."""
+
+    mean: float | None
+    spread: float | None
+    rms_error: float | None
+    stated_sigma: float | None
+
+
+class Failures(TypedDict):
+    """How often a column had no result, for one reason."""
+
+    why: str
+    times: int
+
+
+class _AnyColumn(TypedDict):
+    settings: Mapping[str, Any]  # Its `ColumnConfig`
+    bench_time_s: float | None  # None for recorded data
+    solved: int
+    failed: Sequence[Failures]
+    images_cpu_s: float | None
+
+
+class ColumnSummary(_AnyColumn, total=False):
+    """Statistics of a column, of errors their rms; without one result only those of `_AnyColumn`."""
+
+    parameters: Mapping[str, ParameterSummary]
+    rms_px: float | None
+    mean_px: float | None
+    left_out_px: float | None
+    direction_rms_urad: float | None
+    centre_urad: float | None
+    gimbal_ratio_error: float | None
+    halves_urad: float | None
+    direction_worst_urad: float | None
+    corner_rms_urad: float | None
+    corner_worst_urad: float | None
+    expanded_fx_px: float | None
+    coverage: Mapping[str, float | None]  # Share of errors within the expanded uncertainty
+    models: Mapping[str, int]
+    views: float | None
+    solve_cpu_s: float | None
+
+
+class Summary(TypedDict):
+    """``results.json`` of a comparison."""
+
+    schema: str
+    name: str
+    about: str
+    seed: int
+    repetitions: int
+    columns: Sequence[ColumnSummary]  # In the order of the specification
+
+
+def summarise(spec: ComparisonConfig, rows: Mapping[str, Sequence[Row]]) -> Summary:
+    """Return the statistics of a comparison from the rows of each column."""
     return {
         "schema": "starbench/comparison-results/1",
         "name": spec.name,
         "about": spec.about,
         "seed": spec.seed,
         "repetitions": spec.repetitions,
-        "columns": [
-            {
-                "settings": column.model_dump(),
-                "bench_time_s": None if column.data else bench_time_s(column),
-                **_column([row for row in rows if row["column"] == column.name]),
-            }
-            for column in spec.columns
-        ],
+        "columns": [_column(column, rows[column.name]) for column in spec.columns],
     }
 
 
-def _column(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the statistics of one column."""
+def _column(column: ColumnConfig, rows: Sequence[Row]) -> ColumnSummary:
     good = [row for row in rows if "error" not in row]
-    failures: dict[str, int] = {}
-    for row in rows:
-        if "error" in row:
-            failures[row["error"]] = failures.get(row["error"], 0) + 1
-    found: dict[str, Any] = {
+    reasons = [row["error"] for row in rows if is_failed(row)]
+    found: ColumnSummary = {
+        "settings": column.model_dump(),
+        "bench_time_s": None if column.data else bench_time_s(column),
         "solved": len(good),
-        "failed": [{"why": why, "times": times} for why, times in failures.items()],
+        "failed": [{"why": why, "times": times} for why, times in Counter(reasons).items()],
         "images_cpu_s": _mean([row["images_cpu_s"] for row in rows]),
     }
     if not good:
         return found
-    found["parameters"] = {
-        name: {
-            "mean": _mean([row["camera"][name] for row in good]),
-            "spread": _deviation([row["camera"][name] for row in good]),
-            "rms_error": _rms([row["errors"].get(name) for row in good]),
-            "stated_sigma": _rms([row["sigma"].get(name) for row in good]),
-        }
-        for name in PARAMETERS
-        if name in good[0]["camera"]
+    return {
+        **found,
+        "parameters": {name: _parameter(good, name) for name in PARAMETERS if name in good[0]["camera"]},
+        "rms_px": _rms([row["rms_px"] for row in good]),
+        "mean_px": _rms([row["mean_px"] for row in good]),
+        "left_out_px": _rms([row["left_out_px"] for row in good]),
+        "direction_rms_urad": _rms([row["direction_rms_urad"] for row in good]),
+        "centre_urad": _rms([row["centre_urad"] for row in good]),
+        "gimbal_ratio_error": _rms([row["gimbal_ratio_error"] for row in good if "halves_urad" not in row]),
+        "halves_urad": _rms([row["halves_urad"] for row in good if "gimbal_ratio_error" not in row]),
+        "direction_worst_urad": _largest([row["direction_worst_urad"] for row in good]),
+        "corner_rms_urad": _rms([row["corner_urad"] for row in good]),
+        "corner_worst_urad": _largest([row["corner_urad"] for row in good]),
+        "expanded_fx_px": _mean([row["k"] * row["sigma"]["fx"] for row in good if "fx" in row["sigma"]]),
+        "coverage": {
+            what: _mean([float(row["covered"][what]) for row in good if what in row["covered"]])
+            for what in ("fx", "fy", "cx", "cy", "corner")
+            if any(what in row["covered"] for row in good)
+        },
+        "models": Counter(str(row["model"]) for row in good),
+        "views": _mean([float(row["views"]) for row in good]),
+        "solve_cpu_s": _mean([row["solve_cpu_s"] for row in good]),
     }
-    for key in ("rms_px", "mean_px", "left_out_px", "direction_rms_urad", "centre_urad"):
-        found[key] = _rms([row[key] for row in good])
-    found["gimbal_ratio_error"] = _rms([row.get("gimbal_ratio_error") for row in good])
-    found["halves_urad"] = _rms([row.get("halves_urad") for row in good])
-    found["direction_worst_urad"] = _largest([row["direction_worst_urad"] for row in good])
-    found["corner_rms_urad"] = _rms([row["corner_urad"] for row in good])
-    found["corner_worst_urad"] = _largest([row["corner_urad"] for row in good])
-    found["expanded_fx_px"] = _mean([row["k"] * row["sigma"]["fx"] for row in good if "fx" in row["sigma"]])
-    found["coverage"] = {
-        what: _mean([float(row["covered"][what]) for row in good if what in row["covered"]])
-        for what in ("fx", "fy", "cx", "cy", "corner")
-        if any(what in row["covered"] for row in good)
+
+
+def _parameter(rows: Sequence[SolvedRow], name: str) -> ParameterSummary:
+    return {
+        "mean": _mean([row["camera"][name] for row in rows]),
+        "spread": _deviation([row["camera"][name] for row in rows]),
+        "rms_error": _rms([row["errors"].get(name) for row in rows]),
+        "stated_sigma": _rms([row["sigma"].get(name) for row in rows]),
     }
-    found["models"] = {
-        str(model): sum(row.get("model") == model for row in good)
-        for model in {row.get("model") for row in good}
-    }
-    found["views"] = _mean([float(row["views"]) for row in good])
-    found["solve_cpu_s"] = _mean([row["solve_cpu_s"] for row in good])
-    return found
 
 
 def _known(numbers: Sequence[float | None]) -> list[float]:
@@ -135,8 +183,6 @@ DATA_HEADS = (
     "cx within U",
 )
 """Heads for recorded data, after the name."""
-
-Summary = Mapping[str, Any]
 
 
 def table_rows(summary: Summary) -> list[list[str]]:
@@ -200,7 +246,7 @@ def share(number: float | None) -> str:
     return "-" if number is None else f"{100 * number:.0f} %"
 
 
-def _cells(column: Summary, repetitions: int) -> list[str]:
+def _cells(column: ColumnSummary, repetitions: int) -> list[str]:
     settings = column["settings"]
     head = [settings["name"], str(settings["images"]), f"{column['solved']} of {repetitions}"]
     if not column["solved"]:
@@ -221,7 +267,7 @@ def _cells(column: Summary, repetitions: int) -> list[str]:
     ]
 
 
-def _data_cells(column: Summary, repetitions: int) -> list[str]:
+def _data_cells(column: ColumnSummary, repetitions: int) -> list[str]:
     settings = column["settings"]
     head = [settings["name"], str(settings["images"]), f"{column['solved']} of {repetitions}"]
     if not column["solved"]:
@@ -248,7 +294,7 @@ def parameter_rows(summary: Summary, names: Sequence[str]) -> list[list[str]]:
     return rows
 
 
-def _spread(value: Summary) -> str:
+def _spread(value: ParameterSummary) -> str:
     """Return a mean with the standard deviation over the repetitions."""
     if value["mean"] is None or not value["spread"]:
         return shown(value["mean"], 6)

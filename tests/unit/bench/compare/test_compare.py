@@ -28,13 +28,13 @@ def spec(**more):
     return ComparisonConfig(format="starbench/comparison/1", name="Test", columns=columns, **more)
 
 
-def row(column, repetition, fx_error=1.0, sigma=1.0, **more):
+def row(fx_error=1.0, sigma=1.0, **more):
     camera = TRUE.to_dict() | {"fx": 3345.06 + fx_error}
     off = abs(fx_error)
     return {
-        "column": column, "repetition": repetition, "views": 3, "missed": [], "images_cpu_s": 2.0, "solve_cpu_s": 0.1,
+        "views": 3, "missed": [], "images_cpu_s": 2.0, "solve_cpu_s": 0.1,
         "camera": camera, "sigma": {"fx": sigma, "cx": 0.1}, "k": 2.0, "model": "radial", "rms_px": 0.02,
-        "mean_px": 0.01, "left_out_px": None,
+        "mean_px": 0.01, "left_out_px": None, "gimbal_ratio_error": None,
         "errors": {name: camera[name] - value for name, value in TRUE.to_dict().items()},
         "direction_rms_urad": 10.0 * off, "direction_worst_urad": 20.0 * off, "centre_urad": 1.0,
         "corner_urad": 20.0 * off, "covered": {"fx": off <= 2 * sigma}, **more,
@@ -93,9 +93,7 @@ def test_a_rotated_camera_is_the_same_camera_and_a_longer_one_is_not():
 def test_statistics_are_those_of_the_rows_and_failures_are_named():
     chosen, off = spec(repetitions=4), (3.0, -1.0, 1.0, -3.0)
     failed = {"error": "no board", "images_cpu_s": 1.0}
-    rows = [row("ours", n, error) for n, error in enumerate(off)]
-    rows += [*(row("Zhang", n, 10.0) for n in range(3)), {"column": "Zhang", "repetition": 3, **failed}]
-    rows += [{"column": "board", "repetition": n, **failed} for n in range(4)]
+    rows = {"ours": [row(error) for error in off], "Zhang": [*[row(10.0)] * 3, failed], "board": [failed] * 4}
     summary = summarise(chosen, rows)
     ours, zhang, board = summary["columns"]
     assert ours["parameters"]["fx"]["rms_error"] == pytest.approx(np.sqrt(5.0))
@@ -129,13 +127,13 @@ def test_an_interrupted_comparison_uses_what_is_done_and_drops_a_half_line(tmp_p
     (folder / "spec.yaml").write_text("x")
     done = [(column, n) for column in chosen.columns for n in range(2)]
     whole = "".join(
-        json.dumps({"key": row_key(column, chosen.seed + n), **row(column.name, n)}) + "\n"
-        for column, n in done
+        json.dumps({"key": row_key(column, chosen.seed + n), **row(float(n))}) + "\n" for column, n in done
     )
     (folder / ROWS).write_text(whole + '{"key": "half')
     rows = compare(chosen, b"x", folder, do_tasks=no_tasks, on_progress=lambda *words: told.append(words))
     assert told == [(6, 6, None)]
-    assert [(one["column"], one["repetition"]) for one in rows] == [(column.name, n) for column, n in done]
+    assert list(rows) == [column.name for column in chosen.columns]
+    assert all([one["errors"]["fx"] for one in of_column] == [0.0, 1.0] for of_column in rows.values())
     assert (folder / ROWS).read_text() == whole
 
 

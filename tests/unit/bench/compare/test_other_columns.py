@@ -105,18 +105,13 @@ def data_column(path, **more):
 
 def test_recorded_data_are_calibrated_in_two_parts_that_agree(table, tmp_path):
     chosen = spec(data_column(table), data_column(table, name="ours", method="starbench"), repetitions=2)
-    rows = [
-        {**row, "column": column.name, "repetition": n}
-        for n in range(2)
-        for column, row in zip(
-            chosen.columns, run_task(Task(tuple(chosen.columns), n, n)).values(), strict=True
-        )
-    ]
-    for row in rows:
+    done = [run_task(Task(tuple(chosen.columns), n, n)).values() for n in range(2)]
+    rows = {column.name: list(of_column) for column, *of_column in zip(chosen.columns, *done, strict=True)}
+    for row in (row for of_column in rows.values() for row in of_column):
         assert "error" not in row
         assert abs(row["camera"]["fx"] - 400.0) < 4.0 * row["sigma"]["fx"]
         assert 0.03 < row["left_out_px"] < 0.15
-    assert rows[0]["camera"] != rows[2]["camera"]
+    assert rows["real"][0]["camera"] != rows["real"][1]["camera"]
     summary = summarise(chosen, rows)
     assert table_rows(summary) == []
     assert [cells[:3] for cells in data_rows(summary)] == [["real", "6", "2 of 2"], ["ours", "6", "2 of 2"]]
@@ -150,8 +145,8 @@ def test_data_that_cannot_be_read_are_named_in_their_row_and_the_rest_goes_on(ta
         broken.write_text(content)
     chosen = spec(data_column(broken), data_column(table, name="good"), repetitions=1)
     rows = compare(chosen, b"x", tmp_path / "out", do_tasks=lambda tasks: map(run_task, tasks))
-    assert said in rows[0]["error"]
-    assert "error" not in rows[1]
+    assert said in rows["real"][0]["error"]
+    assert "error" not in rows["good"][0]
 
 
 def test_too_few_views_are_named(table):
@@ -206,15 +201,16 @@ def test_an_error_is_named_in_its_row_and_the_other_columns_go_on(monkeypatch):
 
 
 def test_the_paper_is_shown_beside_its_table_only():
-    summary = summarise(spec({"name": "a", "method": "zhang"}), [])
-    assert "3412.76" in render_page({**summary, "name": "Table 1"}, [], TRUE.to_dict())
-    assert "3412.76" not in render_page(summary, [], TRUE.to_dict())
+    rows = {"a": []}
+    summary = summarise(spec({"name": "a", "method": "zhang"}), rows)
+    assert "3412.76" in render_page({**summary, "name": "Table 1"}, rows, TRUE.to_dict())
+    assert "3412.76" not in render_page(summary, rows, TRUE.to_dict())
     assert all(len(values) == len(PAPER_NAMES) for _, values in PAPER_TABLE_1)
 
 
 def test_columns_that_differ_in_images_only_become_a_line():
     chosen = spec(*({"name": f"ours, {n} images", "method": "zhang", "images": n} for n in (2, 3, 5)))
-    summary = summarise(chosen, [])
+    summary = summarise(chosen, {column.name: [] for column in chosen.columns})
     for place, column in enumerate(summary["columns"]):
         column["direction_rms_urad"] = 100.0 / (1 + place)
     drawn = images_plot(summary["columns"])
