@@ -8,29 +8,25 @@ from __future__ import annotations
 import os
 import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import Failure, RunFolderError, StorageError
 from bench.panel.run_head import head_of, look_at_process
 from bench.panel.run_model import RunModel
+from bench.panel.shown_run import FolderContent, ListedBatch, ListedRun, RunBrief, RunHead
 from bench.records.journal import MOST_LINE_BYTES
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import open_to_read, storage_errors
 
-Json = dict[str, Any]
 Stamp = tuple[int, int]
+_BatchStamp = tuple[Stamp | None, bool, float]
 
-_KEPT = (
-    "id", "sequence", "station", "operator", "simulated", "rehearsal", "verdict", "tone", "running", "why",
-    "started_utc", "ended_utc", "end_utc", "poses", "most_poses", "accepted", "deviation_count", "state", "pose",
-    "holder", "interlock", "question",
-)  # fmt: skip
 _BATCH_AGAIN_S = 10.0
 
 
@@ -39,7 +35,7 @@ class _Known:
     """What is known of a run: its row, and its model while it may still change."""
 
     stamp: Stamp
-    row: Json
+    row: ListedRun
     model: RunModel | None
 
 
@@ -50,14 +46,15 @@ class FolderList:
         self.root = root
         self._utc_now = utc_now
         self._runs: dict[Path, _Known] = {}
-        self._batches: dict[Path, tuple[tuple[Any, ...], Json]] = {}
+        self._batches: dict[Path, tuple[_BatchStamp, ListedBatch]] = {}
         self._lock = threading.Lock()
 
-    def look(self) -> Json:
-        """Look at the folder: ``root``, ``runs``, ``batches`` (newest first), and ``faults``, a sentence for each."""
+    def look(self) -> FolderContent:
+        """Look at the folder."""
         with self._lock:
             faults: list[str] = []
-            runs, batches = [], []
+            runs: list[ListedRun] = []
+            batches: list[ListedBatch] = []
             seen = set()
             for folder in self._folders(faults):
                 seen.add(folder)
@@ -122,7 +119,7 @@ class FolderList:
                 inner for inner in _subfolders(folder, faults) if _is_folder_of_interest(inner, faults)
             )
 
-    def _run(self, folder: Path) -> Json:
+    def _run(self, folder: Path) -> ListedRun:
         known = self._runs.get(folder)
         stamp = _journal_stamp(folder) or (-1, -1)
         if known is None or known.stamp != stamp or known.model is not None:
@@ -131,18 +128,25 @@ class FolderList:
                 pass
             states = model.history.states
             process = look_at_process(folder, states[-1]["state"] if states else "idle")
-            head = head_of(model, process, self._utc_now())
-            row = {name: head[name] for name in _KEPT}
-            row |= {"key": self.key_of(folder), "camera": head["camera"].get("serial", "")}
-            row["fault"] = next(iter(head["faults"]), "")
-            row["leave"] = head["leave"]
-            row["reached"] = head["decisions"][-1]["now"] if head["decisions"] else {}
+            row = self._row(folder, head_of(model, process, self._utc_now()))
             # An interrupted run may be resumed at any time; its lock tells so before its journal does.
             is_over = not process.running and bool(model.history.ended)
             known = self._runs[folder] = _Known(stamp, row, None if is_over else model)
         return known.row
 
-    def _batch(self, folder: Path) -> Json:
+    def _row(self, folder: Path, head: RunHead) -> ListedRun:
+        shown: Mapping[str, object] = head
+        brief = cast("RunBrief", {name: shown[name] for name in RunBrief.__annotations__})
+        return {
+            **brief,
+            "key": self.key_of(folder),
+            "camera": head["camera"].get("serial", ""),
+            "fault": next(iter(head["faults"]), ""),
+            "leave": head["leave"],
+            "reached": head["decisions"][-1]["now"] if head["decisions"] else {},
+        }
+
+    def _batch(self, folder: Path) -> ListedBatch:
         from bench.batch.batch_summary import read_batch_status
         from bench.records.storage import is_locked
 
@@ -156,7 +160,7 @@ class FolderList:
         failed = [item for item, how, _ in status.done if how != "finished"]
         ended = status.ended or "interrupted"
         bad = "bad" if failed or ended == "interrupted" else "good" if ended == "finished" else "warn"
-        row = {
+        row: ListedBatch = {
             "key": self.key_of(folder),
             "queue": status.queue,
             "running": running,
@@ -177,8 +181,8 @@ class FolderList:
         return row
 
 
-def _begin(row: Json) -> str:
-    return str(row["started_utc"])
+def _begin(row: ListedRun | ListedBatch) -> str:
+    return row["started_utc"]
 
 
 def _no_such_run(key: str, root: Path) -> RunFolderError:

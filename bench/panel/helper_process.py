@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Required, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,68 @@ from bench.base.worker_process import answer_questions
 from bench.run.heartbeat import LastView
 
 if TYPE_CHECKING:
+    from bench.panel.shown_run import Uncertainties
     from bench.plan.job import Job
     from bench.views.measure import StoredImage
 
+
+class PictureRequest(TypedDict):
+    """A recording whose picture is asked for."""
+
+    folder: str
+    pose: int
+    pose_name: str
+    capture: str
+    expected_grid: Sequence[Sequence[float]] | None
+    accepted: bool  # Whether it entered a calibration
+    measure: bool  # Whether its stars may be found again, which takes seconds
+
+
+class PictureAnswer(TypedDict, total=False):
+    """Stars and residuals of one recording as a page shows them, px; alone ``fault`` where there is no picture."""
+
+    size: Sequence[int]
+    stars: Sequence[Sequence[float]]
+    residuals: Sequence[Sequence[float]] | None
+    residuals_of: str
+    rms_px: float | None
+    fault: Required[str]
+    absent: bool  # Whether it was not made, because it was not to be measured
+
+
+class CoverageRequest(TypedDict):
+    """Accepted recordings whose stars are counted."""
+
+    folder: str
+    size: Sequence[int]  # Of the image, px
+    cells: tuple[int, int]  # Columns and rows
+    # Pose, its map from the reticle to the image, (3, 3), and its number of stars.
+    grids: Sequence[tuple[int, Sequence[Sequence[float]], int]]
+
+
+class CoverageAnswer(TypedDict, total=False):
+    """Number of stars by cell, row by row, or why there is none."""
+
+    counts: Sequence[int]
+    fault: str
+
+
+class ForecastRequest(TypedDict):
+    """A number of poses of a run's plan."""
+
+    folder: str
+    poses: int
+
+
+class ForecastAnswer(TypedDict, total=False):
+    """What they will give, empty where that is not known; or why there is no answer."""
+
+    now: Uncertainties
+    fault: str
+
+
 # Stars and residuals of one recording as a page shows them.
 
-Json = dict[str, Any]
 Array = NDArray[np.float64]
 
 _ORDERS = (5, 3)
@@ -35,7 +91,7 @@ _PNG_SIZE = struct.Struct(">16xII")
 """Width and height in the first bytes of a PNG file (ISO/IEC 15948, 11.2.2)."""
 
 
-def picture_of_view(left: LastView) -> Json:
+def picture_of_view(left: LastView) -> PictureAnswer:
     """Return what a page shows of the picture that a run in progress has left, as `picture_answer`."""
     nodes = np.array(left.nodes, np.float64).reshape(-1, 2)
     points_px = np.array(left.points_px, np.float64).reshape(-1, 2)
@@ -43,7 +99,7 @@ def picture_of_view(left: LastView) -> Json:
     return {**own_residuals((width, height), nodes, points_px), "fault": left.fault}
 
 
-def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> Json:
+def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> PictureAnswer:
     """Return stars with their residuals to a smooth fit of this pose alone; arguments as for `smooth_residuals`."""
     residuals = smooth_residuals(nodes, points_px)
     return picture_answer(size, points_px, residuals, "a smooth fit of this pose alone")
@@ -68,9 +124,9 @@ def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
 
 def picture_answer(
     size: tuple[int, int], points_px: Array, residuals_px: Array | None = None, residuals_of: str = ""
-) -> Json:
+) -> PictureAnswer:
     """Return stars and residuals, (N, 2) px or None, with size, rms and fault, as JSON holds them."""
-    answer: Json = {
+    answer: PictureAnswer = {
         "size": list(size),
         "stars": np.round(points_px, _DIGITS).tolist(),
         "residuals": None,
@@ -85,12 +141,10 @@ def picture_answer(
     return answer
 
 
-Answer = tuple[Json, bytes]
-
 _JOBS_KEPT = 4
 
 
-def make_picture(request: Mapping[str, Any]) -> Answer:
+def make_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
     """Make the picture of a recording, with its stars and their residuals, as PNG; ``absent`` if there is none.
 
     Residuals are those of the solved run, or else of a smooth fit of this pose; with ``measure`` the stars are found
@@ -100,7 +154,7 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
 
     folder = Path(request["folder"])
     if request["accepted"] and (folder / VIEWS).is_file():
-        found = _solved_picture(folder / VIEWS, str(request["pose_name"]))
+        found = _solved_picture(folder / VIEWS, request["pose_name"])
         if found is not None:
             return found
     if not request["measure"]:
@@ -108,8 +162,8 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
     return _measured_picture(folder, request)
 
 
-def make_coverage(request: Mapping[str, Any]) -> Answer:
-    """Count the stars of accepted recordings in the cells of the image: ``counts``, row by row; no bytes.
+def make_coverage(request: CoverageRequest) -> tuple[CoverageAnswer, bytes]:
+    """Count the stars of accepted recordings in the cells of the image; no bytes.
 
     Places come from each grid, without distortion. Of few stars those next to the tag count: the beam lights the
     middle.
@@ -122,11 +176,11 @@ def make_coverage(request: Mapping[str, Any]) -> Answer:
     counts = np.zeros(columns * rows, np.int64)
     for _, grid, stars in request["grids"]:
         cells = _cells_of(nodes, np.array(grid, np.float64), request["size"], (columns, rows))
-        counts += np.bincount(cells[: int(stars)], minlength=len(counts))
+        counts += np.bincount(cells[:stars], minlength=len(counts))
     return {"counts": counts.tolist()}, b""
 
 
-def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int, int]) -> NDArray[np.int64]:
+def _cells_of(nodes: Array, grid: Array, size: Sequence[int], cells: tuple[int, int]) -> NDArray[np.int64]:
     """Return the cell of each node that lies in the image, in the order of the nodes."""
     mapped = np.column_stack([nodes, np.ones(len(nodes))]) @ grid.T
     points = mapped[:, :2] / mapped[:, 2:]
@@ -135,8 +189,8 @@ def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int
     return np.asarray(place[inside, 1] * cells[0] + place[inside, 0])
 
 
-def make_forecast(request: Mapping[str, Any]) -> Answer:
-    """Forecast the expanded uncertainties, px, that the first ``poses`` of a run's plan give; ``now`` may be empty."""
+def make_forecast(request: ForecastRequest) -> tuple[ForecastAnswer, bytes]:
+    """Forecast the expanded uncertainties that the first ``poses`` of a run's plan give; no bytes."""
     from bench.base.errors import UsageError
     from bench.results.forecasts import forecast_bench
     from calib.errors import CalibrationError
@@ -146,14 +200,18 @@ def make_forecast(request: Mapping[str, Any]) -> Answer:
     plan = job_of_run(request["folder"]).plan
     poses = [{f"{axis}_deg": deg for axis, deg in pose.angles_deg.items()} for pose in plan.poses]
     try:
-        limited = forecast(forecast_bench(plan), poses[: int(request["poses"])]).limited
+        limited = forecast(forecast_bench(plan), poses[: request["poses"]]).limited
     except (CalibrationError, UsageError):
         return {"now": {}}, b""
-    found = {"expanded_fx_px": limited["expanded_fx"], "worst_corner_px": limited[WORST_CORNER]}
-    return {"now": {name: float(value) for name, value in found.items() if np.isfinite(value)}}, b""
+    now: Uncertainties = {}
+    if np.isfinite(limited["expanded_fx"]):
+        now["expanded_fx_px"] = float(limited["expanded_fx"])
+    if np.isfinite(limited[WORST_CORNER]):
+        now["worst_corner_px"] = float(limited[WORST_CORNER])
+    return {"now": now}, b""
 
 
-def _solved_picture(path: Path, name: str) -> Answer | None:
+def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None:
     """Return the picture of a calibrated pose; None if the file does not hold it, or cannot be read."""
     from bench.base.errors import RunFolderError
     from bench.views.measure import StoredImage
@@ -174,12 +232,12 @@ def _solved_picture(path: Path, name: str) -> Answer | None:
     return answer, StoredImage.from_image(picture).png
 
 
-def _measured_picture(folder: Path, request: Mapping[str, Any]) -> Answer:
+def _measured_picture(folder: Path, request: PictureRequest) -> tuple[PictureAnswer, bytes]:
     job = job_of_run(str(folder))
-    step = job.record_step(int(request["pose"]))
-    grid = request.get("expected_grid")
+    step = job.record_step(request["pose"])
+    grid = request["expected_grid"]
     found = job.camera_kind.measure(
-        folder / str(request["capture"]),
+        folder / request["capture"],
         step,
         job.frequency_hz(step),
         job.target,
@@ -196,7 +254,7 @@ def _measured_picture(folder: Path, request: Mapping[str, Any]) -> Answer:
     return own_residuals(size, nodes, found.view.points_px), image.png
 
 
-def _given_grid(grid: Any, _image_size: tuple[int, int]) -> Array:
+def _given_grid(grid: Sequence[Sequence[float]], _image_size: tuple[int, int]) -> Array:
     return np.array(grid, np.float64)
 
 
@@ -208,7 +266,8 @@ def job_of_run(folder: str) -> Job:
     return Job.from_run_folder(Path(folder))
 
 
-OPERATIONS: Mapping[str, Callable[[Mapping[str, Any]], Answer]] = {
+Answer = tuple[Mapping[str, Any], bytes]
+OPERATIONS: Mapping[str, Callable[[Any], Answer]] = {
     "picture": make_picture,
     "coverage": make_coverage,
     "forecast": make_forecast,

@@ -9,9 +9,10 @@ import re
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 from bench.base.errors import BenchError, ScriptError, UsageError
 from bench.plan.plan import load_documents, make_plan
@@ -21,11 +22,26 @@ from bench.run.control import Command, send
 from bench.run.launch import serial_number
 from bench.run.status import read_status
 
-Json = dict[str, Any]
-
 _WORDS = {0: ("pass", "PASS"), 3: ("stopped", "STOPPED"), 4: ("fail", "FAIL")}
 _WRONG = ("refused", "WRONG CAMERA")
 _BROKEN = ("broken", "NOT MEASURED")
+
+
+class LineRun(TypedDict):
+    """What the page of the line shows of the run; ``run`` names its own page, ``left_s`` is there while it goes on."""
+
+    phase: str
+    word: str
+    serial: str
+    lines: Sequence[str]
+    run: str
+    left_s: NotRequired[float | None]
+
+
+class LineState(LineRun):
+    """What the page of the line shows."""
+
+    simulated: bool
 
 
 class Line:
@@ -74,11 +90,11 @@ class Line:
         command = Command.model_validate({"word": "abort", "by": self._operator, "known_by": known_by})
         send(self._folder, command)
 
-    def state(self) -> Json:
-        """Return what the page shows: ``phase word serial lines run simulated``, and ``left_s`` during a run."""
+    def state(self) -> LineState:
+        """Return what the page shows."""
         return {**self._now(), "simulated": self._simulated}
 
-    def _now(self) -> Json:
+    def _now(self) -> LineRun:
         with self._lock:
             process, serial, folder = self._process, self._serial, self._folder
         if process is None:
@@ -93,9 +109,9 @@ class Line:
             return _state("running", "MEASURING", serial, ["starting"], key)
         asks = [f"Asks: {now.question}"] if now.question else []
         lines = [*asks, f"{now.state}, {now.accepted} of {now.poses} poses"]
-        return _state("running", "MEASURING", serial, lines, key) | {"left_s": now.left_s}
+        return {**_state("running", "MEASURING", serial, lines, key), "left_s": now.left_s}
 
-    def _ended(self, status: int, serial: str, key: str) -> Json:
+    def _ended(self, status: int, serial: str, key: str) -> LineRun:
         try:
             said = read_json(self._said)
         except (BenchError, ValueError):
@@ -121,5 +137,5 @@ class Line:
         return self._folder.with_suffix(".log")
 
 
-def _state(phase: str, word: str, serial: str, lines: list[str], key: str) -> Json:
+def _state(phase: str, word: str, serial: str, lines: list[str], key: str) -> LineRun:
     return {"phase": phase, "word": word, "serial": serial, "lines": lines, "run": key}

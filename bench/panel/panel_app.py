@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
@@ -22,7 +22,8 @@ from bench.base.errors import BenchError, Failure, RunFolderError, UsageError
 from bench.batch.batch_summary import RUNS, read_batch, read_batch_status, summarise
 from bench.panel.folder_list import FolderList
 from bench.panel.line import Line
-from bench.panel.watching import MOST_LOG_LINES, Answer, Extras, Helper, RunWatch, Watcher
+from bench.panel.shown_run import FolderContent
+from bench.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import is_locked, storage_errors
@@ -30,6 +31,9 @@ from bench.records.summaries import BatchSummary, ItemData
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
 from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
+
+if TYPE_CHECKING:
+    from bench.panel.helper_process import PictureAnswer, PictureRequest
 
 # A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
 # parameter.
@@ -240,8 +244,13 @@ class Panel:
                 try:
                     found = self._list.look()
                 except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
-                    found = {"root": str(self._list.root), "exists": True, "runs": [], "batches": []}
-                    found["faults"] = [Failure.of(error).message]
+                    found = FolderContent(
+                        root=str(self._list.root),
+                        exists=True,
+                        runs=[],
+                        batches=[],
+                        faults=[Failure.of(error).message],
+                    )
                 self._list_text = json.dumps(found, separators=(",", ":"), allow_nan=False)
                 self._listed_at_s = time.monotonic()
             return self._list_text, 0
@@ -315,7 +324,7 @@ class Panel:
             raise RunFolderError(answer.get("fault") or "There is no picture.", where=str(folder))
         return Response(png, media_type="image/png")
 
-    def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> Answer:
+    def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> tuple[PictureAnswer, bytes]:
         from bench.panel.helper_process import picture_of_view
 
         watch = self._watcher.open(folder)
@@ -334,17 +343,16 @@ class Panel:
         is_accepted = accepted is not None and accepted.attempt == place[1]
         if left is not None and not (is_accepted and solved):
             return picture_of_view(left), left.png
-        arguments = {
+        request: PictureRequest = {
             "folder": str(folder),
             "pose": place[0],
             "pose_name": row["name"],
-            "attempt": place[1],
             "capture": found.stored["capture"],
             "expected_grid": found.measured.get("expected_grid"),
             "accepted": is_accepted and solved,
             "measure": measure,
         }
-        return self._helper.picture((folder, *place, is_accepted and solved), lambda: arguments)
+        return self._helper.picture(place[1], request)
 
     # ---------------------------------------------------------------- commands
     async def _command(self, request: Request) -> Response:

@@ -4,17 +4,31 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.panel.run_model import RunModel
+from bench.panel.shown_run import (
+    CountsData,
+    DecisionData,
+    LastRecording,
+    LeaveData,
+    LightData,
+    Possible,
+    QuestionData,
+    RecordingPlace,
+    RunHead,
+    SolvedData,
+    StageData,
+    StateData,
+    TimesData,
+)
+from bench.records.events import Asked, Solved, UntilDecided
 from bench.records.run_folder import is_sealed
 from bench.records.storage import is_locked
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
@@ -83,61 +97,55 @@ _GIGABYTE = 1e9
 _POSES_OF_A_SERIES = 3
 
 
-@dataclass(frozen=True)
-class Leave:
-    """Whether the run can be left alone."""
-
-    safe: bool  # Whether nobody is needed
-    text: str
-    # Time from which somebody is needed, ISO 8601; empty if it is not known or nobody is.
-    until_utc: str = ""
+def _leave(safe: bool, text: str, until_utc: str = "") -> LeaveData:
+    return {"safe": safe, "text": text, "until_utc": until_utc}
 
 
-def may_leave(model: RunModel, process: ProcessState, now: datetime) -> Leave:
+def may_leave(model: RunModel, process: ProcessState, now: datetime) -> LeaveData:
     """Return whether a run can be left alone."""
     history = model.history
     state = history.states[-1]["state"] if history.states else "idle"
     if not process.running:
         return _without_process(model)
     if history.ended or state in END_STATES:
-        return Leave(True, "The run has ended; its process is about to end.")
+        return _leave(True, "The run has ended; its process is about to end.")
     return _needs_a_person(model, process) or _needs_one_later(model, now)
 
 
-def _without_process(model: RunModel) -> Leave:
+def _without_process(model: RunModel) -> LeaveData:
     history = model.history
     if model.tail.fault or model.fault:
-        return Leave(False, "The journal cannot be read further, so it is not known how the run ended.")
+        return _leave(False, "The journal cannot be read further, so it is not known how the run ended.")
     if history.ended in {"finished", "aborted"}:
-        return Leave(True, f"The run has {'finished' if history.ended == 'finished' else 'stopped'}.")
+        return _leave(True, f"The run has {'finished' if history.ended == 'finished' else 'stopped'}.")
     if history.ended == "failed":
-        return Leave(False, "The run has failed. Read why, remove the cause, then resume it.")
+        return _leave(False, "The run has failed. Read why, remove the cause, then resume it.")
     if not model.lines:
-        return Leave(False, "The run has not begun.")
-    return Leave(
+        return _leave(False, "The run has not begun.")
+    return _leave(
         False,
         "The run's process was killed or lost its power. Nothing in its journal says how it left the bench: look at the"
         " light and the stage, then resume the run.",
     )
 
 
-def _needs_a_person(model: RunModel, process: ProcessState) -> Leave | None:
+def _needs_a_person(model: RunModel, process: ProcessState) -> LeaveData | None:
     """Return why a person is needed now; None if none is."""
     history = model.history
     if process.quiet_s is not None:
-        return Leave(
+        return _leave(
             False, f"Its process has given no sign of life for {process.quiet_s:.0f} s. Look at the bench."
         )
     if history.question:
-        return Leave(False, "The run waits for an answer.")
+        return _leave(False, "The run waits for an answer.")
     if history.interlock:
         name, _, why = history.interlock.partition(":")
-        return Leave(False, f"The {interlock_text(name)} interlock holds the run:{why}.")
+        return _leave(False, f"The {interlock_text(name)} interlock holds the run:{why}.")
     if history.holder:
-        return Leave(False, _hold_text(model))
+        return _leave(False, _hold_text(model))
     if process.free_bytes is not None and _needed_bytes(model) > process.free_bytes:
         free, needed = process.free_bytes / _GIGABYTE, _needed_bytes(model) / _GIGABYTE
-        return Leave(False, f"The disk has {free:.1f} GB free; the run may need {needed:.1f} GB.")
+        return _leave(False, f"The disk has {free:.1f} GB free; the run may need {needed:.1f} GB.")
     return None
 
 
@@ -148,15 +156,15 @@ def _hold_text(model: RunModel) -> str:
     return f"{holder} holds the run. It waits for a release; after {MAX_HOLD_H} h of holding it is aborted."
 
 
-def _needs_one_later(model: RunModel, now: datetime) -> Leave:
+def _needs_one_later(model: RunModel, now: datetime) -> LeaveData:
     step = model.time_left.next_of(model.plan.prompts, model.history.done_steps)
     if step is not None:
         moment = now + timedelta(seconds=model.time_left.left_at_step_s(step))
-        return Leave(False, "The run will ask a question.", moment.isoformat())
+        return _leave(False, "The run will ask a question.", moment.isoformat())
     bad = _failed_in_a_row(model)
     if bad >= _POSES_OF_A_SERIES:
-        return Leave(False, f"The last {bad} poses were rejected. Look at their reasons.")
-    return Leave(True, "The run needs nobody until its end.")
+        return _leave(False, f"The last {bad} poses were rejected. Look at their reasons.")
+    return _leave(True, "The run needs nobody until its end.")
 
 
 def _failed_in_a_row(model: RunModel) -> int:
@@ -177,10 +185,10 @@ def _needed_bytes(model: RunModel) -> float:
     return model.plan.most_bytes * max(0.0, 1.0 - done / poses)
 
 
-Json = dict[str, Any]
-
 _MOST_DEVIATIONS = 30
 _MOST_DECISIONS = 200
+_FACTS = ("events", "duration_s", "triggers", "temperature_c", "frames", "exposure_us")
+"""Facts of a recording that the page shows."""
 _TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted": "bad", "running": "busy"}
 
 
@@ -199,12 +207,11 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
     return how, _TONES[how]
 
 
-def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
+def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
     """Return the upper part of a run's page."""
     history, plan = model.history, model.plan
     started = history.started
     verdict, tone = verdict_of(model, process)
-    leave = may_leave(model, process, now)
     return {
         "id": started.get("id", model.folder.name),
         "sequence": started.get("sequence", ""),
@@ -224,7 +231,7 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
         "faults": [fault for fault in (model.tail.fault, model.fault, process.fault, plan.fault) if fault],
         "incomplete": model.tail.incomplete and not process.running,
         "read_share": round(model.tail.read_share, 3) if model.tail.more else 1.0,
-        "leave": {"safe": leave.safe, "text": leave.text, "until_utc": leave.until_utc},
+        "leave": may_leave(model, process, now),
         **_state(model, process),
         **_times(model, process, now),
         **_counts(model),
@@ -241,11 +248,11 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
     }
 
 
-def _state(model: RunModel, process: ProcessState) -> Json:
+def _state(model: RunModel, process: ProcessState) -> StateData:
     history = model.history
     last = history.states[-1] if history.states else None
     interlock = history.interlock.partition(":")[0]
-    row = model.rows.get(history.at_pose or 0)
+    row, asked = model.rows.get(history.at_pose or 0), model.asked
     return {
         "state": last["state"] if last else "idle",
         "state_utc": last["utc"] if last else "",
@@ -253,24 +260,23 @@ def _state(model: RunModel, process: ProcessState) -> Json:
         "pose_name": row["name"] if row else "",
         "holder": history.holder if process.running else "",
         "interlock": interlock_text(interlock) if process.running else "",
-        "question": _question(model) if process.running and history.question else None,
+        "question": _question(model, asked) if process.running and history.question and asked else None,
     }
 
 
-def _question(model: RunModel) -> Json:
-    timeout_s = model.asked.get("timeout_s")
-    until = ""
-    if timeout_s is not None and model.asked_utc:
-        until = (datetime.fromisoformat(model.asked_utc) + timedelta(seconds=float(timeout_s))).isoformat()
+def _question(model: RunModel, asked: Asked) -> QuestionData:
+    timeout_s, until = asked["timeout_s"], ""
+    if timeout_s is not None:
+        until = (datetime.fromisoformat(model.asked_utc) + timedelta(seconds=timeout_s)).isoformat()
     return {
         "text": model.history.question,
-        "default": model.asked.get("default", ""),
+        "default": asked["default"],
         "until_utc": until,
         "answered": model.history.answer is not None,
     }
 
 
-def _times(model: RunModel, process: ProcessState, now: datetime) -> Json:
+def _times(model: RunModel, process: ProcessState, now: datetime) -> TimesData:
     history = model.history
     ended_utc = history.states[-1]["utc"] if history.ended and history.states else ""
     going_on = process.running and not history.ended and not model.plan.fault
@@ -287,7 +293,7 @@ def _times(model: RunModel, process: ProcessState, now: datetime) -> Json:
     }
 
 
-def _counts(model: RunModel) -> Json:
+def _counts(model: RunModel) -> CountsData:
     history = model.history
     known = len(model.rows)
     recordings, lost = len(history.attempts), sum(history.lost.values())
@@ -305,55 +311,61 @@ def _counts(model: RunModel) -> Json:
     }
 
 
-def _last(model: RunModel) -> Json | None:
+def _last(model: RunModel) -> LastRecording | None:
     """Return the newest recording; its verdict only if that belongs to it."""
     stored, checked = model.last_stored, model.last_checked
-    if not stored:
+    if stored is None:
         return None
-    found: Json = {
+    facts = stored["facts"]
+    found: LastRecording = {
         "pose": stored["pose"],
         "pose_name": stored["pose_name"],
         "attempt": stored["attempt"],
         "utc": model.stored_utc,
-        "facts": {
-            name: stored.get("facts", {}).get(name)
-            for name in ("events", "duration_s", "triggers", "temperature_c", "frames", "exposure_us")
-            if stored.get("facts", {}).get(name) is not None
-        },
+        "facts": {name: facts[name] for name in _FACTS if facts.get(name) is not None},
         "checked": False,
     }
-    if checked and (checked["pose"], checked["attempt"]) == (stored["pose"], stored["attempt"]):
-        found |= {name: checked[name] for name in ("accepted", "reasons", "stars", "gates")}
-        measured = checked.get("measured", {})
-        found["edge_width_px"] = measured.get("edge_width_px")
-        found["flicker_hz"] = measured.get("flicker_hz")
-        found["checked"] = True
-    elif checked:
-        found["gates_before"] = checked.get("gates", [])
-    return found
+    if checked is None:
+        return found
+    if (checked["pose"], checked["attempt"]) != (stored["pose"], stored["attempt"]):
+        return {**found, "gates_before": checked["gates"]}
+    measured = checked["measured"]
+    return {
+        **found,
+        "accepted": checked["accepted"],
+        "reasons": checked["reasons"],
+        "stars": checked["stars"],
+        "gates": checked["gates"],
+        "edge_width_px": measured.get("edge_width_px"),
+        "flicker_hz": measured.get("flicker_hz"),
+        "checked": True,
+    }
 
 
-def _checked_place(model: RunModel) -> Json | None:
+def _checked_place(model: RunModel) -> RecordingPlace | None:
     """Return which recording was checked last; the run has left its picture."""
     checked = model.last_checked
-    return {"pose": checked["pose"], "attempt": checked["attempt"]} if checked else None
+    return {"pose": checked["pose"], "attempt": checked["attempt"]} if checked is not None else None
 
 
-def _light(model: RunModel) -> Json | None:
+def _light(model: RunModel) -> LightData | None:
     """Return the light as it was read back at the last recording."""
-    light = model.last_stored.get("light")
-    return {"utc": model.stored_utc, "settings": dict(light)} if light else None
+    stored = model.last_stored
+    return (
+        {"utc": model.stored_utc, "settings": dict(stored["light"])} if stored and stored["light"] else None
+    )
 
 
-def _stage(model: RunModel) -> Json:
+def _stage(model: RunModel) -> StageData:
+    stored = model.last_stored
     return {
         "target_deg": dict(model.last_target_deg),
-        "measured_deg": dict(model.last_stored.get("measured_deg", {})),
+        "measured_deg": dict(stored["measured_deg"]) if stored else {},
         "utc": model.stored_utc,
     }
 
 
-def _possible(model: RunModel, process: ProcessState) -> Json:
+def _possible(model: RunModel, process: ProcessState) -> Possible:
     """Return which commands make sense now; the run itself decides on each."""
     history = model.history
     takes = process.running and process.takes_commands and not history.ended
@@ -366,29 +378,33 @@ def _possible(model: RunModel, process: ProcessState) -> Json:
     }
 
 
-def _decision(decided: Mapping[str, Any]) -> Json:
-    chosen = decided.get("chosen", {})
+def _decision(decided: UntilDecided) -> DecisionData:
+    chosen = decided.get("chosen")
+    why = chosen["why"] if chosen else ""
     return {
         "poses": decided["poses"],
         "now": dict(decided["now"]),
         "wanted": dict(decided["wanted"]),
-        "expected": dict(chosen.get("expected", {})),
-        "next": chosen.get("pose_name", ""),
-        "why": chosen.get("why") or decided.get("why") or decided.get("problem") or "",
+        "expected": dict(chosen["expected"]) if chosen else {},
+        "next": chosen["pose_name"] if chosen else "",
+        "why": why or decided.get("why") or decided.get("problem") or "",
         "ended": decided.get("ended", ""),
     }
 
 
-def _solved(solved: Mapping[str, Any]) -> Json | None:
+def _solved(solved: Solved) -> SolvedData | None:
     if not solved:
         return None
-    sigma = solved.get("sigma", {})
-    values = [
-        {"name": name, "value": value, "sigma": sigma[name]}
-        for name, value in solved.get("values", {}).items()
-        if name in sigma
-    ]
-    return {"model": solved.get("model", ""), "rms_px": solved.get("rms_px"), "parameters": values}
+    sigma = solved["sigma"]
+    return {
+        "model": solved["model"],
+        "rms_px": solved["rms_px"],
+        "parameters": [
+            {"name": name, "value": value, "sigma": sigma[name]}
+            for name, value in solved["values"].items()
+            if name in sigma
+        ],
+    }
 
 
 def _evidence(folder: Path, now: datetime) -> str:

@@ -9,10 +9,20 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from bench.base.errors import BenchError, StorageError
-from bench.records.events import Event
+from bench.panel.shown_run import LogLine, PoseRow, PoseState, Uncertainties
+from bench.records.events import (
+    Asked,
+    AttemptChecked,
+    AttemptLost,
+    CaptureStored,
+    Entering,
+    Event,
+    PoseSkipped,
+    UntilDecided,
+)
 from bench.records.history import History, apply_entry
 from bench.records.journal import FIRST_PREV, Entry, decode_line, read_journal
 from bench.records.run_facts import coverage_factor
@@ -122,20 +132,21 @@ class JournalTail:
 # What a page needs of a run's results.
 
 
-def read_final(folder: Path) -> dict[str, float]:
-    """Read the final uncertainties, px: ``coverage_factor``, ``expanded_fx_px``, ``worst_corner_px``, as stated."""
+def read_final(folder: Path) -> Uncertainties:
+    """Read the final uncertainties, as stated; empty where the results cannot be read."""
     try:
         results = read_json(folder / RESULTS)
         calibration = results["calibration"]
         k = coverage_factor(calibration, "fx")
-        found = {"coverage_factor": k, "expanded_fx_px": k * float(calibration["sigma"]["fx"])}
+        found: Uncertainties = {
+            "coverage_factor": k,
+            "expanded_fx_px": k * float(calibration["sigma"]["fx"]),
+        }
         corner = results.get("projection", {}).get("worst_corner", {}).get("expanded_px")
         return found if corner is None else {**found, "worst_corner_px": float(corner)}
     except (StorageError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 
-
-Json = dict[str, Any]
 
 _CLOCK_TEXT = len("12:34:56 UTC  ")
 
@@ -158,31 +169,29 @@ class RunModel:
         self.plan: RunPlan = RunPlan()
         self.time_left = TimeLeft((), 0.0)
         self.history = History()
-        self.rows: dict[int, Json] = {}
+        self.rows: dict[int, PoseRow] = {}
         """Poses by number."""
         self._changed: dict[int, int] = {}  # pose: line at which it changed last, oldest first
-        self.log: list[tuple[int, str, str, str]] = []
-        """Number of the line, its time, its text and its tone."""
+        self.log: list[LogLine] = []
         self.last_target_deg: Mapping[str, float] = {}
-        self.asked: Mapping[str, Any] = {}
+        self.asked: Asked | None = None
         self.stored_utc = self.asked_utc = ""
         """Times of the last recording and of the last question."""
 
     @property
-    def last_stored(self) -> Mapping[str, Any]:
-        """What the journal holds of the last recording; empty before the first one."""
-        return self.history.attempts[-1].stored if self.history.attempts else {}
+    def last_stored(self) -> CaptureStored | None:
+        """What the journal holds of the last recording."""
+        return self.history.attempts[-1].stored if self.history.attempts else None
 
     @property
-    def last_checked(self) -> Mapping[str, Any]:
-        """What the journal holds of the last recording that was measured; empty before the first one."""
-        return next((one.checked for one in reversed(self.history.attempts) if one.checked is not None), {})
+    def last_checked(self) -> AttemptChecked | None:
+        """What the journal holds of the last recording that was measured."""
+        return next((one.checked for one in reversed(self.history.attempts) if one.checked is not None), None)
 
     @property
     def gate_failures(self) -> Mapping[str, int]:
         """How many recordings each gate has rejected."""
-        checked = (one.checked for one in self.history.attempts if one.checked is not None)
-        judged = (gate for one in checked for gate in one.get("gates", ()))
+        judged = (gate for one in self.history.attempts for gate in one.gates)
         return Counter(gate["name"] for gate in judged if gate["verdict"] == "fail")
 
     def refresh(self) -> bool:
@@ -194,7 +203,7 @@ class RunModel:
             self._apply(entry)
         return before != (self.tail.fault, self.lines, self.tail.incomplete)
 
-    def changed_rows(self, after: int) -> list[Json]:
+    def changed_rows(self, after: int) -> list[PoseRow]:
         """Return the poses that changed after a line, in order; 0 for all."""
         if after <= 0:
             return [self.rows[number] for number in sorted(self.rows)]
@@ -205,24 +214,24 @@ class RunModel:
             found.append(number)
         return [self.rows[number] for number in sorted(found)]
 
-    def newest_rows(self) -> Iterator[Json]:
+    def newest_rows(self) -> Iterator[PoseRow]:
         """Yield the poses, those that changed last first."""
         for number in reversed(self._changed):
             yield self.rows[number]
 
-    def log_after(self, after: int, most: int) -> list[Json]:
-        """Return the newest lines of the log after a line: ``line``, ``utc``, ``text``, ``tone``; newest last."""
+    def log_after(self, after: int, most: int) -> list[LogLine]:
+        """Return the newest lines of the log after a line of the journal; newest last."""
         begin = len(self.log)
-        while begin > 0 and len(self.log) - begin < most and self.log[begin - 1][0] > after:
+        while begin > 0 and len(self.log) - begin < most and self.log[begin - 1]["line"] > after:
             begin -= 1
-        return [_log_dict(one) for one in self.log[begin:]]
+        return self.log[begin:]
 
-    def log_before(self, before: int, most: int) -> list[Json]:
+    def log_before(self, before: int, most: int) -> list[LogLine]:
         """Return the log before a line, as `log_after`."""
         end = len(self.log)
-        while end > 0 and self.log[end - 1][0] >= before:
+        while end > 0 and self.log[end - 1]["line"] >= before:
             end -= 1
-        return [_log_dict(one) for one in self.log[max(0, end - most) : end]]
+        return self.log[max(0, end - most) : end]
 
     def _apply(self, entry: Entry) -> None:
         self.lines += 1
@@ -243,7 +252,8 @@ class RunModel:
             )
             return
         if text:
-            self.log.append((self.lines, entry.utc, text[_CLOCK_TEXT:], _tone(entry)))
+            line = LogLine(line=self.lines, utc=entry.utc, text=text[_CLOCK_TEXT:], tone=_tone(entry))
+            self.log.append(line)
 
     def _read_plan(self) -> None:
         self.plan = read_plan(self.folder)
@@ -261,35 +271,49 @@ class RunModel:
             case Event.ENTERING:
                 self.last_target_deg = data.get("target_deg", self.last_target_deg)
             case Event.ASKED:
-                self.asked, self.asked_utc = data, entry.utc
+                self.asked, self.asked_utc = cast("Asked", data), entry.utc
 
     def _change_rows(self, entry: Entry) -> None:
-        data, number = entry.data, entry.data.get("pose")
         match entry.event:
-            case Event.ENTERING if number is not None:
-                self._leave_pose_at_work(except_for=number)
-                self._change(number, state="at work", name=data.get("pose_name"))
             case Event.ENTERING:
-                if self.history.at_pose is None:
-                    self._leave_pose_at_work()
+                self._enter(cast("Entering", entry.data))
             case Event.ATTEMPT_CHECKED:
-                state = "accepted" if data["accepted"] else "rejected"
-                why = "; ".join(data["reasons"])
-                self._change(
-                    int(data["pose"]), state=state, stars=data["stars"], why=why, last=data["attempt"]
-                )
+                self._check(cast("AttemptChecked", entry.data))
             case Event.CAPTURE_STORED:
-                self._change(int(data["pose"]), attempts=int(data["attempt"]), last=int(data["attempt"]))
+                stored = cast("CaptureStored", entry.data)
+                row, number = self._row_at(stored["pose"]), stored["attempt"]
+                self._change({**row, "attempts": number, "last": number})
             case Event.ATTEMPT_LOST:
-                self._change(int(data["pose"]), state="lost", attempts=int(data["attempt"]), why=data["why"])
+                lost = cast("AttemptLost", entry.data)
+                row, number = self._row_at(lost["pose"]), lost["attempt"]
+                self._change({**row, "state": "lost", "attempts": number, "why": lost["why"]})
             case Event.POSE_SKIPPED:
-                self._change(int(data["pose"]), state="skipped", why=data["what"])
-            case Event.UNTIL_DECIDED if "chosen" in data:
-                chosen = data["chosen"]
-                self.rows[chosen["pose"]] = _row(chosen["pose"], chosen["pose_name"], chosen["angles_deg"])
-                self._change(chosen["pose"], chosen=True)
+                skipped = cast("PoseSkipped", entry.data)
+                self._change({**self._row_at(skipped["pose"]), "state": "skipped", "why": skipped["what"]})
+            case Event.UNTIL_DECIDED:
+                decided = cast("UntilDecided", entry.data)
+                if "chosen" in decided:
+                    chosen = decided["chosen"]
+                    row = _row(chosen["pose"], chosen["pose_name"], chosen["angles_deg"])
+                    self._change({**row, "chosen": True})
             case Event.RUN_ENDED | Event.RUN_RESUMED:
                 self._leave_pose_at_work()
+
+    def _enter(self, entered: Entering) -> None:
+        if "pose" in entered:
+            self._leave_pose_at_work(except_for=entered["pose"])
+            row = self._row_at(entered["pose"])
+            self._change({**row, "state": "at work", "name": entered["pose_name"]})
+        elif self.history.at_pose is None:
+            self._leave_pose_at_work()
+
+    def _check(self, checked: AttemptChecked) -> None:
+        row = self._row_at(checked["pose"])
+        state: PoseState = "accepted" if checked["accepted"] else "rejected"
+        why = "" if checked["accepted"] else "; ".join(checked["reasons"])
+        self._change(
+            {**row, "state": state, "stars": checked["stars"], "why": why, "last": checked["attempt"]}
+        )
 
     def _leave_pose_at_work(self, except_for: int | None = None) -> None:
         """Give the pose that is at work no longer the state that it has earned."""
@@ -297,21 +321,22 @@ class RunModel:
         row = self.rows.get(number) if number is not None else None
         if row is None or row["state"] != "at work" or number == except_for:
             return
-        assert number is not None
-        state = "accepted" if number in self.history.accepted() else "rejected" if row["why"] else "planned"
-        self._change(number, state=state)
+        if number in self.history.accepted():
+            self._change({**row, "state": "accepted", "why": ""})
+        else:
+            self._change({**row, "state": "rejected" if row["why"] else "planned"})
 
-    def _change(self, number: int, **values: Any) -> None:
-        old = self.rows.get(number) or _row(number, str(values.get("name") or ""), {})
-        given = {name: value for name, value in values.items() if value is not None}
-        if given.get("state") == "accepted":
-            given["why"] = ""
-        self.rows[number] = {**old, **given}
+    def _row_at(self, number: int) -> PoseRow:
+        return self.rows.get(number) or _row(number, "", {})
+
+    def _change(self, row: PoseRow) -> None:
+        number = row["number"]
+        self.rows[number] = row
         self._changed.pop(number, None)
         self._changed[number] = self.lines
 
 
-def _row(number: int, name: str, angles_deg: Mapping[str, float]) -> Json:
+def _row(number: int, name: str, angles_deg: Mapping[str, float]) -> PoseRow:
     return {
         "number": number,
         "name": name,
@@ -341,7 +366,3 @@ def _tone(entry: Entry) -> str:
             return "warn" if data.get("state", "holding") in {"holding", "aborting", "failed"} else ""
         case _:
             return ""
-
-
-def _log_dict(line: tuple[int, str, str, str]) -> Json:
-    return dict(zip(("line", "utc", "text", "tone"), line, strict=True))

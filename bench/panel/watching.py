@@ -10,19 +10,30 @@ import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 from bench.base.errors import Failure
 from bench.base.worker_process import WorkerProcess
 from bench.panel.run_head import ProcessState, head_of, look_at_process
 from bench.panel.run_model import RunModel, read_final
+from bench.panel.shown_run import Coverage, Forecast, RunExtras, RunHead, RunMessage
 from bench.records.history import History
 from bench.run.heartbeat import LastView, read_last_view
 from bench.web.pages import Changes
+
+if TYPE_CHECKING:
+    from bench.panel.helper_process import (
+        CoverageAnswer,
+        CoverageRequest,
+        ForecastAnswer,
+        ForecastRequest,
+        PictureAnswer,
+        PictureRequest,
+    )
 
 LOOK_S = 0.02
 """Time between two looks at a journal, s."""
@@ -46,15 +57,14 @@ class RunWatch:
         self.changes = Changes()
         self.readers = 0
         self.left_at_s = time.monotonic()
-        self.extras: dict[str, Any] = {}
-        """What the helper process has calculated: ``coverage``, ``forecast``."""
+        self.extras: RunExtras = {}
         self.views: dict[tuple[int, int], LastView] = {}
         """Pictures that the run has left, by pose and attempt; the newest last."""
         self.lock = threading.RLock()
         self._utc_now = utc_now
         self._process_at_s = self._told_at_s = float("-inf")
         self._messages: dict[tuple[int, bool], str] = {}
-        self._last_head: dict[str, Any] = {}
+        self._last_head: RunHead | None = None
 
     def look(self, now_s: float) -> bool:
         """Look at the run; wake the pages if anything is new. True if there is more to read at once."""
@@ -83,7 +93,7 @@ class RunWatch:
             begin = 0 if anew else after
             text = self._messages.get((begin, anew))
             if text is None:
-                body = {
+                body: RunMessage = {
                     "reset": anew,
                     "since": begin,
                     "line": model.lines,
@@ -95,10 +105,10 @@ class RunWatch:
                 text = self._messages[begin, anew] = json.dumps(body, separators=(",", ":"), allow_nan=False)
             return text, model.lines, model.generation
 
-    def tell(self, extras: Mapping[str, Any]) -> None:
+    def tell(self, extras: RunExtras) -> None:
         """Add what the helper process has calculated, and wake the pages."""
         with self.lock:
-            self.extras |= extras
+            self.extras.update(extras)
             self._messages.clear()
         self.changes.tell()
 
@@ -110,12 +120,12 @@ class RunWatch:
         elif not ended:
             self.extras.pop("final", None)
 
-    def _head(self) -> dict[str, Any]:
+    def _head(self) -> RunHead:
         """Return the head; that of before, with the fault, if another version's journal confuses it."""
         try:
             self._last_head = head_of(self.model, self.process, self._utc_now())
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            if not self._last_head:
+            if self._last_head is None:
                 raise
             fault = f"The state of this run cannot be shown completely. {Failure.of(error).message}"
             return {**self._last_head, "faults": [*self._last_head["faults"], fault]}
@@ -124,9 +134,9 @@ class RunWatch:
     def _keep_view(self) -> None:
         """Keep the picture of the recording that was checked last; the next one will replace it in the folder."""
         checked = self.model.last_checked
-        if not checked or self.model.tail.more or self.model.history.ended:
+        if checked is None or self.model.tail.more or self.model.history.ended:
             return
-        place = int(checked["pose"]), int(checked["attempt"])
+        place = checked["pose"], checked["attempt"]
         if place in self.views:
             return
         left = read_last_view(self.model.folder)
@@ -223,9 +233,6 @@ class Watcher:
 
 # Asks the panel's helper process (`bench.panel.helper_process`); starts it when it is needed first.
 
-Json = dict[str, Any]
-Answer = tuple[Json, bytes]
-
 _MOST_PICTURES = 60
 
 
@@ -234,22 +241,37 @@ class Helper:
 
     def __init__(self) -> None:
         self._worker = WorkerProcess("bench.panel.helper_process")
-        self._kept: OrderedDict[tuple[Any, ...], Answer] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, int, int, bool], tuple[PictureAnswer, bytes]] = OrderedDict()
 
-    def ask(self, operation: str, **arguments: Any) -> Answer:
+    @overload
+    def ask(
+        self, operation: Literal["picture"], **request: Unpack[PictureRequest]
+    ) -> tuple[PictureAnswer, bytes]: ...
+
+    @overload
+    def ask(
+        self, operation: Literal["coverage"], **request: Unpack[CoverageRequest]
+    ) -> tuple[CoverageAnswer, bytes]: ...
+
+    @overload
+    def ask(
+        self, operation: Literal["forecast"], **request: Unpack[ForecastRequest]
+    ) -> tuple[ForecastAnswer, bytes]: ...
+
+    def ask(self, operation: str, **request: Any) -> Any:
         """Do an operation of `helper_process.OPERATIONS`; the answer has a ``fault`` if it failed."""
         try:
-            answer: Answer = self._worker.ask((operation, arguments))
+            return self._worker.ask((operation, request))
         except EOFError:
             ended = "The helper process of the panel has ended; it is started again with the next request."
             return {"fault": "The panel is ending." if self._worker.closed else ended}, b""
-        return answer
 
-    def picture(self, key: tuple[Any, ...], ask: Callable[[], Json]) -> Answer:
-        """Return a picture; one that was made before is not made again. ``ask`` returns its arguments."""
+    def picture(self, attempt: int, request: PictureRequest) -> tuple[PictureAnswer, bytes]:
+        """Return a picture; one that was made before is not made again."""
+        key = request["folder"], request["pose"], attempt, request["accepted"]
         if key in self._kept:
             return self._kept[key]
-        answer = self.ask("picture", **ask())
+        answer = self.ask("picture", **request)
         if answer[1]:
             self._kept[key] = answer
             while len(self._kept) > _MOST_PICTURES:
@@ -278,7 +300,7 @@ class Extras:
         self._generation = 0
         self._covered = 0
         self._counts = [0] * (CELLS[0] * CELLS[1])
-        self._forecast: list[dict[str, Any]] = []
+        self._forecast: list[Forecast] = []
         self._forecast_left: list[int] | None = None
 
     async def keep_up(self) -> None:
@@ -298,8 +320,8 @@ class Extras:
                 self._counts = [0] * len(self._counts)
                 self._forecast, self._forecast_left = [], None
             grids = _grids(model.history)[self._covered : self._covered + _MOST_GRIDS]
-            size = _image_size(model.history.devices.get("camera", {}), model.last_stored.get("facts", {}))
-            poses = sum(1 for pose in model.plan.poses.values() if pose.get("angles_deg"))
+            size = _image_size(model)
+            poses = sum(1 for pose in model.plan.poses.values() if pose["angles_deg"])
         if self._forecast_left is None and poses:
             self._forecast_left = forecast_poses(poses)
         if not grids or size is None:
@@ -316,8 +338,14 @@ class Extras:
         if "counts" in answer:
             self._counts = [a + b for a, b in zip(self._counts, answer["counts"], strict=True)]
             share = sum(count > 0 for count in self._counts) / len(self._counts)
-            coverage = {"cells": CELLS, "counts": self._counts, "share": round(share, 4), "size": size}
-            self._watch.tell({"coverage": {**coverage, "poses": self._covered}})
+            coverage: Coverage = {
+                "cells": CELLS,
+                "counts": self._counts,
+                "share": round(share, 4),
+                "size": size,
+                "poses": self._covered,
+            }
+            self._watch.tell({"coverage": coverage})
         return True
 
     async def _foresee(self) -> bool:
@@ -335,11 +363,12 @@ class Extras:
         return True
 
 
-def _grids(history: History) -> list[tuple[int, Any, int]]:
+def _grids(history: History) -> list[tuple[int, Sequence[Sequence[float]], int]]:
     """Return pose, grid and number of stars of the accepted recordings, in the order of their acceptance."""
     checked = [(pose, one.checked) for pose, one in history.accepted().items() if one.checked is not None]
-    found = [(pose, one.get("measured", {}).get("grid"), one["stars"]) for pose, one in checked]
-    return [one for one in found if one[1] is not None]
+    return [
+        (pose, one["measured"]["grid"], one["stars"]) for pose, one in checked if "grid" in one["measured"]
+    ]
 
 
 def forecast_poses(poses: int) -> list[int]:
@@ -359,9 +388,10 @@ def forecast_poses(poses: int) -> list[int]:
     return [most, *(number for number in found if number < most)]
 
 
-def _image_size(camera: Any, facts: Any) -> Sequence[int] | None:
+def _image_size(model: RunModel) -> tuple[int, int] | None:
     """Return width and height of the image, px, as the camera or the last recording states them."""
-    for source in (camera, facts):
+    camera, last = model.history.devices.get("camera", {}), model.last_stored
+    for source in (camera, last["facts"] if last else {}):
         if source.get("width") and source.get("height"):
             return int(source["width"]), int(source["height"])
     return None

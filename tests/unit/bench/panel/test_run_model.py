@@ -181,7 +181,7 @@ def test_the_time_left_is_scaled_by_what_the_steps_took(tmp_path):
     pace = 0.6  # 0.2 s to move and 0.4 s to record, where 1 s was planned
     assert model.time_left.pace == pytest.approx(pace)
     left_s = (6 * 1.0 + 1.0) * pace  # six poses of two steps, and the calibration
-    last = datetime.fromisoformat(model.log[-1][1]) + timedelta(seconds=0.1)
+    last = datetime.fromisoformat(model.log[-1]["utc"]) + timedelta(seconds=0.1)
     assert model.time_left.left_s(last, held=False) == pytest.approx(left_s, abs=0.01)
     assert model.time_left.left_s(last + timedelta(seconds=1), held=False) == pytest.approx(
         left_s - 1, abs=0.01
