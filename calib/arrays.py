@@ -1,6 +1,8 @@
-"""Types of arrays by their numbers; a docstring or comment beside each use gives shape and unit."""
+"""Types of arrays by their numbers; a docstring or comment beside each use gives shape and unit. Their median."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +14,23 @@ Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 """Numbers from 0 to 255, such as pictures, masks and polarities."""
 AnyArray = NDArray[np.generic]
+
+#: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2) (Rayleigh distribution).
+RAYLEIGH_MEDIAN = 1.1774100225154747
+
+
+def median(values: Array) -> float:
+    """Return the median, NaN with a NaN or no number: `numpy.median` takes four times as long for some hundred.
+
+    Examples
+    --------
+    >>> median(np.array([5.0, 1.0, 2.0])), median(np.array([5.0, 1.0, 2.0, 3.0]))
+    (2.0, 2.5)
+    """
+    if not len(values):
+        return math.nan
+    ordered = np.sort(values)  # NaN comes last
+    if math.isnan(ordered[-1]):
+        return math.nan
+    half = len(ordered) // 2
+    return float(ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))

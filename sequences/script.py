@@ -174,7 +174,6 @@ class SolveStep(_NumberedStep):
     other_collimator: Literal["refuse", "accept"] = "refuse"
     readings: Readings = "auto"
     guard_band: float = 1.0
-    drift_mm: float = 0.3
     checked: str | None = None
 
 

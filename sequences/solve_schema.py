@@ -109,7 +109,7 @@ class SolveConfig(StrictModel):
     drift_mm: Annotated[
         float,
         Within(1e-6, 1000, "mm"),
-        Field(description="Expected drift of the centre per view, model drift."),
+        Field(description="Of sequences of earlier versions; it has no effect."),
     ] = 0.3
     limits: LimitConfig = LimitConfig()
 

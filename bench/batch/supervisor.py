@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.clock import Aborted, BenchClock
-from bench.base.device_ends import DeviceEnd, all_ends, lost_ends, unsafe_devices
+from bench.records.history import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.records.run_folder import STATION_COPY
 from bench.records.storage import is_locked
 from bench.run.heartbeat import (

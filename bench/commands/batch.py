@@ -83,8 +83,8 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
 
     The journals and the summary have the same form as those of a real night.
     """
+    from bench.batch.batch import rehearse_batch
     from bench.batch.batch_plan import read_queue
-    from bench.batch.rehearsed_night import rehearse_batch
     from bench.commands.plan import begin_utc
     from bench.plan.plan_text import duration_text
 

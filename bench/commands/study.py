@@ -31,7 +31,8 @@ from bench.records.storage import write_atomic
 
 if TYPE_CHECKING:
     from bench.cluster.recalculation import PlannedStudy
-    from bench.compare.run_comparison import Row, Task
+    from bench.compare.methods import Row
+    from bench.compare.run_comparison import Task
     from bench.compare.spec import ComparisonConfig
     from calib.studies.monte_carlo import MonteCarloStudy
 

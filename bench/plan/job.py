@@ -74,7 +74,6 @@ def calibration_options(
         step.huber_px,
         passport=passport,
         guard_band=step.guard_band,
-        drift_mm=step.drift_mm,
         gimbal=gimbal,
         budget=budget,
     )

@@ -187,10 +187,8 @@ class Ledger:
             entries = journal.entries
             faults = [f"{one} {EXPLAIN}" for one in breaks_of(entries) if one.reason is None]
             number = 1 + highest_run(entries)
-            own = self._own_mark()
-            witnessed = own.mark.lines if isinstance(own, OwnMark) else 0
             facts = {"run": run_id, "folder": str(folder), "camera": camera, "simulated": simulated}
-            journal.append(RUN_BEGUN, number=number, **facts, witnessed=witnessed)
+            journal.append(RUN_BEGUN, number=number, **facts)
             of_camera: dict[str, int] = {}
             for run in runs_of(journal.entries):
                 if run.camera == camera and run.simulated == simulated:

@@ -126,8 +126,7 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
     plots: dict[str, str] = dict.fromkeys(PLOTS, "")
     pictures: list[tuple[str, str]] = []
     if draw:
-        from bench.report.pictures import pose_pictures
-        from bench.report.plots import report_plots
+        from bench.report.plots import pose_pictures, report_plots
 
         plots = report_plots(data.results, data.views)
         pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)

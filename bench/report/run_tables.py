@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.base.device_ends import DeviceEnd
 from bench.records.events import FailureData, LedgerPlace
+from bench.records.history import DeviceEnd
 from bench.records.results import (
     CheckData,
     GimbalEstimateData,

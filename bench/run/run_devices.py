@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.base.clock import BenchClock
-from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.plan.job import Job
 from bench.records import events
-from bench.records.history import RunLog
+from bench.records.history import NOT_ASKED, DeviceEnd, RunLog, all_ends, lost_ends, unsafe_devices
 from bench.records.run_folder import RunFolder
 from bench.records.storage import storage_errors
 from bench.results.interim import Decisions

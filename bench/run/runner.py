@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, cast
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
-from bench.base.device_ends import DeviceEnd
 from bench.base.errors import FORESEEN, BenchError, Failure, StorageError
 from bench.messaging.messages import Courier
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.records import events
 from bench.records.events import Entering, FailureData, LeftOff
-from bench.records.history import RunLog, way_on
+from bench.records.history import DeviceEnd, RunLog, way_on
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.report.text import decision_text

@@ -9,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.authorisation import known_authorisations
@@ -27,7 +26,7 @@ from bench.records.events import (
     RunEnded,
     RunResumed,
 )
-from bench.records.history import History, replay, way_on
+from bench.records.history import NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, replay, way_on
 from bench.records.journal import Entry, read_journal
 from bench.records.run_facts import estimates, factors_text
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed

@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any, Final, Literal, cast
 
 from bench.base.clock import Aborted, BenchClock
-from bench.base.device_ends import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.base.errors import SimulationError
+from bench.records.history import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.simulated import SimulatedBench
 from bench.stations import station as station_file
 from bench.stations.sections import EventCameraSection, FrameCameraSection, PortName

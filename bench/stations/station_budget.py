@@ -271,14 +271,13 @@ class WavefrontConfig(StrictModel):
 
     urad_rms: Annotated[float, Field(ge=0, le=1e5, description="RMS slope, its mean subtracted.")]
     correlation_mm: Annotated[
-        Positive | None, Field(description="Distance on the target over which slopes are alike.")
+        Positive | None, Field(description="Of stations of earlier versions; it has no effect.")
     ] = None
     source: _Source
 
     def term(self, *_: object) -> TypeBTerm:
         """Return the term of the budget."""
-        name, correlation_mm = "slopes of the wavefront", self.correlation_mm
-        return TypeBTerm(name, "wavefront", self.urad_rms, self.source, correlation_mm=correlation_mm)
+        return TypeBTerm("slopes of the wavefront", "wavefront", self.urad_rms, self.source)
 
 
 class ThermalConfig(StrictModel):

@@ -186,7 +186,6 @@ DETECTOR_SOURCES = (
     "calib/view.py",
     "calib/model/homography.py",
     "calib/model/local_consistency.py",
-    "calib/model/median.py",
     "calib/boards",
     "calib/events",
     "calib/stars",

@@ -70,7 +70,6 @@ class SliceFacts:
     start_us: float
     end_us: float
     periods: int
-    events: int
     on_share: float
     lit_pixels: int  # Number of pixels that fire on at least the share `LIT_SHARE` of the edges
     events_per_edge: float
@@ -259,7 +258,6 @@ def _facts(
         start_us=start,
         end_us=end,
         periods=periods,
-        events=events,
         on_share=float(sums.on_count.sum()) / events,
         lit_pixels=number,
         events_per_edge=(on + off) / 2.0,

@@ -51,12 +51,10 @@ class ReconstructedPicture:
     """A picture at one time."""
 
     at_us: float  # The time, us on the clock of the events
-    # (H, W) float32, relative log intensity in units of the contrast of an ON event; brighter is larger.
+    # (H, W) float32, relative log intensity in units of the contrast of an ON event; brighter is larger. Pixels that
+    # fired far more often than their surroundings are replaced by the median around.
     image: Array32
     active_share: float
-    # Number of pixels that fired far more often than their surroundings; they are replaced by the median
-    # around.
-    hot_pixels: int
 
     def require_motion(self) -> None:
         """Refuse a picture if fewer than 0.2 % of the pixels sent events near the time: the camera stood still."""
@@ -158,7 +156,7 @@ class _OpenPicture:
         image = np.asarray((on - off_weight * off) * (0.5 if self._later is not None else 1.0), np.float32)
         hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
         image[hot] = cv2.medianBlur(image, 5)[hot]
-        return ReconstructedPicture(self.at_us, image, active, int(hot.sum()))
+        return ReconstructedPicture(self.at_us, image, active)
 
 
 def _ascending(pieces: Iterable[EventArrays]) -> Iterator[EventArrays]:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.arrays import Array, Bools
+from calib.arrays import Array, Bools, median
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
-from calib.model.median import median
 from calib.view import View
 
 if TYPE_CHECKING:

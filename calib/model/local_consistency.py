@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array, Bools, Ints
-from calib.model.median import RAYLEIGH_MEDIAN, median
+from calib.arrays import RAYLEIGH_MEDIAN, Array, Bools, Ints, median
 
 #: Fewer stars than this cannot be compared with their neighbours.
 MIN_STARS = 8

@@ -55,8 +55,6 @@ class TypeBTerm:
     source: A certificate, a drawing, a data sheet, a measurement; required.
     degrees_of_freedom: Of the value; infinite if it is exactly known.
     correction: Known relative change, applied to the data before the fit; for the kinds in `SCALES` and `RADII`.
-    correlation_mm: Distance on the target over which slopes of the wavefront are alike; None for half the radius of the
-      area that the stars cover.
     """
 
     name: str
@@ -68,7 +66,6 @@ class TypeBTerm:
     degrees_of_freedom: float = float("inf")
     correction: float = 0.0
     radius_mm: float | None = None
-    correlation_mm: float | None = None
 
     def __post_init__(self) -> None:
         for what, given, known in (
@@ -85,7 +82,7 @@ class TypeBTerm:
             raise self._fault(f"Its correction is {self.correction}; it must be finite.")
         if self.correction and self.kind not in (*SCALES, *RADII):
             raise self._fault(f"A term of the kind {self.kind} cannot have a correction.")
-        for name in ("coverage_factor", "degrees_of_freedom", "radius_mm", "correlation_mm"):
+        for name in ("coverage_factor", "degrees_of_freedom", "radius_mm"):
             number = getattr(self, name)
             if number is not None and not number > 0:
                 raise self._fault(f"Its {name} is {number}; it must be positive.")

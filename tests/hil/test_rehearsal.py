@@ -8,9 +8,8 @@ from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.errors import RunFolderError, UsageError
-from bench.batch.batch import Batch
+from bench.batch.batch import Batch, rehearse_batch
 from bench.batch.batch_plan import plan_batch, read_queue
-from bench.batch.rehearsed_night import rehearse_batch
 from bench.batch.supervisor import WorkerEnd
 from bench.records.journal import read_journal
 from bench.records.run_index import read_run

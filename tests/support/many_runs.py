@@ -120,8 +120,7 @@ class BenchOfRuns:
         self.moment, self.number = begun, self.number + 1
         folder = self.runs / f"run-{self.number:05}"
         self.journal.append(
-            RUN_BEGUN, number=self.number, run=folder.name, folder=str(folder), camera=serial, simulated=self.simulated,
-            witnessed=0,
+            RUN_BEGUN, number=self.number, run=folder.name, folder=str(folder), camera=serial, simulated=self.simulated
         )  # fmt: skip
         place = {"number": self.number, "head": self.journal.head, "of_camera": {}}
         told = {"station": self.station, "simulated": self.simulated, **facts}

@@ -58,7 +58,7 @@ def test_bare_words_stand_for_steps_with_their_defaults():
         "huber",
         None,
     )
-    assert (solve.passport, solve.readings, solve.guard_band, solve.drift_mm) == (None, "auto", 1.0, 0.3)
+    assert (solve.passport, solve.readings, solve.guard_band) == (None, "auto", 1.0)
     assert isinstance(report, ReportStep)
 
 

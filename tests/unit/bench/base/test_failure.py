@@ -8,11 +8,10 @@ import pytest
 from json_form import with_json
 from rehearsed import Scene
 
-from bench.base.device_ends import DeviceEnd
 from bench.base.errors import FORESEEN, BenchError, Failure, JournalBroken
 from bench.commands.run import show_run
 from bench.records.events import Event
-from bench.records.history import replay
+from bench.records.history import DeviceEnd, replay
 from bench.records.journal import read_journal
 from bench.run.runner import RunEnd
 from bench.run.status import line_text

@@ -7,11 +7,11 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
-from bench.base.device_ends import DeviceEnd
 from bench.batch.batch import BatchMessages
 from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
 from bench.messaging.messages import Message, Outbox, channels_of
+from bench.records.history import DeviceEnd
 from bench.records.journal import Journal
 from bench.records.run_facts import Estimate
 from bench.records.summaries import newest_place

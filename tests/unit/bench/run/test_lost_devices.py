@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import pytest
 from rehearsed import TWO, Scene
 
-from bench.base.device_ends import DEVICES, NOT_ASKED
 from bench.records.events import Event
-from bench.records.history import replay
+from bench.records.history import DEVICES, NOT_ASKED, replay
 from bench.records.journal import Journal, read_journal
 from bench.report import run_tables
 from bench.run.run_devices import NOT_REOPENED

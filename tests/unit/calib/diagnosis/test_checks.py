@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.calibration import CalibrationOptions
-from calib.diagnosis.checks import check_adjustment, check_views
-from calib.diagnosis.duplicate_views import find_duplicates
+from calib.diagnosis.checks import check_adjustment, check_views, find_duplicates
 from calib.diagnosis.shifted_views import find_other_origins
 from calib.diagnosis.stated_numbers import (
     check_image_size,

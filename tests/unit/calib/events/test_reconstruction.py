@@ -59,8 +59,7 @@ def test_pictures_of_a_stream_do_not_depend_on_its_pieces(two_sided, pieces):
         expected = 0.5 * ((on - later_on) - weight * (off - later_off))
     else:
         expected = on - weight * off
-    replaced = np.abs(found[0].image - expected) > 1e-5
-    assert replaced.sum() <= found[0].hot_pixels
+    np.testing.assert_allclose(found[0].image, expected, atol=1e-5)
 
 
 def test_the_filter_is_that_of_dv_processing():
@@ -110,7 +109,6 @@ def test_a_hot_pixel_is_replaced():
     )
     (picture,) = reconstruct([events], SIZE, [1e6 * 11.5 / 400.0])
     (plain,) = reconstruct([moving_edge()], SIZE, [1e6 * 11.5 / 400.0])
-    assert picture.hot_pixels == 1
     assert picture.image[7, 5] == pytest.approx(plain.image[7, 5], abs=0.5)
 
 

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import median
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
 from calib.model.closed_forms import poses_from_homographies, zhang_matrix
 from calib.model.homography import apply_homography, view_homography
-from calib.model.median import median
 from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation, skew
 from calib.view import View
 

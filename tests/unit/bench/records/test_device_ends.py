@@ -3,7 +3,7 @@
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.base.device_ends import DeviceEnd, all_ends
+from bench.records.history import DeviceEnd, all_ends
 from bench.stations import devices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, ReplyTimeout
