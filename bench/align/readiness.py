@@ -10,12 +10,13 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from bench.align.open_bench import ANSWER_S, Bench
 from bench.align.session import Session
 from bench.base.errors import FORESEEN, Failure
 from bench.plan.plan import Plan, load_documents, make_plan
+from bench.records.events import RecordedData
 from bench.stations.station_fields import find_placeholders
 from bench.views.camera_kinds import camera_kind
 from bench.views.gates import ADVICE, Gate
@@ -143,7 +144,7 @@ def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[
             lambda: kind.record(bench.devices.camera, path, step, frequency_hz)
         ).result(timeout=ANSWER_S + 2 * step.window_ms * 1e-3)
         found = kind.measure(path, step, frequency_hz, session.station.value.target.pattern(), None)
-        gates, others = kind.judge(asdict(facts), step, frequency_hz, found)
+        gates, others = kind.judge(cast("RecordedData", asdict(facts)), step, frequency_hz, found)
     except TimeoutError:
         return [Check("recording", "bad", *_SILENT)]
     except FORESEEN as error:

@@ -27,7 +27,7 @@ from bench.history.merged_runs import (
     read_source,
 )
 from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
-from bench.history.table import SCHEMA, parameter_unit, require_writable_table, table_row, write_table
+from bench.history.table import SCHEMA, Row, parameter_unit, require_writable_table, table_row, write_table
 from bench.records.ledger import Ledger
 from bench.records.run_facts import RunDetails
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
@@ -76,7 +76,7 @@ def export_runs(choice: RunChoice, path: Path) -> int:
     return 1 if merged.faults else 0
 
 
-def _rows(merged: MergedRuns) -> Iterator[dict[str, Any]]:
+def _rows(merged: MergedRuns) -> Iterator[Row]:
     trust, now = home_trust(home_folder()), datetime.now(UTC)
     known = known_authorisations(home_folder())
     details = RunIndex(home_folder()).details(merged.runs)

@@ -251,25 +251,25 @@ def find_charts(
 
 def _computed_of(group: ChartGroup, parameter: str | None, baseline: int | None) -> list[_Computed]:
     names = [name for name in group.key.parameters if parameter in {None, name}]
-    return [_computed(name, group.runs, baseline) for name in names]
+    return [_computed(name, group, baseline) for name in names]
 
 
-def _computed(name: str, runs: Sequence[ChartRun], baseline: int | None) -> _Computed:
+def _computed(name: str, group: ChartGroup, baseline: int | None) -> _Computed:
+    runs = group.runs
     provisional = min(baseline or len(runs), len(runs)) < ENOUGH_RUNS
     if len(runs) < LEAST_RUNS:
         return _Computed(name, runs, provisional, None, _UNTESTED)
     found = [run.parameters[name] for run in runs]
     values, sigmas = [one.value for one in found], [one.sigma for one in found]
     limits = individuals(values, baseline)
-    days = [(run.begun - runs[0].begun).total_seconds() / 86400.0 for run in runs]
-    drift = find_drift(days, [run.temperature_c for run in runs], values, sigmas)
+    drift = find_drift(group.days, [run.temperature_c for run in runs], values, sigmas)
     control = _Control(limits, ewma(values, limits.centre, limits.sigma))
     return _Computed(name, runs, provisional, control, drift)
 
 
 def _group_data(group: ChartGroup, computed: Sequence[_Computed], judge: _Judge) -> ChartGroupData:
     key, runs = group.key, group.runs
-    per = time_unit((runs[-1].begun - runs[0].begun).total_seconds() / 86400.0)
+    per = time_unit(group.days[-1])
     charts = [_chart_data(one, key.level, per, judge) for one in computed]
     state, cameras = _worst([chart["state"] for chart in charts]), len({run.serial for run in runs})
     return {

@@ -49,6 +49,11 @@ class ChartGroup:
     key: ChartKey
     runs: list[ChartRun] = field(default_factory=list)  # Oldest first
 
+    @property
+    def days(self) -> list[float]:
+        """Time of each run after the first one, days."""
+        return [(run.begun - self.runs[0].begun).total_seconds() / 86400.0 for run in self.runs]
+
 
 @dataclass
 class Grouped:

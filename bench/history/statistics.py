@@ -210,13 +210,11 @@ def find_drift(
         if separable and known.all() and len(t) >= LEAST_RUNS_JOINT:
             (per_day, per_c), tau, scatter = _fit(np.column_stack([t, warm]), y, u)
             return Drift(per_day, per_c, True, True, tau, scatter)
-    _, tau, scatter = _fit(np.empty((len(y), 0)), y, u)
-    day = slope_of = None
-    if has_time:
-        (day,), tau, scatter = _fit(t[:, None], y, u)
-    if has_warm:
-        (slope_of,), _, _ = _fit(warm[known, None], y[known], u[known])
-    return Drift(day, slope_of, False, separable, tau, scatter)
+    # Without a line in time, the fit gives the scatter alone.
+    of_time, tau, scatter = _fit(t[:, None] if has_time else np.empty((len(y), 0)), y, u)
+    of_warm = _fit(warm[known, None], y[known], u[known])[0] if has_warm else []
+    per_day, per_c = (next(iter(slopes), None) for slopes in (of_time, of_warm))
+    return Drift(per_day, per_c, False, separable, tau, scatter)
 
 
 def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float | None]:

@@ -183,12 +183,17 @@ COLUMNS: Sequence[Column] = (
 
 # Rows of the table of runs: one run as one mapping by column. Pure: it reads no file.
 
+Cell = str | float | bool | datetime | list[str] | None
+"""A value of the table; None if it is not known."""
+Row = Mapping[str, Cell]
+"""A run, by column."""
+
 _COPIED = frozenset(column.name for column in COLUMNS)
 
 
-def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: ShownState) -> dict[str, Any]:
+def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: ShownState) -> Row:
     """Return the row of a run by column, in the order of `table_schema.COLUMNS`; None where nothing is known."""
-    row: dict[str, Any] = dict.fromkeys(column.name for column in COLUMNS)
+    row: dict[str, object] = dict.fromkeys(column.name for column in COLUMNS)
     stated = {**vars(run), **details}
     row |= {name: value for name, value in stated.items() if name in _COPIED}
     software = details["software"]
@@ -212,8 +217,8 @@ def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: Show
     return {column.name: _fitted(row[column.name], column.kind) for column in COLUMNS}
 
 
-def _parameters(run: IndexedRun) -> dict[str, Any]:
-    row: dict[str, Any] = {}
+def _parameters(run: IndexedRun) -> Row:
+    row: dict[str, Cell] = {}
     other = {}
     for name, one in run.parameters.items():
         if name not in PARAMETERS:
@@ -230,7 +235,7 @@ def _finite(value: object) -> float | None:
     return float(value) if usable else None  # type: ignore[arg-type]
 
 
-def _fitted(value: Any, kind: str) -> Any:
+def _fitted(value: object, kind: str) -> Cell:
     """Return a value as its column holds it; None if it is not of that kind."""
     if value is None:
         return [] if kind == "texts" else None
@@ -250,7 +255,7 @@ def _moment(text: object) -> datetime | None:
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
-_FITTED: Mapping[str, Callable[[Any], Any]] = {
+_FITTED: Mapping[str, Callable[[object], Cell]] = {
     "number": _finite,
     "integer": _whole,
     "truth": lambda value: value if isinstance(value, bool) else None,
@@ -265,8 +270,6 @@ ENDINGS = (".parquet", ".csv")
 _INSTALL = (
     "Install it: pip install 'starbench[table]'. Or name a file that ends in .csv, which needs nothing."
 )
-
-Row = Mapping[str, Any]
 
 
 def require_writable_table(path: Path) -> None:
@@ -365,7 +368,7 @@ def _write_csv(path: Path, rows: Iterable[Row]) -> int:
     return count
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Cell) -> str:
     if value is None:
         return ""
     if isinstance(value, bool):

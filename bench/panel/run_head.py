@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -316,7 +317,7 @@ def _last(model: RunModel) -> LastRecording | None:
     stored, checked = model.last_stored, model.last_checked
     if stored is None:
         return None
-    facts = stored["facts"]
+    facts: Mapping[str, object] = stored["facts"]
     found: LastRecording = {
         "pose": stored["pose"],
         "pose_name": stored["pose_name"],

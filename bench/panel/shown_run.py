@@ -95,7 +95,7 @@ class LastRecording(TypedDict):
     pose_name: str
     attempt: int
     utc: str
-    facts: Mapping[str, Any]  # Those of `drivers.camera.RecordingFacts` that the page shows
+    facts: Mapping[str, object]  # Those of `drivers.camera.RecordingFacts` that the page shows
     checked: bool
     accepted: NotRequired[bool]
     reasons: NotRequired[Sequence[str]]

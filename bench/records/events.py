@@ -15,12 +15,33 @@ from bench.records.journal import CAPTURE_STORED
 # What a run's journal states about the devices: who they are, and how they were left. Types only.
 
 
+class DeviceData(TypedDict, total=False):
+    """Identity of a device, as it states it itself; ``name`` is that of an axis."""
+
+    name: str
+    maker: str
+    model: str
+    serial: str
+    firmware: str
+
+
+class CameraDeviceData(DeviceData, total=False):
+    """Identity of a camera (`drivers.camera.CameraIdentity`), and its lens as the station file states it."""
+
+    sensor: str
+    width: int
+    height: int
+    firmware_built: str
+    link_mbit_s: int
+    lens: str | None
+
+
 class Devices(TypedDict):
     """Payload of ``devices``: identities, and the camera's settings as read back."""
 
-    camera: Mapping[str, Any]
-    stage: Sequence[Mapping[str, Any]]
-    light: Mapping[str, Any]
+    camera: CameraDeviceData
+    stage: Sequence[DeviceData]
+    light: DeviceData
     camera_settings: Mapping[str, Any]
     connections: NotRequired[Mapping[str, str]]
 
@@ -165,6 +186,41 @@ class LeftOff(TypedDict):
     error: NotRequired[str]
 
 
+class LightSettingsData(TypedDict, total=False):
+    """The light as it was read back (`drivers.light.LightSettings`)."""
+
+    waveform: str
+    frequency_hz: float
+    duty_percent: float
+    low_v: float
+    high_v: float
+    sync_output: bool
+
+
+class RecordedData(TypedDict, total=False):
+    """Facts of a recording by field: of `drivers.camera.RecordingFacts`, or of `drivers.camera.frames.FrameFacts`."""
+
+    serial: str
+    model: str
+    width: int
+    height: int
+    bytes: int
+    complete: bool
+    duration_s: float
+    events: int
+    triggers: int
+    biases: Mapping[str, int]
+    filters: Mapping[str, bool]
+    rate_controller_in: int | None
+    rate_controller_out: int | None
+    temperature_c: float | None
+    illumination_lux: float | None
+    gaps: Sequence[str]
+    bits: int
+    frames: int
+    saturated_share: float
+
+
 class CaptureStored(TypedDict):
     """Payload of ``capture_stored``: name, size and hash of the file, and what was known when it was recorded."""
 
@@ -177,9 +233,8 @@ class CaptureStored(TypedDict):
     commanded_deg: Mapping[str, float]
     measured_deg: Mapping[str, float]
     measured_after_deg: Mapping[str, float]
-    light: Mapping[str, Any]
-    facts: Mapping[str, Any]
-    """`drivers.camera.RecordingFacts` or `drivers.camera.frames.FrameFacts`, by field."""
+    light: LightSettingsData
+    facts: RecordedData
 
 
 class StepDone(TypedDict):
@@ -250,7 +305,20 @@ class AttemptChecked(TypedDict):
     measured: MeasuredFacts
 
 
-class AttemptData(TypedDict):
+class RecordingCounts(TypedDict, total=False):
+    """What was counted in a recording, of events or of frames."""
+
+    events: int
+    triggers: int
+    duration_s: float
+    event_rate_mev_s: float | None
+    temperature_c: float | None
+    pictures: int
+    bits: int
+    saturated_percent: float
+
+
+class AttemptData(RecordingCounts):
     """A recording in the results, accepted or refused."""
 
     attempt: int
@@ -258,13 +326,6 @@ class AttemptData(TypedDict):
     sha256: str
     accepted: bool
     reasons: Sequence[str]
-    duration_s: NotRequired[float]
-    events: NotRequired[int]
-    triggers: NotRequired[int]
-    event_rate_mev_s: NotRequired[float]
-    temperature_c: NotRequired[float | None]
-    pictures: NotRequired[int]
-    saturated_percent: NotRequired[float]
 
 
 class AttemptLost(TypedDict):

@@ -353,6 +353,10 @@ class CameraConditions(TypedDict):
     biases: NotRequired[Mapping[str, int]]
     filters: NotRequired[Mapping[str, bool]]
     illumination_lux: NotRequired[float | None]
+    pictures: NotRequired[int]
+    bits: NotRequired[int]
+    exposure: NotRequired[float]
+    gain: NotRequired[float]
 
 
 class Conditions(TypedDict):

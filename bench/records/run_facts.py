@@ -12,14 +12,14 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
-from bench.records.events import Event
+from bench.records.events import DeviceData, Event, LightSettingsData, Solved, Written
 from bench.records.history import Attempt, History
 from bench.records.journal import Entry
-from bench.records.results import CalibrationData, ConformityData, StatementData, Verdict
+from bench.records.results import CalibrationData, ConformityData, Results, StatementData, Verdict
 from bench.records.run_folder import RESULTS
 from bench.records.storage import read_bounded
 
@@ -91,7 +91,7 @@ def factors_text(factors: Iterable[float]) -> str:
     return "k = " + ", ".join(found)
 
 
-def estimates(solved: Mapping[str, Any]) -> dict[str, Estimate]:
+def estimates(solved: Solved) -> dict[str, Estimate]:
     """Return each parameter of the journal's line ``solved`` by name; a number that it does not have is NaN."""
     sigma, shared = solved.get("sigma", {}), solved.get("shared", {})
     return {
@@ -115,11 +115,35 @@ def _number(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-_Json = Mapping[str, Any]
+_Part = TypeVar("_Part")
 
 
-def run_facts(history: History, folder: Path) -> dict[str, Any]:
-    """Return what a list of runs states of a run, by field of `bench.records.run_index.IndexedRun`."""
+class RunFacts(TypedDict):
+    """What a list of runs states of a run, by field of `bench.records.run_index.IndexedRun`."""
+
+    id: str
+    sequence: str
+    station: str
+    camera: str
+    operator: str | None
+    simulated: bool
+    rehearsal: bool
+    begun_utc: str
+    how: str
+    accepted: int
+    recordings: int
+    deviations: int
+    temperature_c: float | None
+    model: str | None
+    rms_px: float | None
+    coverage_factor: float | None
+    ledger_number: int | None
+    ledger_head: str | None
+    parameters: Mapping[str, Estimate]
+
+
+def run_facts(history: History, folder: Path) -> RunFacts:
+    """Return what a list of runs states of a run by its journal."""
     solved, started = history.solved, history.started
     return {
         "id": started.get("id", folder.name),
@@ -241,9 +265,9 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> Run
 
 def _conditions(history: History) -> RunConditions:
     warm, accepted = _reported(history, "temperature_c"), list(history.accepted().values())
-    first: _Json = accepted[0].stored.get("light", {}) if accepted else {}
-    checks: list[_Json] = [one.checked for one in accepted if one.checked is not None]
-    flicker = [_part(check, "measured").get("flicker_hz") for check in checks]
+    first = accepted[0].stored.get("light", {}) if accepted else LightSettingsData()
+    checks = [one.checked for one in accepted if one.checked is not None]
+    flicker = [_part(check.get("measured")).get("flicker_hz") for check in checks]
     return {
         "temperature_min_c": min(warm, default=None),
         "temperature_max_c": max(warm, default=None),
@@ -256,17 +280,17 @@ def _conditions(history: History) -> RunConditions:
     }
 
 
-def _from_results(results: _Json) -> ResultFacts:
-    run, calibration = _part(results, "run"), _part(results, "calibration")
-    corner = _part(_part(results, "projection"), "worst_corner")
-    conformity = _part(results, "conformity")
+def _from_results(results: Results) -> ResultFacts:
+    run, calibration = _part(results.get("run")), _part(results.get("calibration"))
+    corner = _part(_part(results.get("projection")).get("worst_corner"))
+    conformity = _part(results.get("conformity"))
     passed = conformity.get("passed")
     statements = conformity.get("statements") or []
     return {
         "laboratory": _text(run.get("laboratory")),
-        "collimator_serial": _text(_part(run, "collimator").get("serial")),
-        "target_serial": _text(_part(run, "target").get("serial")),
-        "passport_number": _text(_part(results, "passport").get("number")),
+        "collimator_serial": _text(_part(run.get("collimator")).get("serial")),
+        "target_serial": _text(_part(run.get("target")).get("serial")),
+        "passport_number": _text(_part(results.get("passport")).get("number")),
         "degrees_of_freedom": calibration.get("degrees_of_freedom"),
         "corner_expanded_px": corner.get("expanded_px"),
         "conformity": None if passed is None else "PASS" if passed else "FAIL",
@@ -274,8 +298,8 @@ def _from_results(results: _Json) -> ResultFacts:
     }
 
 
-def _warnings(history: History, results: _Json, fault: str | None) -> list[str]:
-    notes = _part(results, "calibration").get("notes", [])
+def _warnings(history: History, results: Results, fault: str | None) -> list[str]:
+    notes = _part(results.get("calibration")).get("notes", [])
     found = [str(note) for note in notes] if isinstance(notes, list) else []
     found += [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
     found += [f"The computer was too busy: {history.busy}."] if history.busy else []
@@ -289,43 +313,45 @@ def _named_hash(entries: Sequence[Entry]) -> str | None:
     """Return the hash of results.json in the last line about written files."""
     for entry in reversed(entries):
         if entry.event == Event.WRITTEN:
-            return _text(_part(entry.data, "files").get(RESULTS))
+            return _text(_part(cast("Written", entry.data).get("files")).get(RESULTS))
     return None
 
 
-def _results(entries: Sequence[Entry], folder: Path) -> tuple[_Json, str | None]:
-    """Return results.json, and what is wrong with it as a sentence."""
-    named = _named_hash(entries)
+def _results(entries: Sequence[Entry], folder: Path) -> tuple[Results, str | None]:
+    """Return results.json, empty where it cannot be used, and what is wrong with it as a sentence."""
+    named, nothing = _named_hash(entries), cast("Results", {})
     if named is None:
-        return {}, None
+        return nothing, None
     try:
         data = read_bounded(folder / RESULTS)
     except BenchError as error:
-        return {}, f"{RESULTS} cannot be read: {error.what}"
+        return nothing, f"{RESULTS} cannot be read: {error.what}"
     if hashlib.sha256(data).hexdigest() != named:
-        return {}, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
+        return nothing, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
     try:
         found = parse_json(data)
     except ValueError:
         found = None
-    return (found, None) if isinstance(found, dict) else ({}, f"{RESULTS} is not an object of JSON.")
+    if not isinstance(found, dict):
+        return nothing, f"{RESULTS} is not an object of JSON."
+    return cast("Results", found), None
 
 
-def _type_of(device: _Json) -> str:
+def _type_of(device: DeviceData) -> str:
     """Return maker and model of a device."""
     return " ".join(text for key in ("maker", "model") if (text := _text(device.get(key))))
 
 
-def _part(whole: _Json, name: str) -> _Json:
-    found = whole.get(name)
-    return found if isinstance(found, Mapping) else {}
+def _part(found: _Part | None) -> _Part:
+    """Return a part of what a file holds; an empty one where the file has none, or something else there."""
+    return found if isinstance(found, Mapping) else cast("_Part", {})
 
 
 def _text(value: object) -> str | None:
     return None if value is None or value == "" else str(value)
 
 
-def _reported(history: History, name: str) -> list[float]:
+def _reported(history: History, name: Literal["temperature_c", "illumination_lux"]) -> list[float]:
     """Return a number that the camera reported with each accepted recording, where it did."""
     stored = [attempt.stored.get("facts", {}).get(name) for attempt in history.accepted().values()]
     return [float(t) for t in stored if isinstance(t, int | float) and math.isfinite(t)]
@@ -335,7 +361,7 @@ def _mean(known: Sequence[float]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _total(accepted: Sequence[Attempt], name: str) -> int | None:
+def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int | None:
     known = [one.stored.get("facts", {}).get(name) for one in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
 

@@ -19,7 +19,7 @@ from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.ledger_marks import KnownRun
-from bench.records.run_facts import Estimate, RunDetails, parameters_data, run_details, run_facts
+from bench.records.run_facts import Estimate, RunDetails, RunFacts, parameters_data, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import is_locked, make_folder, storage_errors
 
@@ -233,17 +233,18 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     return _listed(folder, facts)
 
 
-def _packed(found: Mapping[str, Any]) -> str:
+def _packed(found: RunFacts | RunDetails) -> str:
     return json.dumps(found, separators=(",", ":"))
 
 
-def _listed(folder: Path, facts: Mapping[str, Any]) -> IndexedRun:
+def _listed(folder: Path, facts: RunFacts) -> IndexedRun:
     """Return a run by its `run_facts`, and by what the folder says now."""
-    now = {
+    now: RunFacts = {
+        **facts,
         "how": facts["how"] or ("running" if is_locked(folder) else "cut off"),
         "parameters": {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()},
     }
-    return IndexedRun(folder=str(folder), sealed=is_sealed(folder), **{**facts, **now})
+    return IndexedRun(folder=str(folder), sealed=is_sealed(folder), **now)
 
 
 def _results_mtime_ns(folder: Path) -> int:
@@ -265,7 +266,7 @@ def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
     return _listed(folder, facts), details
 
 
-def _read(folder: Path) -> tuple[dict[str, Any], RunDetails]:
+def _read(folder: Path) -> tuple[RunFacts, RunDetails]:
     """Return what the index keeps of a run: its `run_facts`, and its details."""
     entries = read_journal(folder / JOURNAL)[0]
     history = replay(entries)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from bench.base.clock import Aborted
 from bench.base.errors import PreflightFailed
@@ -44,7 +44,7 @@ OPTIONAL: Final = ("firmware_built", "link_mbit_s")
 NOT_STATED: Final = "not stated by the device"
 
 
-def preflight(devices: Devices, job: Job) -> dict[str, Any]:
+def preflight(devices: Devices, job: Job) -> events.Devices:
     """Identify the open devices, set the camera, and collect every reason against a run in `PreflightFailed`.
 
     Nothing moves and the light stays off. Returns identities by ``camera``, ``stage`` (a list), ``light``;
@@ -64,10 +64,10 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
             remedy="Correct this and run again; nothing has moved.",
         )
     stated = {name: value for name, value in asdict(camera).items() if name not in OPTIONAL or value}
-    found = {
-        "camera": {**stated, "lens": job.lens},
-        "stage": [asdict(axis) for axis in stage],
-        "light": asdict(light),
+    found: events.Devices = {
+        "camera": cast("events.CameraDeviceData", {**stated, "lens": job.lens}),
+        "stage": [cast("events.DeviceData", asdict(axis)) for axis in stage],
+        "light": cast("events.DeviceData", asdict(light)),
         "camera_settings": settings,
     }
     if job.camera_kind.name == "event":
@@ -198,8 +198,8 @@ class StateWork:
             commanded_deg=dict(pose.angles_deg),
             measured_deg=before,
             measured_after_deg=after,
-            light=asdict(light),
-            facts=asdict(facts),
+            light=cast("events.LightSettingsData", asdict(light)),
+            facts=cast("events.RecordedData", asdict(facts)),
         )
 
     def check(self, step: RecordStep, *, attempt: int, **_: Any) -> None:

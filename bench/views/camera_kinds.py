@@ -10,6 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from bench.records.events import RecordedData, RecordingCounts
+from bench.records.results import CameraConditions
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
 from bench.views.gates import FILTERS_TO_DISABLE, Gate, at_least, recording_gates, rejection_reasons
@@ -47,10 +49,6 @@ def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
     0.051
     """
     return (periods_in_window(window_ms, frequency_hz) + 1) / frequency_hz + RECORDING_MARGIN_S
-
-
-StoredFacts = Mapping[str, Any]
-"""Facts that a driver states about a recording, by field, as the journal holds them."""
 
 
 class EventKind:
@@ -134,16 +132,16 @@ class EventKind:
         )
 
     def judge(
-        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
+        self, facts: RecordedData, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
         """Judge a recording by its numbers: stars or points, event rate, triggers, flicker and motion."""
-        recorded = RecordingFacts(**facts)
+        recorded = _of_events(facts)
         gates = recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars)
         return _about_points(gates, self._board, step, found), rejection_reasons(recorded, step.gates, ())
 
-    def counts(self, facts: StoredFacts) -> dict[str, Any]:
+    def counts(self, facts: RecordedData) -> RecordingCounts:
         """Return what results state about a recording: events, triggers, duration and event rate."""
-        recorded = RecordingFacts(**facts)
+        recorded = _of_events(facts)
         events, duration_s = recorded.events, recorded.duration_s
         return {
             "events": events,
@@ -153,9 +151,9 @@ class EventKind:
             "temperature_c": recorded.temperature_c,
         }
 
-    def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
+    def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """Return the camera's state at the last of the accepted recordings, at least one; and the mean temperature."""
-        recorded = [RecordingFacts(**facts) for facts in accepted]
+        recorded = [_of_events(facts) for facts in accepted]
         last = recorded[-1]
         temperatures = [one.temperature_c for one in recorded if one.temperature_c is not None]
         return {
@@ -164,6 +162,10 @@ class EventKind:
             "temperature_c": sum(temperatures) / len(temperatures) if temperatures else None,
             "illumination_lux": last.illumination_lux,
         }
+
+
+def _of_events(facts: RecordedData) -> RecordingFacts:
+    return RecordingFacts(**cast("Mapping[str, Any]", facts))
 
 
 class FrameKind:
@@ -210,7 +212,7 @@ class FrameKind:
 
     def judge(
         self,
-        facts: StoredFacts,
+        facts: RecordedData,
         step: RecordStep,
         frequency_hz: float,  # noqa: ARG002
         found: Measurement,
@@ -218,24 +220,32 @@ class FrameKind:
         """See `EventKind.judge`. Judges stars or points, saturation and motion."""
         from bench.views.measure import frame_gates, frame_rejection_reasons
 
-        recorded = FrameFacts(**facts)
+        recorded = _of_frames(facts)
         gates = frame_gates(recorded, step.gates, found)
         return _about_points(gates, self._board, step, found), frame_rejection_reasons(recorded)
 
-    def counts(self, facts: StoredFacts) -> dict[str, Any]:
+    def counts(self, facts: RecordedData) -> RecordingCounts:
         """See `EventKind.counts`. Number of frames, and percentage of saturated pixels."""
-        recorded = FrameFacts(**facts)
+        recorded = _of_frames(facts)
         return {
             "pictures": recorded.frames,
             "bits": recorded.bits,
             "saturated_percent": 100 * recorded.saturated_share,
         }
 
-    def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
+    def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """See `EventKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
-        last = FrameFacts(**accepted[-1])
-        asked = {name: value for name, value in asdict(self._settings).items() if value is not None}
-        return {"pictures": last.frames, "bits": last.bits, **asked}
+        last = _of_frames(accepted[-1])
+        found: CameraConditions = {"pictures": last.frames, "bits": last.bits}
+        if self._settings.exposure is not None:
+            found["exposure"] = self._settings.exposure
+        if self._settings.gain is not None:
+            found["gain"] = self._settings.gain
+        return found
+
+
+def _of_frames(facts: RecordedData) -> FrameFacts:
+    return FrameFacts(**cast("Mapping[str, Any]", facts))
 
 
 CameraKind = EventKind | FrameKind
