@@ -213,8 +213,8 @@ def find_drift(
     # Without a line in time, the fit gives the scatter alone.
     of_time, tau, scatter = _fit(t[:, None] if has_time else np.empty((len(y), 0)), y, u)
     of_warm = _fit(warm[known, None], y[known], u[known])[0] if has_warm else []
-    per_day, per_c = (next(iter(slopes), None) for slopes in (of_time, of_warm))
-    return Drift(per_day, per_c, False, separable, tau, scatter)
+    day, warmth = (next(iter(slopes), None) for slopes in (of_time, of_warm))
+    return Drift(day, warmth, False, separable, tau, scatter)
 
 
 def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float | None]:
