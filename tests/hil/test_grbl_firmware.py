@@ -10,9 +10,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from drivers.clock import SystemClock
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.grbl_controller import CANCEL_JOG, STATUS
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.grbl import GrblController
 from tests.hil.grbl_firmware.board import FACTORY, SOURCE, STEPS_PER_DEG, NativeBoard, compile_board
@@ -29,6 +31,7 @@ pytestmark = [
     pytest.mark.skipif(SOURCE not in os.environ, reason=f"{SOURCE} names no firmware"),
     pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc on this computer"),
 ]
+PATIENCE_S = 60.0
 HIGHEST_DEG = {"pan": 15.0, "tilt": 10.0}
 START_BELOW_DEG = (12.6, 11.7, 10.0)
 SETTINGS = FACTORY | {1: 255, 20: 1, 21: 1}
@@ -48,7 +51,26 @@ def board(program: Path, tmp_path: Path) -> Iterator[NativeBoard]:
 
 
 # ------------------------------------------------------------ the driver on the firmware
-def open_stage(board: NativeBoard) -> GrblStage:
+class Wire:
+    """All bytes on the line of a stage, in order."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[str, bytes]] = []
+
+    def record(self, _t_s: float, _port: str, direction: str, data: bytes) -> None:
+        self.parts.append((direction, data))
+
+    def sent_after(self, told: bytes) -> list[bytes]:
+        """What was sent after the board had told something."""
+        heard = b""
+        for place, (direction, data) in enumerate(self.parts):
+            heard += data if direction == "<" else b""
+            if told in heard:
+                return [later for way, later in self.parts[place:] if way == ">"]
+        raise AssertionError(heard)
+
+
+def open_stage(board: NativeBoard, heard: Wire | None = None) -> GrblStage:
     axes = [
         GrblAxis(
             name=name,
@@ -59,21 +81,38 @@ def open_stage(board: NativeBoard) -> GrblStage:
         )
         for letter, (name, highest) in zip("XY", HIGHEST_DEG.items(), strict=True)
     ]
-    return GrblStage.open(board.port, axes, serial="gimbal", clock=SystemClock())
+    return GrblStage.open(board.port, axes, serial="gimbal", clock=SystemClock(), wire_log=heard)
 
 
 @pytest.fixture
-def stage(board: NativeBoard) -> Iterator[GrblStage]:
+def heard() -> Wire:
+    return Wire()
+
+
+@pytest.fixture
+def stage(board: NativeBoard, heard: Wire) -> Iterator[GrblStage]:
     board.say("$I=gimbal\n")
-    stage = open_stage(board)
+    stage = open_stage(board, heard)
     yield stage
     stage.close()
 
 
-def after(seconds: float, what) -> threading.Timer:
-    timer = threading.Timer(seconds, what)
-    timer.start()
-    return timer
+@contextmanager
+def once_it_moves(board: NativeBoard, act: Callable[[], None]) -> Iterator[None]:
+    """Do something as soon as the first axis is a degree away from where it stands."""
+    start_deg = board.angles_below()[0]
+
+    def wait() -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while abs(board.angles_below()[0] - start_deg) < 1.0:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.005)
+        act()
+
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(wait)
+        yield
+        done.result()
 
 
 def test_identity_homing_moves_and_limits(board: NativeBoard, stage: GrblStage):
@@ -91,24 +130,25 @@ def test_identity_homing_moves_and_limits(board: NativeBoard, stage: GrblStage):
         stage.move_to({"pan": 16.0})
 
 
-def test_a_stopped_move_keeps_its_position(stage: GrblStage):
+def test_a_stopped_move_keeps_its_position(board: NativeBoard, stage: GrblStage):
     stage.home()
-    after(0.2, stage.stop)
-    with pytest.raises(MoveFailed, match="stopped on request"):
+    with once_it_moves(board, stage.stop), pytest.raises(MoveFailed, match="stopped on request"):
         stage.move_to({"pan": -15.0})
     assert -15.0 < stage.position_deg()["pan"] < 15.0
     stage.move_to({"pan": 3.0})
     assert stage.position_deg()["pan"] == pytest.approx(3.0, abs=0.002)
 
 
-def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, stage: GrblStage):
+def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, stage: GrblStage, heard: Wire):
     """The firmware forgets a reset for half a second after an alarm; a driver that sends it once would fail here."""
     stage.home()
-    after(0.15, lambda: board.wire("press", "X"))
-    began_s = time.monotonic()
-    with pytest.raises(MoveFailed, match=r"limit switch hit; position lost \(ALARM:1\)"):
+    with (
+        once_it_moves(board, lambda: board.wire("press", "X")),
+        pytest.raises(MoveFailed, match=r"limit switch hit; position lost \(ALARM:1\)"),
+    ):
         stage.move_to({"pan": -15.0})
-    assert time.monotonic() - began_s < 3.0
+    told = heard.sent_after(b"ALARM:1\r\n")
+    assert told in ([CANCEL_JOG], [STATUS, CANCEL_JOG]), "a mute board is not asked again and again"
     assert "ALARM:1" in stage.faults()[0]
     board.wire("release", "X")
     stage.home()
@@ -118,8 +158,7 @@ def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, st
 
 def test_a_mute_board_is_woken_when_it_is_opened(board: NativeBoard, stage: GrblStage):
     stage.home()
-    after(0.15, lambda: board.wire("press", "Y"))
-    with pytest.raises(MoveFailed):
+    with once_it_moves(board, lambda: board.wire("press", "Y")), pytest.raises(MoveFailed):
         stage.move_to({"pan": -15.0})
     stage.close()
     board.wire("release", "Y")
@@ -145,11 +184,10 @@ def test_a_homing_that_fails_is_named_though_the_board_answers_ok(
     assert "board: no reference" in stage.faults()
 
 
-def test_a_stopped_homing_is_homed_again(stage: GrblStage):
+def test_a_stopped_homing_is_homed_again(board: NativeBoard, stage: GrblStage):
     stage.home()
     stage.move_to({"pan": -15.0})
-    after(0.4, stage.stop)
-    with pytest.raises(MoveFailed, match="stopped on request"):
+    with once_it_moves(board, stage.stop), pytest.raises(MoveFailed, match="stopped on request"):
         stage.home()
     assert "ALARM:6" in stage.faults()[0]
     stage.home()
@@ -162,7 +200,7 @@ def test_a_power_cut_undoes_the_reference(board: NativeBoard, stage: GrblStage):
     with pytest.raises(DriverError):
         stage.position_deg()
     board.power_on()
-    time.sleep(0.5)
+    board.wait_for_a_sign()
     with pytest.raises(NotHomed):
         stage.move_to({"pan": 0.0})
     stage.home()

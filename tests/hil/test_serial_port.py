@@ -267,9 +267,9 @@ class DeviceServer:
 of_pyserial = pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # it calls them
 
 
-def again_and_again(act) -> None:
-    for _ in range(200):
-        act()
+def write_on(port: SerialPort) -> None:
+    while True:
+        port.write(b"x" * 4096)
         time.sleep(0.02)
 
 
@@ -290,16 +290,14 @@ def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate() -> None:
 
 
 @of_pyserial
-@pytest.mark.parametrize("act", [lambda port: port.read(5.0), lambda port: port.write(b"x" * 4096)])
+@pytest.mark.parametrize("act", [lambda port: port.read(120.0), write_on], ids=["read", "write on"])
 def test_a_device_server_that_hangs_up_is_a_lost_port(act) -> None:
     server = DeviceServer()
     try:
         port = SerialPort(server.address, baudrate=19200)
         server.hang_up()
-        began_s = time.monotonic()
         with pytest.raises(PortLost):
-            again_and_again(lambda: act(port))
-        assert time.monotonic() - began_s < 10.0
+            act(port)
         port.close()
     finally:
         server.close()
