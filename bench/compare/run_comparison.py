@@ -37,7 +37,6 @@ class Task:
     """The columns that share the images of one repetition."""
 
     columns: tuple[ColumnConfig, ...]
-    repetition: int  # Number of the repetition, from 0
     seed: int
 
 
@@ -130,7 +129,7 @@ def _tasks(spec: ComparisonConfig, done: dict[str, Row]) -> Iterator[Task]:
             if row_key(column, seed) not in done:
                 groups.setdefault(recordings_key(column), []).append(column)
         for columns in groups.values():
-            yield Task(tuple(columns), n, seed)
+            yield Task(tuple(columns), seed)
 
 
 def run_task(task: Task) -> dict[str, Row]:

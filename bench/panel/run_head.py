@@ -188,7 +188,7 @@ def _needed_bytes(model: RunModel) -> float:
 
 _MOST_DEVIATIONS = 30
 _MOST_DECISIONS = 200
-_FACTS = ("events", "duration_s", "triggers", "temperature_c", "frames", "exposure_us")
+_FACTS = ("events", "duration_s", "triggers", "temperature_c", "frames")
 """Facts of a recording that the page shows."""
 _TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted": "bad", "running": "busy"}
 

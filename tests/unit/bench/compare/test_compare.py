@@ -151,7 +151,7 @@ def test_a_folder_with_something_else_is_not_touched(tmp_path):
 def test_one_repetition_gives_every_method_the_same_images_and_compares_with_the_truth():
     ours, zhang, _ = spec().columns
     certified = ours.model_copy(update={"name": "certified", "passport": True, "readings": True})
-    rows = run_task(Task((ours, zhang, certified), 0, 5))
+    rows = run_task(Task((ours, zhang, certified), 5))
     first, second, third = rows.values()
     assert first["views"] == second["views"] == 3
     assert first["images_cpu_s"] == second["images_cpu_s"]
@@ -165,7 +165,7 @@ def test_one_repetition_gives_every_method_the_same_images_and_compares_with_the
 def test_a_board_that_does_not_fit_is_named_in_its_row():
     board = spec().columns[2]
     big = board.model_copy(update={"board": board.board.model_copy(update={"square_mm": 90.0})})
-    (found,) = run_task(Task((big,), 0, 1)).values()
+    (found,) = run_task(Task((big,), 1)).values()
     assert "does not fit" in found["error"]
 
 

@@ -105,7 +105,7 @@ def data_column(path, **more):
 
 def test_recorded_data_are_calibrated_in_two_parts_that_agree(table, tmp_path):
     chosen = spec(data_column(table), data_column(table, name="ours", method="starbench"), repetitions=2)
-    done = [run_task(Task(tuple(chosen.columns), n, n)).values() for n in range(2)]
+    done = [run_task(Task(tuple(chosen.columns), n)).values() for n in range(2)]
     rows = {column.name: list(of_column) for column, *of_column in zip(chosen.columns, *done, strict=True)}
     for row in (row for of_column in rows.values() for row in of_column):
         assert "error" not in row
@@ -151,7 +151,7 @@ def test_data_that_cannot_be_read_are_named_in_their_row_and_the_rest_goes_on(ta
 
 def test_too_few_views_are_named(table):
     column = spec(data_column(table, images=7)).columns[0]
-    (row,) = run_task(Task((column,), 0, 1)).values()
+    (row,) = run_task(Task((column,), 1)).values()
     assert row["error"] == "12 views are too few for two subsets of 7"
     assert len(read_data(column.data)) == 12
     assert data_digest(column.data.model_copy(update={"path": "nowhere"})) == "missing"
@@ -184,7 +184,7 @@ def test_an_error_is_named_in_its_row_and_the_other_columns_go_on(monkeypatch):
         raise CalibrationError("The light is off.", where=f"seed {seed}")
 
     def errors(*columns):
-        rows = run_task(Task(tuple(spec(*columns).columns), 0, 3))
+        rows = run_task(Task(tuple(spec(*columns).columns), 3))
         return [row["error"] for row in rows.values()]
 
     zhang, recipe = {"name": "a", "method": "zhang"}, {"name": "b", "method": "recipe"}
