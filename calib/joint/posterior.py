@@ -24,7 +24,7 @@ from calib.joint.marginal import Solution
 from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.pupil_spread import spread_of_pupils
 from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
-from calib.joint.solve import Optimum, beside
+from calib.joint.solve import Optimum, beside, relative_step
 from calib.model.result_parts import GIMBAL_SCALE
 
 Array = NDArray[np.float64]
@@ -47,6 +47,8 @@ _LOWER, _HIGHER = 2.5, 1.0
 _APART = 2.0
 #: The equations hold at the most probable faults if these would keep this weight (`calib.joint.samples.trusted`).
 _NEAR = 0.95
+#: The equations hold for steps of this share of focal length and radius.
+_HOLDS = 0.02
 #: Nodes whose fx is known only to this many U count half in the variances.
 _FAR = 2.0
 #: Within this number of sigma of the others, a fault is at most 1.25 times more probable than it was: 0.5 %.
@@ -169,23 +171,36 @@ def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probabi
 def posterior(optimum: Optimum, rounds: int) -> Posterior:
     """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
 
-    ``rounds``: largest number of linearisations of the search there.
+    If the equations there promise only what lies far away again, it is not to be had: then only what is near the
+    optimum counts. ``rounds``: largest number of linearisations of the search there.
     """
-    found = _posterior(optimum)
-    if (
-        not found.largest.faults
-        or trusted(optimum.marginal, found.largest.solution, optimum.solution) > _NEAR
-    ):
-        return found
-    return _posterior(beside(optimum, found.largest.faults, rounds))
+    curvature, modes = _modes(optimum)
+    best = max(modes, key=lambda one: one.odds)
+    if not best.faults or trusted(optimum.marginal, best.solution, optimum.solution) > _NEAR:
+        return _mixture(optimum, curvature, modes)
+    there = beside(optimum, best.faults, rounds)
+    curvature_there, modes_there = _modes(there)
+    near = _near(there, modes_there)
+    if near:
+        return _mixture(there, curvature_there, near)
+    return _mixture(optimum, curvature, _near(optimum, modes))
 
 
-def _posterior(optimum: Optimum) -> Posterior:
-    marginal = optimum.marginal
-    curvature = 0.5 * expected_curvature(marginal, optimum.eta, optimum.solution)
-    lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
+def _near(optimum: Optimum, modes: Sequence[Mode]) -> list[Mode]:
+    """Return the modes whose step is so short that the equations hold there."""
+    return [one for one in modes if relative_step(optimum.marginal, one.solution.step) < _HOLDS]
+
+
+def _modes(optimum: Optimum) -> tuple[Array, list[Mode]]:
+    """Return (A, A) the curvature at an optimum, and the modes of the posterior by its equations."""
+    curvature = 0.5 * expected_curvature(optimum.marginal, optimum.eta, optimum.solution)
     first = Mode(NO_FAULT, optimum.eta, optimum.solution, 1.0)
-    modes = [first, *_others(optimum, curvature), *_faults(optimum, curvature, first)]
+    return curvature, [first, *_others(optimum, curvature), *_faults(optimum, curvature, first)]
+
+
+def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Mode]) -> Posterior:
+    marginal = optimum.marginal
+    lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
     whole = sum(mode.odds for mode in modes)
     nodes: list[Node] = []
     probabilities: dict[str, float] = {}
