@@ -22,3 +22,10 @@ def test_where_nothing_is_stated_of_a_mount_moved_by_hand_the_uncertainty_is_wid
     lines = [result("product-S1", 9, seed, "0") for seed in range(100, 104)]
     assert (ratios(lines, "fx") < 1.0).all()
     assert min(line["U"]["fx"] for line in lines) > 20.0
+
+
+def test_a_fault_that_only_linear_equations_promise_does_not_move_the_result():
+    """On this bench they made of a right print one that is 52 % too small: fx 265 px wrong, residuals of 199 px."""
+    line = result("S2", 25, 53, "c")
+    assert line["rms_px"] < 0.1
+    assert abs(line["error"]["fx"]) < line["U"]["fx"] < 15.0
