@@ -29,9 +29,9 @@ from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
 from bench.records.journal import read_journal
-from bench.records.run_facts import REPEATS_TEXT, RunDetails, factors_text, parameters_data
+from bench.records.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
-from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run_and_details
+from bench.records.run_index import QUEUE_COPY, is_batch, read_run_and_details
 from bench.records.storage import is_locked, storage_errors, write_atomic
 from bench.records.summaries import (
     BatchSummary,

@@ -18,9 +18,9 @@ from bench.commands.output import JSON, show
 from bench.evidence.authorisation import known_authorisations, lost_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.records.ledger import Ledger, bench_ledger
-from bench.records.run_facts import REPEATS_TEXT
+from bench.records.run_facts import REPEATS_TEXT, IndexedRun
 from bench.records.run_folder import JOURNAL
-from bench.records.run_index import IndexedRun, RunIndex, run_folders
+from bench.records.run_index import RunIndex, run_folders
 from bench.report.text import with_uncertainty
 from bench.results.trends import Agreement, compare_runs, repeats
 from bench.terminal.encoding import counted

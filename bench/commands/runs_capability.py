@@ -29,8 +29,8 @@ from bench.history.merged_runs import (
 from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
 from bench.history.table import SCHEMA, Row, parameter_unit, require_writable_table, table_row, write_table
 from bench.records.ledger import Ledger
-from bench.records.run_facts import RunDetails
-from bench.records.run_index import IndexedRun, RunIndex, run_folders
+from bench.records.run_facts import IndexedRun, RunDetails
+from bench.records.run_index import RunIndex, run_folders
 from bench.records.storage import write_atomic
 from bench.records.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts

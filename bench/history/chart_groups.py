@@ -9,8 +9,7 @@ from datetime import UTC, datetime
 from typing import Literal, NamedTuple
 
 from bench.history.merged_runs import RunPlace
-from bench.records.run_facts import Estimate, RunDetails
-from bench.records.run_index import IndexedRun
+from bench.records.run_facts import Estimate, IndexedRun, RunDetails
 
 Level = Literal["camera", "type"]
 

@@ -15,8 +15,9 @@ from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.records.journal import Entry
 from bench.records.ledger import LEDGER, Ledger
 from bench.records.ledger_marks import LedgerRun, runs_of
+from bench.records.run_facts import IndexedRun
 from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
-from bench.records.run_index import IndexedRun, RunIndex
+from bench.records.run_index import RunIndex
 from bench.records.storage import sha256_of
 
 # The ledgers of several benches as one. No ledger is changed.

@@ -14,8 +14,7 @@ from typing import Any, Literal, NamedTuple
 from bench.base.errors import UsageError
 from bench.evidence.states import ShownState
 from bench.history.merged_runs import RunPlace
-from bench.records.run_facts import RunDetails
-from bench.records.run_index import IndexedRun
+from bench.records.run_facts import IndexedRun, RunDetails
 from bench.records.storage import move_into_place, storage_errors
 from bench.report.text import known_parameters, meaning_of, unit_of
 

@@ -55,52 +55,33 @@ class DevicesLeft(TypedDict):
 class Event(StrEnum):
     """What a line of a run's journal states."""
 
-    RUN_STARTED = "run_started"
-    """First line of a run."""
-    RUN_RESUMED = "run_resumed"
-    """A process took the run up again."""
-    DEVICES = "devices"
-    """The identities that the devices gave."""
-    ENTERING = "entering"
-    """The machine is about to enter a state."""
-    LEFT_OFF = "left_off"
-    """The work of a state ended."""
-    CAPTURE_STORED = CAPTURE_STORED
-    """A recording is complete and in its place."""
-    STEP_DONE = "step_done"
-    """A step of the script is done and will not be done again."""
-    ATTEMPT_CHECKED = "attempt_checked"
-    """A recording was measured, and accepted or refused."""
-    ATTEMPT_LOST = "attempt_lost"
-    """The camera could not complete a recording; nothing was stored."""
-    SOLVED = "solved"
-    """A calibration stands: its main numbers."""
-    WRITTEN = "written"
-    """Results, report, views and exports are written: their hashes."""
-    UNTIL_DECIDED = "until_decided"
-    """What an ``until`` found so far, and the next pose that it chose, or why it ended."""
-    RECOVERED = "recovered"
-    """What a crash had left of the run folder."""
-    ASKED = "asked"
-    """The run asks the operator a question."""
-    ANSWERED = "answered"
-    """The operator's answer, or the default."""
-    COMMANDED = "commanded"
-    """An operator's command from another terminal, taken or refused."""
-    POSE_SKIPPED = "pose_skipped"
-    """A pose will not be recorded any more; a deviation."""
-    INTERLOCK_RELEASED = "interlock_released"
-    """An interlock that held the run releases it."""
-    SUPERVISOR_LOST = "supervisor_lost"
-    """The process that watched this one is gone; the run goes on to its own end."""
-    COMPUTER_BUSY = "computer_busy"
-    """The computer is too busy for the run."""
-    DEVICES_LEFT = "devices_left"
-    """How the run left each device after the last step that needs devices."""
-    DEVIATION = "deviation"
-    """The run departed from its sequence; printed in the report."""
-    RUN_ENDED = "run_ended"
-    """Last line of a run."""
+    RUN_STARTED = "run_started"  # First line of a run
+    RUN_RESUMED = "run_resumed"  # A process took the run up again
+    DEVICES = "devices"  # The identities that the devices gave
+    ENTERING = "entering"  # The machine is about to enter a state
+    LEFT_OFF = "left_off"  # The work of a state ended
+    CAPTURE_STORED = CAPTURE_STORED  # A recording is complete and in its place
+    STEP_DONE = "step_done"  # A step of the script is done and will not be done again
+    ATTEMPT_CHECKED = "attempt_checked"  # A recording was measured, and accepted or refused
+    ATTEMPT_LOST = "attempt_lost"  # The camera could not complete a recording; nothing was stored
+    SOLVED = "solved"  # A calibration stands: its main numbers
+    WRITTEN = "written"  # Results, report, views and exports are written: their hashes
+    UNTIL_DECIDED = (
+        "until_decided"  # What an ``until`` found so far, and the next pose that it chose, or why it ended
+    )
+    RECOVERED = "recovered"  # What a crash had left of the run folder
+    ASKED = "asked"  # The run asks the operator a question
+    ANSWERED = "answered"  # The operator's answer, or the default
+    COMMANDED = "commanded"  # An operator's command from another terminal, taken or refused
+    POSE_SKIPPED = "pose_skipped"  # A pose will not be recorded any more; a deviation
+    INTERLOCK_RELEASED = "interlock_released"  # An interlock that held the run releases it
+    SUPERVISOR_LOST = (
+        "supervisor_lost"  # The process that watched this one is gone; the run goes on to its own end
+    )
+    COMPUTER_BUSY = "computer_busy"  # The computer is too busy for the run
+    DEVICES_LEFT = "devices_left"  # How the run left each device after the last step that needs devices
+    DEVIATION = "deviation"  # The run departed from its sequence; printed in the report
+    RUN_ENDED = "run_ended"  # Last line of a run
 
 
 _NEXT_WORD = re.compile("(?<=[a-z])(?=[A-Z])")

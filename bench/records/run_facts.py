@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
@@ -118,54 +119,79 @@ def _number(value: object) -> float:
 _Part = TypeVar("_Part")
 
 
-class RunFacts(TypedDict):
-    """What a list of runs states of a run, by field of `bench.records.run_index.IndexedRun`."""
+@dataclass(frozen=True)
+class IndexedRun:
+    """A run as a list of runs states it."""
 
+    folder: str
     id: str
+    # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
+    # number, empty while no camera has answered.
     sequence: str
     station: str
     camera: str
     operator: str | None
     simulated: bool
     rehearsal: bool
-    begun_utc: str
-    how: str
+    begun_utc: str  # Time of the start, ISO 8601
+    how: str  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
+    sealed: bool  # Whether it is sealed
+    # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
+    # ones), and of deviations from the sequence.
     accepted: int
     recordings: int
     deviations: int
+    # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
+    # report it.
     temperature_c: float | None
+    # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
+    # calibration.
     model: str | None
     rms_px: float | None
-    coverage_factor: float | None
-    ledger_number: int | None
-    ledger_head: str | None
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, Estimate]  # By name
+    # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
+    coverage_factor: float | None = None
+    # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
+    # for a rehearsal.
+    ledger_number: int | None = None
+    ledger_head: str | None = None
+
+    @property
+    def kind(self) -> str:
+        """What it is: ``measured``, ``simulated`` or ``rehearsed``."""
+        return "rehearsed" if self.rehearsal else "simulated" if self.simulated else "measured"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the run as JSON carries it."""
+        return {**asdict(self), "parameters": parameters_data(self.parameters)}
 
 
-def run_facts(history: History, folder: Path) -> RunFacts:
-    """Return what a list of runs states of a run by its journal."""
+def run_facts(history: History, folder: Path) -> IndexedRun:
+    """Return what a list of runs states of a run by its journal; ``how`` is empty if the journal has no end."""
     solved, started = history.solved, history.started
-    return {
-        "id": started.get("id", folder.name),
-        "sequence": started.get("sequence", ""),
-        "station": started.get("station", ""),
-        "camera": history.devices.get("camera", {}).get("serial", ""),
-        "operator": started.get("operator"),
-        "simulated": bool(started.get("simulated", False)),
-        "rehearsal": bool(started.get("rehearsal", False)),
-        "begun_utc": history.started_utc,
-        "how": history.ended,
-        "accepted": len(history.accepted()),
-        "recordings": len(history.attempts) + sum(history.lost.values()),
-        "deviations": len(history.deviations),
-        "temperature_c": _mean(_reported(history, "temperature_c")),
-        "model": solved.get("model"),
-        "rms_px": solved.get("rms_px"),
-        "coverage_factor": solved.get("coverage_factor"),
-        "ledger_number": history.ledger.get("number"),
-        "ledger_head": history.ledger.get("head"),
-        "parameters": estimates(solved),
-    }
+    return IndexedRun(
+        folder=str(folder),
+        id=started.get("id", folder.name),
+        sequence=started.get("sequence", ""),
+        station=started.get("station", ""),
+        camera=history.devices.get("camera", {}).get("serial", ""),
+        operator=started.get("operator"),
+        simulated=bool(started.get("simulated", False)),
+        rehearsal=bool(started.get("rehearsal", False)),
+        begun_utc=history.started_utc,
+        how=history.ended,
+        sealed=False,
+        accepted=len(history.accepted()),
+        recordings=len(history.attempts) + sum(history.lost.values()),
+        deviations=len(history.deviations),
+        temperature_c=_mean(_reported(history, "temperature_c")),
+        model=solved.get("model"),
+        rms_px=solved.get("rms_px"),
+        parameters=estimates(solved),
+        coverage_factor=solved.get("coverage_factor"),
+        ledger_number=history.ledger.get("number"),
+        ledger_head=history.ledger.get("head"),
+    )
 
 
 class RunConditions(TypedDict):

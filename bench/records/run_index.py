@@ -10,73 +10,22 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.ledger_marks import KnownRun
-from bench.records.run_facts import Estimate, RunDetails, RunFacts, parameters_data, run_details, run_facts
+from bench.records.run_facts import Estimate, IndexedRun, RunDetails, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import is_locked, make_folder, storage_errors
-
-# One run as the index lists it.
-
-
-@dataclass(frozen=True)
-class IndexedRun:
-    """One run."""
-
-    folder: str
-    id: str
-    # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
-    # number, empty while no camera has answered.
-    sequence: str
-    station: str
-    camera: str
-    operator: str | None
-    simulated: bool
-    rehearsal: bool
-    begun_utc: str  # Time of the start, ISO 8601
-    how: str  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
-    sealed: bool  # Whether it is sealed
-    # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
-    # ones), and of deviations from the sequence.
-    accepted: int
-    recordings: int
-    deviations: int
-    # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
-    # report it.
-    temperature_c: float | None
-    # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
-    # calibration.
-    model: str | None
-    rms_px: float | None
-    parameters: Mapping[str, Estimate]  # By name
-    # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
-    coverage_factor: float | None = None
-    # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
-    # for a rehearsal.
-    ledger_number: int | None = None
-    ledger_head: str | None = None
-
-    @property
-    def kind(self) -> str:
-        """What it is: ``measured``, ``simulated`` or ``rehearsed``."""
-        return "rehearsed" if self.rehearsal else "simulated" if self.simulated else "measured"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the run as JSON carries it."""
-        return {**asdict(self), "parameters": parameters_data(self.parameters)}
-
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 10
+VERSION = 11
 _COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _SCHEMA = f"""
@@ -225,26 +174,25 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     stamp = f"{found.st_size} {found.st_mtime_ns} {_results_mtime_ns(folder)}"
     kept = index.execute("SELECT stamp, found FROM runs WHERE folder = ?", (str(folder),)).fetchone()
     if kept is not None and kept[0] == stamp:
-        return _listed(folder, json.loads(kept[1]))
-    facts, details = _read(folder)
-    row = (str(folder), stamp, facts["id"], facts["ledger_number"], facts["ledger_head"], _packed(facts))
+        facts = json.loads(kept[1])
+        parameters = {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()}
+        return _as_it_is_now(IndexedRun(**{**facts, "parameters": parameters}))
+    run, details = _read(folder)
+    row = (str(folder), stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
     index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
     index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), _packed(details)))
-    return _listed(folder, facts)
+    return _as_it_is_now(run)
 
 
-def _packed(found: RunFacts | RunDetails) -> str:
+def _packed(found: Mapping[str, object]) -> str:
     return json.dumps(found, separators=(",", ":"))
 
 
-def _listed(folder: Path, facts: RunFacts) -> IndexedRun:
-    """Return a run by its `run_facts`, and by what the folder says now."""
-    now: RunFacts = {
-        **facts,
-        "how": facts["how"] or ("running" if is_locked(folder) else "cut off"),
-        "parameters": {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()},
-    }
-    return IndexedRun(folder=str(folder), sealed=is_sealed(folder), **now)
+def _as_it_is_now(run: IndexedRun) -> IndexedRun:
+    """Return a run with what its folder, not its journal, states."""
+    folder = Path(run.folder)
+    how = run.how or ("running" if is_locked(folder) else "cut off")
+    return replace(run, how=how, sealed=is_sealed(folder))
 
 
 def _results_mtime_ns(folder: Path) -> int:
@@ -262,11 +210,11 @@ def read_run(folder: Path) -> IndexedRun:
 
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
     """Read one run and its details (`bench.records.run_facts.run_details`) from its folder, without an index."""
-    facts, details = _read(folder)
-    return _listed(folder, facts), details
+    run, details = _read(folder)
+    return _as_it_is_now(run), details
 
 
-def _read(folder: Path) -> tuple[RunFacts, RunDetails]:
+def _read(folder: Path) -> tuple[IndexedRun, RunDetails]:
     """Return what the index keeps of a run: its `run_facts`, and its details."""
     entries = read_journal(folder / JOURNAL)[0]
     history = replay(entries)

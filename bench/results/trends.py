@@ -13,8 +13,7 @@ from datetime import datetime
 from typing import Any
 
 from bench.base.errors import UsageError
-from bench.records.run_facts import Estimate
-from bench.records.run_index import IndexedRun
+from bench.records.run_facts import Estimate, IndexedRun
 from bench.records.summaries import SlopeData, TrendData
 
 # Agreement of several runs of one camera: each parameter's values against their weighted mean.

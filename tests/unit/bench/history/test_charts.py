@@ -10,8 +10,7 @@ import pytest
 from bench.history.chart_findings import find_charts, needs_attention
 from bench.history.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
 from bench.history.merged_runs import RunPlace
-from bench.records.run_facts import Estimate
-from bench.records.run_index import IndexedRun
+from bench.records.run_facts import Estimate, IndexedRun
 from bench.report.control_chart import MOST_DRAWN, render_charts
 from tests.unit.bench.report.structure import Structure
 

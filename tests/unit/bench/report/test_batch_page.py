@@ -5,8 +5,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.records.run_facts import Estimate, parameters_data
-from bench.records.run_index import IndexedRun
+from bench.records.run_facts import Estimate, IndexedRun, parameters_data
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, fit_slope, trends_of
 from tests.unit.bench.report.structure import Structure
