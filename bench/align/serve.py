@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import signal
-import sys
 import threading
 from collections.abc import AsyncIterator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +29,7 @@ from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.stations.station_fields import find_placeholders
 from bench.web.guard import PageToken
 from bench.web.pages import EventStream, Message, page_app, read_object
-from bench.web.server import PageServer, announce_url
+from bench.web.server import PageServer, print_line
 from drivers.errors import DriverError
 from sequences.reader import OptionSettings, find_document
 
@@ -207,8 +206,8 @@ def align_on_page(
     opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
 
     def ready() -> None:
-        announce_url(server.address)
-        _print(
+        print_line(server.address)
+        print_line(
             f"Station: {session.station.value.name}. Ctrl-C stops the stage, switches the light off, and ends."
         )
         opening.start()
@@ -244,7 +243,7 @@ def leave(session: Session) -> int:
     with _ignored_signals():
         confirmed = session.close()
     for line in confirmation_lines(confirmed):
-        _print(line)
+        print_line(line)
     return _STOPPED if all(one.safe for one in confirmed) else _NOT_CONFIRMED
 
 
@@ -262,7 +261,7 @@ def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
 def _open(session: Session) -> None:
     failure = session.open()
     if failure is not None:
-        _print(f"The devices could not be opened. {failure.message}")
+        print_line(f"The devices could not be opened. {failure.message}")
 
 
 def _stop_soon(session: Session) -> None:
@@ -294,8 +293,3 @@ def _ignored_signals() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()

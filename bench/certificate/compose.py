@@ -43,7 +43,7 @@ from bench.certificate.run_facts import is_unnamed
 from bench.certificate.series import SIMULATED
 from bench.records.results import PassportData, Results
 from bench.records.run_facts import verdict_of
-from bench.report.text import words_of
+from bench.report.text import unit_of, words_of
 from calib.model.lens import is_fisheye
 from calib.model.result_parts import PASSPORT
 
@@ -370,7 +370,7 @@ def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
         then = earlier["calibration"]
         k = float(then["coverage_factor"])
         values = tuple(
-            ValueBefore(name, float(value), float(f"{k * then['sigma'][name]:.9g}"), run_facts.unit_of(name))
+            ValueBefore(name, float(value), float(f"{k * then['sigma'][name]:.9g}"), unit_of(name))
             for name, value in then["camera"].items()
         )
     return BeforeAdjustment(

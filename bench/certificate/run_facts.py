@@ -24,11 +24,10 @@ from bench.certificate.lab_config import ItemConfig
 from bench.records.events import GateData
 from bench.records.results import BoresightData, CalibrationData, KnownDirection, Results
 from bench.report.pose_plot import camera_covariance, camera_of
-from bench.report.text import words_of
-from calib.uncertainty.projection_uncertainty import projection_uncertainty
+from bench.report.text import unit_of, words_of
+from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
 
 PROBABILITY = 0.9545
-_URAD_PER_ARCSEC = 4.84813681109536
 _NAMES = {
     "fx": "focal length along x",
     "fy": "focal length along y",
@@ -47,11 +46,6 @@ def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) 
         _result(calibration, symbol, float(value), supplied=symbol in customer_supplied)
         for symbol, value in calibration["camera"].items()
     )
-
-
-def unit_of(symbol: str) -> str:
-    """Return the unit of a result: ``px`` or ``1``."""
-    return "px" if symbol in ("fx", "fy", "cx", "cy") else "1"
 
 
 def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied: bool) -> Result:
@@ -121,7 +115,7 @@ def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     k = float(calibration["coverage_factor"])
     centre: KnownDirection = {
         "expanded_px": k * float(found.sigma_px[row, column]),
-        "expanded_urad": k * float(found.sigma_arcsec[row, column]) * _URAD_PER_ARCSEC,
+        "expanded_urad": k * float(found.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
     }
     return _projection(
         "projection_centre", "expanded uncertainty of the projection in the centre of the image", centre
@@ -157,7 +151,7 @@ def _boresight(found: BoresightData | None) -> Iterator[FurtherResult]:
 def _projection(id_: str, name: str, one: KnownDirection) -> list[FurtherResult]:
     return [
         _further(id_, name, float(one["expanded_px"]), "px"),
-        _further(id_, name, float(one["expanded_urad"]) / _URAD_PER_ARCSEC, "arcsec"),
+        _further(id_, name, float(one["expanded_urad"]) / URAD_PER_ARCSEC, "arcsec"),
     ]
 
 

@@ -177,7 +177,7 @@ def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
 
 def _forecast_text(found: PlanForecast) -> str:
     """Return a forecast for people: expanded uncertainties, the largest terms, and remarks."""
-    from calib.uncertainty.projection_uncertainty import ARCSEC
+    from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC
 
     forecast = found.forecast
     k = forecast.coverage_factor
@@ -185,7 +185,7 @@ def _forecast_text(found: PlanForecast) -> str:
     if found.chosen:
         poses = f"as many poses as allowed, {found.poses}"
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
-    direction = angle_text(1e6 / ARCSEC * k * forecast.projection_map.worst_arcsec)
+    direction = angle_text(URAD_PER_ARCSEC * k * forecast.projection_map.worst_arcsec)
     lines = [
         f"Expected with {poses}, {forecast.model} model; U with k = {k:.3g}:",
         f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}",

@@ -27,14 +27,14 @@ from bench.history.merged_runs import (
     read_source,
 )
 from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
-from bench.history.table import SCHEMA, Row, parameter_unit, require_writable_table, table_row, write_table
+from bench.history.table import SCHEMA, Row, require_writable_table, table_row, write_table
 from bench.records.ledger import Ledger
 from bench.records.run_facts import IndexedRun, RunDetails
 from bench.records.run_index import RunIndex, run_folders
 from bench.records.storage import write_atomic
 from bench.records.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
-from bench.report.text import number
+from bench.report.text import number, unit_text
 from bench.terminal.encoding import counted
 from calib.model.camera import BROWN, FISHEYE, PINHOLE
 
@@ -305,7 +305,7 @@ def _parameter_json(one: _Studied) -> dict[str, Any]:
     made = one.study
     return {
         "name": one.name,
-        "unit": parameter_unit(one.name),
+        "unit": unit_text(one.name),
         "analysis": [{"term": term.name, **_parts(term, _OF_TERM)} for term in made.terms],
         "pooled": list(made.pooled),
         "components": dict(made.components),
@@ -361,10 +361,9 @@ def _cells(one: _Studied) -> tuple[str, ...]:
         "-" if value is None else f"{value:.{digits}f}"
         for value, digits in zip(judged, (1, 2, 2), strict=True)
     )
-    unit = parameter_unit(one.name)
     return (
         one.name,
-        "" if unit == "1" else unit,
+        unit_text(one.name),
         *(number(size, 2) for size in sizes),
         share,
         categories,

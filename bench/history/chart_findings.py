@@ -29,7 +29,6 @@ from bench.history.statistics import (
     holm,
     individuals,
 )
-from bench.history.table import parameter_unit
 from bench.records.ledger import bench_ledger
 from bench.records.run_facts import Estimate
 from bench.records.run_folder import JOURNAL
@@ -48,7 +47,7 @@ from bench.records.summaries import (
     drifts,
     has_limits,
 )
-from bench.report.text import meaning_of, number, with_uncertainty
+from bench.report.text import meaning_of, number, unit_text, with_uncertainty
 from bench.stations.station import Station
 from bench.terminal.encoding import counted
 
@@ -215,7 +214,7 @@ class _Computed:
     @property
     def unit(self) -> str:
         """Unit of the parameter; empty for a pure number."""
-        return parameter_unit(self.name)
+        return unit_text(self.name)
 
     @property
     def slopes(self) -> list[Slope]:

@@ -16,7 +16,7 @@ from bench.evidence.states import ShownState
 from bench.history.merged_runs import RunPlace
 from bench.records.run_facts import IndexedRun, RunDetails
 from bench.records.storage import move_into_place, storage_errors
-from bench.report.text import known_parameters, meaning_of, unit_of
+from bench.report.text import known_parameters, meaning_of, unit_text
 
 # The columns of the table of runs: name, kind, unit, meaning. `docs/runs-table.md` shows them; a test
 # compares both.
@@ -134,29 +134,18 @@ _FURTHER = {
 }
 
 
-def parameter_unit(parameter: str) -> str:
-    """Return the unit of a parameter: ``px`` or ``mm``; empty for a pure number."""
-    unit = unit_of(parameter)
-    return "" if unit == "1" else unit
-
-
-def _unit_suffix(parameter: str) -> str:
-    unit = parameter_unit(parameter)
-    return f"_{unit}" if unit else ""
-
-
 def parameter_columns(parameter: str) -> tuple[str, str, str]:
     """Return the columns of a parameter: its value, its standard uncertainty, and its expanded uncertainty.
 
     >>> parameter_columns("fx"), parameter_columns("k1")
     (('fx_px', 'fx_sigma_px', 'fx_expanded_px'), ('k1', 'k1_sigma', 'k1_expanded'))
     """
-    unit = _unit_suffix(parameter)
+    unit = f"_{text}" if (text := unit_text(parameter)) else ""
     return f"{parameter}{unit}", f"{parameter}_sigma{unit}", f"{parameter}_expanded{unit}"
 
 
 def _of_parameter(parameter: str) -> tuple[Column, ...]:
-    unit = parameter_unit(parameter)
+    unit = unit_text(parameter)
     meanings = (
         meaning_of(parameter) or _FURTHER[parameter],
         f"standard uncertainty of {parameter}",

@@ -46,7 +46,11 @@ from bench.report.svg_plot import (
 from bench.report.text import STARS, TargetWords, words_of
 from bench.report.view_picture import PLOTS, ViewPicture, thinned
 from calib.model.result_parts import WORST_CORNER
-from calib.uncertainty.projection_uncertainty import ARCSEC, camera_difference, projection_uncertainty
+from calib.uncertainty.projection_uncertainty import (
+    URAD_PER_ARCSEC,
+    camera_difference,
+    projection_uncertainty,
+)
 
 Array = NDArray[np.float64]
 
@@ -255,7 +259,6 @@ def _round_down(value: float) -> float:
 
 # Draws all plots of a report as SVG. What needs arrays is imported here and below: text alone needs none.
 
-_URAD_PER_ARCSEC = 1e6 / ARCSEC
 _WIDE_ANGLE_DEG = 25.0
 
 
@@ -312,7 +315,7 @@ def camera_plots(
         "distortion": distortion_curve(camera, covariance, k, outermost_deg(camera, stars), words_of(results)),
     }  # fmt: skip
     if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
-        unit, scale = ("arcsec", k) if certificate else ("\N{MICRO SIGN}rad", k * _URAD_PER_ARCSEC)
+        unit, scale = ("arcsec", k) if certificate else ("\N{MICRO SIGN}rad", k * URAD_PER_ARCSEC)
         plots["direction"] = over_sensor(
             found.grid_px, scale * found.sigma_arcsec, f"U of a direction, {unit}",
             "direction", "Uncertainty of a direction over the sensor", stars=points,

@@ -28,7 +28,7 @@ from bench.views.camera_kinds import CameraKind
 from calib.calibration import ENGINES, Calibration, ViewSummary
 from calib.model.camera import CameraModel
 from calib.model.result_parts import WORST_CORNER
-from calib.uncertainty.projection_uncertainty import ARCSEC, ProjectionMap, projection_uncertainty
+from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, ProjectionMap, projection_uncertainty
 from calib.view import View
 
 # What the report says first: the uncertainty of a direction in the worst corner, and where stars support
@@ -36,7 +36,6 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-URAD_PER_ARCSEC = 1e6 / ARCSEC
 _CORNERS = {
     "top left": (0, 0),
     "top right": (0, -1),

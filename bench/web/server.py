@@ -35,9 +35,9 @@ HEAD_S = 10.0
 _BACKLOG = 128
 
 
-def announce_url(url: str) -> None:
-    """Print the URL of the pages as a line of its own, at once."""
-    sys.stdout.write(f"{url}\n")
+def print_line(text: str) -> None:
+    """Print a line at once, such as the URL of the pages."""
+    sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
 
 
@@ -48,7 +48,7 @@ def serve_pages(
     port: int = 0,
     token: PageToken | None = None,
     open_browser: bool = True,
-    announce: Callable[[str], None] = announce_url,
+    announce: Callable[[str], None] = print_line,
 ) -> None:
     """Serve pages until SIGINT, SIGTERM or SIGHUP, then raise `KeyboardInterrupt`. Only for the main thread.
 

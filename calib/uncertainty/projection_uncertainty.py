@@ -17,6 +17,7 @@ from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map, skew
 
 ARCSEC = 3600.0 * 180.0 / np.pi
+URAD_PER_ARCSEC = 1e6 / ARCSEC
 _TURNS = 10
 
 

@@ -9,7 +9,7 @@ import pytest
 from certificate_sample import sample_results
 from report_sample import SMALL, sample
 
-from bench.certificate.run_facts import further_of
+from bench.certificate.run_facts import further_of, results_of
 from bench.report.calibration_tables import (
     amplitude_rows,
     budget_rows,
@@ -222,6 +222,14 @@ def test_a_passport_from_views_lists_its_centre_and_names_its_aberrations(data):
     rows = dict(passport_rows(data.results["passport"] | of_views))
     assert rows["Collimator passport"].endswith("file named by the sequence (c17.json)")
     assert rows["Values of the passport"].endswith("r = 255 mm, standard uncertainty 0.1 mm; and radial")
+
+
+def test_a_certificate_states_the_skew_in_pixels_and_coefficients_as_pure_numbers(data):
+    calibration = data.results["calibration"]
+    camera, sigma = ({**calibration[key], "skew": 0.1} for key in ("camera", "sigma"))
+    stated = results_of({**data.results, "calibration": {**calibration, "camera": camera, "sigma": sigma}})
+    units = {one.symbol: one.unit for one in stated}
+    assert (units["skew"], units["fx"], units["k1"]) == ("px", "px", "1")
 
 
 def test_results_of_older_versions_have_no_such_rows(data):
