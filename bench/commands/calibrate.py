@@ -19,7 +19,7 @@ from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
 from bench.commands.output import JSON, NOT_KEPT, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
-from bench.records.run_facts import coverage_factor, factors_text
+from bench.records.run_facts import factors_text
 from bench.report.text import unit_text, with_uncertainty, words_for
 from bench.results.offline_options import OfflineOptions
 from bench.terminal.encoding import clock_text, printable
@@ -117,7 +117,7 @@ def run_text(row: RunRow) -> str:
     shown, factors = [], []
     for parameter in _SHOWN:
         if parameter in row["sigma"]:
-            factors.append(coverage_factor(row, parameter))
+            factors.append(row["coverage_factors"].get(parameter) or row["coverage_factor"])
             value, expanded = with_uncertainty(
                 row["values"][parameter], factors[-1] * row["sigma"][parameter]
             )

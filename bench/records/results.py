@@ -233,8 +233,8 @@ class ParallaxBound(TypedDict):
     defocus_sigma: float
     pupil_off_pivot_mm: float
     pupil_off_pivot_sigma_mm: float
-    parallax: float
-    parallax_sigma: float
+    parallax: NotRequired[float]  # Missing, as its sigma, without a collimator
+    parallax_sigma: NotRequired[float]
 
 
 class GimbalReadingsData(TypedDict):

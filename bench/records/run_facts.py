@@ -20,7 +20,7 @@ from bench.base.errors import BenchError
 from bench.records.events import DeviceData, Event, LightSettingsData, Solved, Written
 from bench.records.history import Attempt, History
 from bench.records.journal import Entry
-from bench.records.results import CalibrationData, ConformityData, Results, StatementData, Verdict
+from bench.records.results import CalibrationData, CameraData, ConformityData, Results, StatementData, Verdict
 from bench.records.run_folder import RESULTS
 from bench.records.storage import read_bounded
 
@@ -70,7 +70,7 @@ class EstimateData(TypedDict):
     expanded: float
 
 
-def coverage_factor(stated: Mapping[str, Any], name: str = "") -> float:
+def coverage_factor(stated: CameraData | Solved, name: str = "") -> float:
     """Return k (2 if none is stated): U = k u has a coverage probability of about 95 % (JCGM 100, 6.2, annex G).
 
     ``name`` is a value that may have a k of its own, empty for the common one.

@@ -16,7 +16,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from bench.records.events import GateData, ImageFacts, UntilDecided
+from bench.records.events import GateData, ImageFacts, StateEntered, UntilDecided
 from bench.records.results import Numbers, PoseData
 from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale, Words, axes_in
 from bench.report.text import (
@@ -121,7 +121,7 @@ _HEIGHT, _GAP = 195.0, 12.0
 _MOST_POSES = 8
 
 
-def course_plot(decisions: Sequence[Mapping[str, Any]]) -> str:
+def course_plot(decisions: Sequence[UntilDecided]) -> str:
     """Draw U against the number of poses, with goals; at least one decision has reached an uncertainty."""
     wanted = decisions[-1]["wanted"]
     reached = [decided for decided in decisions if decided["now"]]
@@ -136,7 +136,7 @@ def course_plot(decisions: Sequence[Mapping[str, Any]]) -> str:
 def _panel(
     picture: Picture,
     place: tuple[float, float, float, float],
-    reached: Sequence[Mapping[str, Any]],
+    reached: Sequence[UntilDecided],
     name: str,
     colour: str,
 ) -> None:
@@ -168,7 +168,7 @@ def _goal_line(axes: Axes, height: float, name: str, colour: str) -> None:
     axes.text((axes.x.high, height), name, by=(-2.0, -3.0), colour=colour, anchor="end", size=8.5)
 
 
-def _about(last: Mapping[str, Any], wanted: Mapping[str, float]) -> str:
+def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:
     parts = [
         f"{meaning_of_goal(name)} {last['now'][name]:.3g} px, wanted {goal:g} px"
         for name, goal in wanted.items()
@@ -186,7 +186,7 @@ _MARGIN = 10.0
 _TIMES = "\N{MULTIPLICATION SIGN}"
 
 
-def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
+def state_diagram(states: Sequence[StateEntered]) -> str:
     """Draw the states of a run in the order in which they were entered, and the transitions between them."""
     names = [str(entry["state"]) for entry in states]
     places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}
@@ -208,7 +208,7 @@ def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _seconds_in(name: str, states: Sequence[Mapping[str, Any]]) -> float | None:
+def _seconds_in(name: str, states: Sequence[StateEntered]) -> float | None:
     """Return the time spent in a state, s; None if the run ended in it."""
     moments = [datetime.fromisoformat(str(entry["utc"])) for entry in states]
     spans = [

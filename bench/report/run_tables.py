@@ -317,7 +317,7 @@ def _collimator(details: Mapping[str, Any]) -> str:
     return ", ".join(parts) or NOTHING
 
 
-def _target(details: Mapping[str, Any]) -> str:
+def _target(details: Mapping[str, str]) -> str:
     """Return in one line what the station file says about the target as an object."""
     serial = [f"serial number {details['serial']}"] if "serial" in details else []
     return ", ".join([*serial, *([str(details["description"])] if "description" in details else [])])

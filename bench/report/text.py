@@ -14,6 +14,7 @@ from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    from bench.records.events import UntilDecided
     from bench.records.results import CheckData, ConformityData, Results, StatementData
     from calib.studies.camera_check import OneViewCheck
 
@@ -37,7 +38,7 @@ def goals_text(wanted: Mapping[str, float]) -> str:
     return " and ".join(parts).replace(" at most", " is at most", 1)
 
 
-def reached_text(decided: Mapping[str, Any]) -> str:
+def reached_text(decided: UntilDecided) -> str:
     """Return what an ``until_decided`` has reached, as ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``."""
     now = decided["now"]
     poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
@@ -52,7 +53,7 @@ def reached_text(decided: Mapping[str, Any]) -> str:
     return f"{poses}: {', '.join(parts)}"
 
 
-def decision_text(decided: Mapping[str, Any]) -> str:
+def decision_text(decided: UntilDecided) -> str:
     """Return a journal line ``until_decided`` as one line of text."""
     reached = reached_text(decided)
     chosen = decided.get("chosen")

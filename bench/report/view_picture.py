@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from bench.records.events import GateData
 from bench.records.results import Results
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def pictured_poses(results: Results) -> PictureSelection:
     return PictureSelection(frozenset(str(poses[place]["name"]) for place in chosen), len(chosen), len(poses))
 
 
-def _indices_by_verdict(gates: Sequence[Mapping[str, Any]]) -> dict[str, set[int]]:
+def _indices_by_verdict(gates: Sequence[GateData]) -> dict[str, set[int]]:
     """Return the indices of the poses that have a gate with this verdict; gates of the whole run belong to no pose."""
     found: dict[str, set[int]] = {verdict: set() for verdict in _NOT_PASSED}
     for gate in gates:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.records.results import GimbalCheckData, GimbalFaultData, GimbalPairs, HalvesData, MountFaceData
 from bench.stations.station import Station
 from bench.views.expected_grid import engine_angles_deg
 from calib.engine import Calibration, CalibrationOptions
@@ -28,7 +29,7 @@ _NOT_INDEPENDENT = (
 )
 
 
-def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
+def split_half_check(views: Sequence[View], options: CalibrationOptions) -> HalvesData | None:
     """Calibrate every other pose and the rest separately; compare the projections of both cameras at infinity.
 
     ``rms_px worst_px expected_px ratio cameras``; None with fewer than four views, or if a half determines no camera.
@@ -48,7 +49,7 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict
 
 def gimbal_check(
     calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]
-) -> dict[str, Any] | None:
+) -> GimbalCheckData | None:
     """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
 
     None with too few poses, or if an axis did not move.
@@ -94,7 +95,7 @@ def _focal_uncertainty(calibration: Calibration) -> float | None:
     return max(shares, default=None)
 
 
-def _pairs(pairs: PairRatios) -> dict[str, Any]:
+def _pairs(pairs: PairRatios) -> GimbalPairs:
     """Return the ratios of the pairs of poses, for results.json."""
     return {
         "ratio": pairs.ratio,
@@ -105,19 +106,25 @@ def _pairs(pairs: PairRatios) -> dict[str, Any]:
     }
 
 
-def _fault(fault: GimbalFault) -> dict[str, Any]:
+def _fault(fault: GimbalFault) -> GimbalFaultData:
     """Return a fault, for results.json; poses count from 0."""
-    told = {**vars(fault), "axis": None if fault.axis is None else AXES[fault.axis]}
-    del told["rival"]
-    return {**told, "claimed": True}  # Readers of earlier results expect it: those listed others, too.
+    return {
+        "kind": fault.kind,
+        "axis": None if fault.axis is None else AXES[fault.axis],
+        "pose": fault.pose,
+        "size_deg": fault.size_deg,
+        "sigma_deg": fault.sigma_deg,
+        "probability": fault.probability,
+        "claimed": True,  # Readers of earlier results expect it: those listed others, too
+    }
 
 
-def mount_faces(calibration: Calibration, station: Station) -> list[dict[str, Any]] | None:
+def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceData] | None:
     """Return ``mount_faces`` of docs/results.md; None without stated faces or without a boresight."""
     found = calibration.boresight
     if found is None or station.gimbal is None or not station.gimbal.faces:
         return None
-    answer = []
+    answer: list[MountFaceData] = []
     for name, face in station.gimbal.faces.items():
         angle, expanded = found.angle_to(np.array(face.normal), math.radians(face.sigma_deg))
         normal = found.rotation @ np.array(face.normal) / np.linalg.norm(face.normal)

@@ -11,7 +11,7 @@ from typing import Any, cast
 from bench.base.errors import BenchError, UsageError
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
-from bench.records.results import CalibrationData, ConformityData
+from bench.records.results import CalibrationData, ConformityData, GimbalReadingsData
 from bench.records.run_facts import conformity
 from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
@@ -71,7 +71,7 @@ class OfflineResult:
         return conformity(cast("CalibrationData", self.calibration.to_dict()), self.job.limits, [])
 
     @property
-    def readings(self) -> dict[str, Any] | None:
+    def readings(self) -> GimbalReadingsData | None:
         """Whether the gimbal's readings entered, as results.json states it; None if the views are not of one run."""
         job = self.job
         if job is None:

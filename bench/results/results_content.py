@@ -17,8 +17,16 @@ from bench import __version__
 from bench.base.home import forms
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
+from bench.records.events import AttemptData, GateData, RunStarted
 from bench.records.history import Attempt, History
-from bench.records.results import Results
+from bench.records.results import (
+    Conditions,
+    GimbalReadingsData,
+    PoseData,
+    ProjectionData,
+    Results,
+    SupportedPart,
+)
 from bench.records.run_facts import conformity
 from bench.report.maps import reach_px, star_distance
 from bench.results.solution import Solution, compare_with_truth
@@ -51,7 +59,7 @@ def point_factor(calibration: Calibration) -> float:
 
 def projection_facts(
     camera: CameraModel, covariance: Array, k: float, points: Sequence[Array]
-) -> dict[str, Any] | None:
+) -> ProjectionData | None:
     """Return ``projection`` of results.json: the expanded uncertainty of a direction, and the part stars support.
 
     By the camera's covariance, (K, K), along the worse direction; U = k u (JCGM 100:2008, 6.2.1); ``points`` (N, 2) px
@@ -79,7 +87,7 @@ def projection_facts(
     }
 
 
-def _supported(found: ProjectionMap, points: Array, size: tuple[int, int], k: float) -> dict[str, Any]:
+def _supported(found: ProjectionMap, points: Array, size: tuple[int, int], k: float) -> SupportedPart:
     """Return how much of the sensor the stars support, and the largest uncertainty there."""
     distance, reach = star_distance(points, size), reach_px(size)
     grid = np.rint(found.grid_px).astype(int)
@@ -136,7 +144,7 @@ def calculated(
     calibration: Calibration,
     planar: Calibration | None,
     passport: PassportInUse | None,
-    readings: Mapping[str, Any] | None,
+    readings: GimbalReadingsData | None,
     views: Sequence[View],
 ) -> dict[str, Any]:
     """Return the part of results.json that was calculated, of a run or from files."""
@@ -145,7 +153,7 @@ def calculated(
         "projection": projection(calibration, views),
         "planar": planar.to_dict() if planar else None,
         "passport": passport.to_dict() if passport else None,
-        "gimbal_readings": dict(readings) if readings is not None else None,
+        "gimbal_readings": readings,
     }
 
 
@@ -184,7 +192,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
     }
 
 
-def projection(calibration: Calibration, views: Sequence[View]) -> dict[str, Any] | None:
+def projection(calibration: Calibration, views: Sequence[View]) -> ProjectionData | None:
     """Return ``projection`` of results.json; None if no corner of the sensor has an uncertainty."""
     camera, k = calibration.camera, point_factor(calibration)
     return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
@@ -210,7 +218,7 @@ def software() -> dict[str, str]:
     return parts | forms()
 
 
-def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) -> str:
+def other_software(used: Mapping[str, str], names: Sequence[str] | None = None) -> str:
     """Return which software, by results.json or the journal, differs here: ``numpy 2.1 (here 2.2)``, with commas."""
     here = software()
     return ", ".join(
@@ -220,7 +228,7 @@ def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) 
     )
 
 
-def other_engine(results: Mapping[str, Any]) -> str:
+def other_engine(results: Results) -> str:
     """Return that results were made by another engine than those of this version; empty if they were not."""
     made = results["calibration"].get("engine", {"name": "an earlier one", "version": 0})
     if ENGINES.get(made["name"]) == made["version"]:
@@ -240,18 +248,18 @@ def _lasting(truth: Mapping[str, Any]) -> dict[str, Any]:
     return {**truth, "board": {name: value for name, value in board.items() if name != "placed"}}
 
 
-def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
+def _conditions(history: History, kind: CameraKind) -> Conditions:
     """Return the settings of light and camera, as read back at the last accepted recording."""
     stored = [a.stored for _, a in sorted(history.accepted().items())]
-    light = dict(stored[-1]["light"])
+    light: Mapping[str, Any] = stored[-1]["light"]
     if light.get("waveform") == "steady":  # the settings of a flicker do not apply
         light = {name: light[name] for name in ("waveform", "high_v")}
     return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
 
 
-def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> list[dict[str, Any]]:
+def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> list[PoseData]:
     summaries = {view.name: view for view in views}
-    poses = []
+    poses: list[PoseData] = []
     for index in sorted({a.pose_index for a in history.attempts}):
         attempts = history.attempts_at(index)
         best = history.accepted().get(index)
@@ -277,7 +285,7 @@ def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> 
     return poses
 
 
-def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
+def _attempt(attempt: Attempt, kind: CameraKind) -> AttemptData:
     stored = attempt.stored
     return {
         "attempt": attempt.attempt,
@@ -289,7 +297,7 @@ def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
     }
 
 
-def _pose_gates(history: History) -> list[dict[str, Any]]:
+def _pose_gates(history: History) -> list[GateData]:
     """Return the gates of the accepted recordings, each named with its pose."""
     return [
         {**gate, "name": f"pose {index}: {gate['name']}"}
@@ -338,7 +346,7 @@ def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
     return {"plugins": found} if found else {}
 
 
-def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
+def plugins_stated(started: RunStarted) -> dict[str, str]:
     """Return the plug-ins that a run used, by its journal: ``{"starbench-turntable 1.0": "stage turntable"}``."""
     versions = started.get("software") or {}
     return {
@@ -347,7 +355,7 @@ def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def plugins_missing(started: Mapping[str, Any]) -> list[str]:
+def plugins_missing(started: RunStarted) -> list[str]:
     """Return the plug-ins of a run that this computer does not have, or not in the version of the run."""
     here = {plugin.package for kind in GROUPS for plugin in plugins(kind) if not plugin.trouble}
     return [package for package in plugins_stated(started) if package not in here]

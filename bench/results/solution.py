@@ -21,7 +21,7 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
 from bench.records.history import Attempt, History
-from bench.records.results import CheckData
+from bench.records.results import CheckData, ComparisonRow, GimbalReadingsData
 from bench.report.text import TargetWords, words_for
 from bench.results.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.results.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
@@ -86,7 +86,7 @@ def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Ca
         return None
 
 
-def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
+def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[ComparisonRow]:
     """Compare each value with the simulated truth: ``name value sigma truth error error_sigmas``, in its own unit.
 
     A collimator with errors displaces the apparent centre: then x and y, which the truth holds of the ideal one, are
@@ -138,7 +138,7 @@ class Solution:
     # `halves`, `gimbal`, `parallax` and `mount_faces` of the results, as far as they can be calculated.
     checks: Mapping[str, Any]
     # Whether the readings of the gimbal entered, with what statement, or why not.
-    readings: Mapping[str, Any]
+    readings: GimbalReadingsData
     passport: PassportInUse | None = None  # The collimator's passport that the calibration used, if any
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bench.plan.passports import determines_one_view
+from bench.records import results
 from bench.stations.station import Station
 from bench.views.expected_grid import engine_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
@@ -105,14 +106,15 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
 
 def readings_result(
     calibration: Calibration, options: CalibrationOptions, *, witness: bool = False, stated: bool = True
-) -> dict[str, Any]:
+) -> results.GimbalReadingsData:
     """Return what results.json states about the gimbal's readings: whether they entered, and what bounds them."""
     readings = options.gimbal
     entered = calibration.gimbal is not None and calibration.gimbal.entered
     return {
         "entered": entered,
-        "statement": readings
-        and {
+        "statement": None
+        if readings is None
+        else {
             "source": readings.source,
             "reading_sigma_deg": readings.reading_sigma_deg,
             "scale_sigma": readings.scale_sigma,
@@ -123,11 +125,16 @@ def readings_result(
     }
 
 
-def _bound(calibration: Calibration, readings: GimbalReadings | None) -> dict[str, float] | None:
+def _bound(calibration: Calibration, readings: GimbalReadings | None) -> results.ParallaxBound | None:
     bound = readings.parallax if readings else None
     if bound is None:
         return None
-    stated = asdict(bound)
+    stated: results.ParallaxBound = {
+        "defocus": bound.defocus,
+        "defocus_sigma": bound.defocus_sigma,
+        "pupil_off_pivot_mm": bound.pupil_off_pivot_mm,
+        "pupil_off_pivot_sigma_mm": bound.pupil_off_pivot_sigma_mm,
+    }
     if calibration.collimator is None:
         return stated
     parallax, sigma = bound.mean_and_sigma(calibration.collimator.r)

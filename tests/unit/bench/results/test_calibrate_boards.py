@@ -94,6 +94,7 @@ def test_options_that_contradict_a_board_are_refused(folder, capsys, more, reaso
 
 ROW = {
     "folder": "runs/cam7", "state": "done", "values": {"fx": 3345.0}, "sigma": {"fx": 1.0}, "coverage_factor": 2.0,
+    "coverage_factors": {},
     "views": 12, "stars": 924, "left_out": [], "converged": True, "before": None,
 }  # fmt: skip
 
