@@ -125,9 +125,6 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
         raise BlockingIOError(errno.EWOULDBLOCK, holder or "another process") from error
 
 
-# Reserve a device for one process: a lock of the kernel on a small file that is named after the device.
-
-
 def event_camera_name(serial: str) -> str:
     """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other."""
     return f"event camera {serial}"

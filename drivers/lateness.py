@@ -96,8 +96,6 @@ def own_lateness() -> Lateness:
     return lateness
 
 
-# ------------------------------------------------------------ devices that another process simulates
-
 _clocks: dict[str, Callable[[], float]] = {}
 
 

@@ -28,8 +28,6 @@ from drivers.lateness import Deadline, busy_text
 from drivers.serial_port import Port
 from drivers.wire_log import Direction, WireLog
 
-# Ask again: after a bad reply, and until consecutive readings agree. Touches no device.
-
 TRIES: Final = 3
 """How often a request is sent in all, before its last error is passed on."""
 TRIES_WHEN_LATE: Final = 3
@@ -135,8 +133,6 @@ def _disagreement(what: str, where: str) -> ReplyGarbled:
         remedy="Check the cable, and that nobody operates the device by hand.",
     )
 
-
-# Share one line between requests and replies: one lock, deadlines, resynchronising, unsolicited lines.
 
 LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""

@@ -47,9 +47,6 @@ from sequences.strict_model import StrictModel
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
 
-# Settings of a step from the sequence: its own, the defaults, the lens coefficients; and the axes that poses
-# name.
-
 
 def axes_named(sequence: Sequence) -> tuple[str, ...]:
     """Return the axes that any pose of the sequence names, in the order pan, tilt, roll."""

@@ -20,8 +20,6 @@ from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, parse
 
-# Replace values in a YAML document: settings of a job or of the command line take the place of the file's values.
-
 
 class OptionSettings(dict[str, str]):
     """Settings given by an option of a command; messages then name the option."""
@@ -120,8 +118,6 @@ def _mapping(here: Any) -> dict[str, Any]:
         raise TypeError
     return here
 
-
-# From a file to a checked document: strict text, then a pydantic model, every fault at its line and column.
 
 Model = TypeVar("Model", bound=BaseModel)
 

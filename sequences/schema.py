@@ -15,8 +15,6 @@ from pydantic_core import PydanticCustomError
 from sequences.solve_schema import CheckConfig, DistortionTerm, Limit, SolveConfig
 from sequences.strict_model import StrictModel, Within
 
-# Limits of the results of a run, in a sequence and in a station: the run then ends with PASS or FAIL.
-
 LimitedResult = Literal["fx", "fy", "cx", "cy", "x", "y", "r", DistortionTerm]
 Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
 
@@ -45,8 +43,6 @@ class ResultLimitConfig(RuleConfig):
 
 ResultLimits = Annotated[tuple[ResultLimitConfig, ...], Field(max_length=100)]
 
-
-# The sequence file as pydantic models: keys, units, defaults and bounds of the script language.
 
 AXES = ("pan", "tilt", "roll")
 

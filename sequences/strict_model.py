@@ -10,8 +10,6 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaH
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-# Numbers of a document: plain decimals only, within a stated range.
-
 _PLAIN = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _ODD = re.compile(r"[+-]?[0-9][0-9_]*(?:\.[0-9_]*)?(?:[eE][+-]?[0-9_]+)?")
 
@@ -99,9 +97,6 @@ def with_plain_numbers(schema: Any) -> Any:
     if schema.get("type") in {"float", "int"}:
         return core_schema.no_info_before_validator_function(require_plain_number, changed)
     return changed
-
-
-# The base of all documents' models: strict mappings, and bare words that stand for a mapping.
 
 
 class StrictModel(BaseModel):

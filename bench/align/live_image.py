@@ -31,10 +31,6 @@ from drivers.camera.raw_file import RawFile
 from sequences.schema import GateConfig, Waveform
 from sequences.script import Gates
 
-# Figures of the signal of an event camera's slice: rate, load of the link, flicker, jitter.
-#
-# The module reads no file and opens no device: it gets decoded events.
-
 LINK_GBIT_S: Final = 1.6
 """Data that the link of an EVK4 carries, Gbit/s."""
 _MOST_EVENTS: Final = 150_000

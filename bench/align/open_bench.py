@@ -33,8 +33,6 @@ from drivers.light import Light, LightSettings
 from sequences.schema import FlickerConfig, Waveform
 from sequences.script import Flicker
 
-# Camera and light in the hands of a person who aligns: settings are changed, and read back from the device.
-
 ANSWER_S = 20.0
 """Longest wait for the camera between two slices, s."""
 
@@ -292,8 +290,6 @@ class LightControl:
                     remedy="Give a value in this range. The station file states the range of the frequency.",
                 )
 
-
-# Opens a station's devices with their controls for aligning, and leaves them safe at the end.
 
 _ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."
 

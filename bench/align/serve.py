@@ -33,11 +33,8 @@ from bench.web.server import PageServer, print_line
 from drivers.errors import DriverError
 from sequences.reader import OptionSettings, find_document
 
-# The align page's server side: its requests, and the stream that shows state and picture.
-#
 # Every request that changes something names the page that sends it, by the id that the page made for
 # itself. Only the page that holds the controls may change something; a stop is accepted from every page.
-# This module calls the session and moves nothing itself.
 
 PAGE = Path(__file__).parent / "page"
 BEAT_S = 1.0

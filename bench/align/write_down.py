@@ -258,9 +258,6 @@ def must_be_copied(path: Path) -> str:
     return ""
 
 
-# ---------------------------------------------------------------------- inside
-
-
 class _TextResolver(VersionedResolver):
     """Every scalar is text, as for the strict reader: 0042 and 1.0e-4 keep their form."""
 

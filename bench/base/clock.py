@@ -203,8 +203,6 @@ class VirtualClock(BenchClock):
         return {}
 
 
-# Signals that end a run safely, and other work at once.
-
 _STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
 _SIGNALS_TO_END_AT_ONCE = 3
 _RESEND_AFTER_S = 0.05

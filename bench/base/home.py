@@ -125,8 +125,6 @@ def _user_name() -> str:
     return str(os.getuid()) if hasattr(os, "getuid") else "user"
 
 
-# Hashes of the program's own files, by which a verification can tell another program from changed evidence.
-
 _PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
 _REPORT = "bench/report"
 _DRAWN_WITH = (
@@ -168,8 +166,6 @@ def _hash(root: Path, files: Iterable[Path]) -> str:
         digest.update(f"{name} {len(data)}\n".encode() + data)
     return digest.hexdigest()[:_SHOWN]
 
-
-# Compiles the loops that no earlier process has compiled, before a command calculates with them.
 
 _SAID_EVERY_S = 20.0
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}

@@ -419,10 +419,8 @@ def _set_aside_unbegun(run: Path) -> None:
         sync_folder(run.parent)
 
 
-# Rehearsal of a whole batch on a virtual clock, in this process: ten hours take less than a minute.
-#
-# All is as in a real batch but what `bench.rehearsal.rehearsal` lists. It is written in memory if possible,
-# then copied: no sync is needed.
+# In a rehearsal all is as in a real batch but what `bench.rehearsal.rehearsal` lists. It is written in memory
+# if possible, then copied: no sync is needed.
 
 _IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory, not a predictable file name
 _ROOM_BYTES = 1_000_000_000

@@ -42,8 +42,6 @@ from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Key, Queue
 from sequences.reader import Located, read_document
 
-# How long the last runs of a station took on this computer, against their plans.
-
 _MOST_RUNS = 10
 _MOST_READ = 50
 TOLD_FROM = 2.0

@@ -20,8 +20,6 @@ from bench.base.errors import JournalBroken
 from bench.records.journal import Entry
 from sequences.queue import JobConfig, Queue
 
-# Schedule of a batch: which run is next, when it begins, and for which runs no time is left.
-
 NEVER_S = math.inf
 
 
@@ -199,10 +197,6 @@ def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of
         else:
             at_s += chosen
     return slots + [Slot(item, None, None) for item in left]
-
-
-# State of a batch, computed from its journal alone: its runs, their attempts and ends, and the requests.
-# The events of a batch's journal, and the type of what each carries. Types only.
 
 
 class BatchEvent(StrEnum):

@@ -257,11 +257,6 @@ def _iso(moment: datetime | None) -> str | None:
     return moment.isoformat() if moment else None
 
 
-# Status of a batch for another terminal: what is done, what comes when, and when the batch ends.
-#
-# Reads the batch's folder and changes nothing in it. Future runs follow the same schedule as the batch
-# itself.
-
 FOLLOW_S = 1.0
 _TICK_WAITS = 2
 """With ``ticks``, the status is read again after this many waits."""
@@ -427,9 +422,6 @@ def _upcoming_lines(status: BatchStatus) -> list[str]:
 
 def _clock(moment: datetime, zone: tzinfo | None, *, day: bool = False) -> str:
     return f"{moment.astimezone(zone):{'%a %H:%M %Z' if day else '%H:%M'}}"
-
-
-# How a batch ended, as lines of text for terminal and mail: every run, and each camera's parameters.
 
 
 _K = 2.0  # of a change per hour

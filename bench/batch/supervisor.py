@@ -135,9 +135,6 @@ def make_safe_after(folder: Path, clock: BenchClock) -> list[DeviceEnd]:
         return lost_ends(f"the station file of {folder} cannot be read: {error}")
 
 
-# ---------------------------------------------------------------- a worker, our own or another's
-
-
 @dataclass
 class _Child:
     """A worker of our own."""

@@ -324,8 +324,6 @@ def plain_number(value: float, digits: int) -> str:
     return f"{Decimal(repr(round(float(value), digits))).normalize():f}"
 
 
-# Reads a length, number, date, issuer and hash from the DCC of a reference, such as a collimator.
-
 _WORDS = ("focal length", "effective focal length", "brennweite", "distance focale")
 _LABELS = ("r", "f", "efl")
 _CORE = "dcc:administrativeData/dcc:coreData"

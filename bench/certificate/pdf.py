@@ -372,9 +372,6 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f}" if share >= 0.0005 else "< 0.1"
 
 
-# The plots of a certificate, as SVG that is the same for the same data, with their descriptions.
-
-
 PLOTS = ("uncertainty", "direction", "coverage", "vectors", "radial", "regions", "distortion", "halves")
 """Names of the plots, in their order; the directions only of a wide lens, the halves only of many poses."""
 _WIDE = frozenset({"vectors"})

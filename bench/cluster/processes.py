@@ -182,9 +182,6 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-# Workers of a Dask scheduler (extra `cluster`). The scheduler and its workers are not started here.
-
-
 _SILENCE_S = 60.0
 """How long to wait while the scheduler has no worker."""
 _CONNECT_S = 10.0

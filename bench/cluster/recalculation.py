@@ -378,8 +378,6 @@ def _failure(error: BaseException) -> Failure:
     return Failure.of(error)
 
 
-# Studies by many workers: blocks of simulated calibrations, each kept on the disk as soon as it is done.
-
 STUDY = "study.jsonl"
 BLOCK = 16
 """Calibrations of one piece of work. Their numbers decide the noise, so the result does not depend on the blocks."""

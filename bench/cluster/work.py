@@ -31,9 +31,6 @@ from bench.records.storage import (
     write_all,
 )
 
-# Results of pieces of work on the disk, by the hash of all that decides them: lines of JSON in one file.
-# Refuses work of another program. Loads no mathematics.
-
 
 def require_program_of(program: str) -> None:
     """Refuse work of another program, because its results would differ."""

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from calib.view import View
 
 
-# `calibrate --each`: many runs are calibrated again, each alone, by many workers; `bench.cluster` does the
-# work.
-
 _SHOWN = ("fx", "cx", "cy", "r")
 _ROUNDING_SIGMA = 1e-6
 
@@ -297,9 +294,6 @@ def _calibrate_together(
     if output is not None and not wants_json():
         click.echo(f"Report: {output / REPORT}")
     return NOT_KEPT if (judged := result.conformity) and not judged["passed"] else 0
-
-
-# The command `check`: whether a calibration is still right, by new views of the camera.
 
 
 @click.command(

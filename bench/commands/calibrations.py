@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from bench.results.offline import OfflineResult
     from calib.studies.reference_methods import MethodFailure, MethodResult
 
-# Calibrations as text and for programs: values with uncertainties first, then the reprojection error, then
-# others.
-
 
 def offline_dict(
     result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None

@@ -45,8 +45,6 @@ from bench.records.ledger import bench_ledger
 from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
 from bench.records.storage import read_json, storage_errors, write_atomic
 
-# `certificate timestamp`: write a request for a time stamp, or add a reply beside the seal.
-
 _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
 
 

@@ -144,9 +144,6 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
     return 1 if failed else 0
 
 
-# The command `undistort`: tables that take the distortion out of events and images, with a preview.
-
-
 @command(
     "starbench undistort runs/cam7 -o cam7-tables",
     "starbench undistort opencv.yaml -o tables --preview board.raw --board checkerboard:11x7:20mm",

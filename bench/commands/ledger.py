@@ -156,9 +156,6 @@ def _forget_place(place: str, reason: str, by: str | None) -> int:
     return 0
 
 
-# Which runs `starbench runs` is about, and how faults of ledgers and folders are printed.
-
-
 @dataclass(frozen=True)
 class RunChoice:
     """Which runs a command is about."""

@@ -9,8 +9,6 @@ import click
 
 from bench.commands.options import SEED, STATION, ExistingFolder, command, page_options
 
-# The command `starbench align`: arguments and options only; `bench.align` does the work.
-
 
 @command(
     "starbench align --station my_bench.yaml",

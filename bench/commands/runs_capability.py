@@ -38,8 +38,6 @@ from bench.report.text import number, unit_text
 from bench.terminal.encoding import counted
 from calib.model.camera import BROWN, FISHEYE, PINHOLE
 
-# `runs --output` and `runs --chart`: tables and control charts of many runs, of one or several benches.
-
 _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""
 
@@ -183,8 +181,6 @@ def _told(group: ChartGroupData) -> dict[str, Any]:
         told["ewma_beyond"] = chart["ewma"]["beyond"] if has_limits(chart) else []
     return {**group, "parameters": charts, "runs": [run["run"] for run in group["runs"]]}
 
-
-# `runs --capability`: a gauge study of many runs, from the ledgers or a folder.
 
 _OF_THE_CAMERA = {*PINHOLE, *BROWN, *FISHEYE}
 

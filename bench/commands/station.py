@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from bench.stations.target_files import Optics, TargetUse
 
 
-# The command `target`: what the target of a station is good for, and its drawing.
-
-
 @command(
     "starbench target -s my_bench.yaml",
     "starbench target -s simulated --focal-length-mm 12 --r-mm 200",
@@ -141,9 +138,6 @@ def _draw(target: TargetConfig, path: Path) -> int:
         lines.append("Print it at 100 % (actual size), and measure the scale bars.")
     show({"drawing": str(path), "title": title_of(target), "size_mm": [width, height]}, lines)
     return 0
-
-
-# The command `simulate`: a simulated bench in a process of its own.
 
 
 @command("starbench simulate --station simulated --seed 1")
@@ -266,9 +260,6 @@ def schema(document: str) -> int:
     }
     print_json(models[document].model_json_schema())
     return 0
-
-
-# The command `devices`: what is connected, and with ``--wiring`` a test of the trigger cable.
 
 
 @command(

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from bench.records.inbox import KnownBy
     from bench.run.control import Command
 
-# The command `tell`: what an operator tells a run or a batch from another terminal, and its answer.
-
 _ANSWERS = {"yes": "continue", "no": "abort"}
 _VALUES = {"skip": "the number of a pose", "add": "the file of a job", "withdraw": "the name of a job"}
 """What stands behind a word; it may be left out for ``skip``."""
@@ -142,9 +140,6 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
     return int(refused)
 
 
-# The command `messages`: what this bench has sent and what still waits.
-
-
 @command(
     "starbench messages",
     "starbench messages --send",
@@ -177,8 +172,6 @@ def _lines(found: Sequence[Delivery]) -> Iterator[str]:
     if not found:
         yield "No messages."
 
-
-# Follow the status of a run in another process: new states and lines as they come.
 
 FOLLOW_S = 0.5
 _READING_SHARE = 4.0

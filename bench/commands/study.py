@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from calib.studies.monte_carlo import MonteCarloStudy
 
 
-# The command `compare`: methods of calibration on the simulated bench. `bench.compare` does the work.
-
 PAGE, RESULTS = "comparison.html", "results.json"
 
 

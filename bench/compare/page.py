@@ -25,8 +25,6 @@ from bench.compare.table import (
 from bench.report.html import environment
 from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Key, Picture, Scale, Words, axes_in, plain
 
-# Plots of a comparison: errors of direction and of the focal length of every repetition, column by column.
-
 _WIDTH = 760.0
 _ROW_HEIGHT = 19.5
 _MARGIN = 46.0

@@ -11,9 +11,6 @@ import numpy as np
 from bench.compare.methods import Row, SolvedRow, bench_time_s, is_failed
 from bench.compare.spec import ColumnConfig, ComparisonConfig
 
-# Statistics of a comparison: for each column the spread over the repetitions, errors against truth, and
-# coverage.
-
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2")
 
 

@@ -35,8 +35,6 @@ from bench.records.run_folder import (
     STATION_COPY,
 )
 
-# One fault of a sealed folder, as every check of evidence reports it.
-
 
 @dataclass(frozen=True)
 class SealFault:
@@ -135,9 +133,6 @@ class Verification:
         return {"ok": self.ok, "complete": self.complete, **own}
 
 
-# Verify the journal of a sealed run: its chain, its first and last lines, its clock, and the files that it
-# names.
-#
 # An attacker who holds the bench's key can write the whole chain again. The checks here then still find
 # what he did not write consistently; `bench.results.again_run` compares the journal with what the
 # recordings give.

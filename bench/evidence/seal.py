@@ -89,11 +89,6 @@ def _has_seal_line(data: bytes) -> bool:
     return data.startswith(_FIRST + _BEGIN)
 
 
-# ``VERIFY.txt``: how to check a sealed folder with the stock programs ssh-keygen, sha256sum and openssl.
-#
-# The kinds of folder differ in the first sentence and in what the certificate names. Text only; nothing is
-# checked here.
-
 KINDS = {JOURNAL: "run", "certificate.json": "certificate", "sources.json": "results"}
 """Kind of a sealed folder by the file that only this kind has."""
 

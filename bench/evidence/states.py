@@ -25,8 +25,6 @@ from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
 from bench.records.storage import read_json, storage_errors
 
-# When a folder says that it was made: by the bench's own clock, as the sealed files state it.
-
 _PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
 _LAST_BYTES = 1 << 20
 """The last line of a journal is shorter than this."""
@@ -204,9 +202,6 @@ def _clocks(found: Standing, stamps: Iterable[Stamp], now: datetime) -> None:
         found.remarks.append(f"the bench's own clock stated a time in the future: {stated}")
 
 
-# The state of a folder as one line, for lists and pages. Signatures are checked; files are not hashed.
-
-
 @dataclass(frozen=True)
 class ShownState:
     """The state of a folder, to be shown."""
@@ -247,10 +242,6 @@ def _text(standing: Standing) -> str:
         text = f"AUTHORISED by {standing.person}, sealed by {bench}"
     beside = [fault for fault in standing.faults if fault.kind in {"authorisation", "timestamp"}]
     return f"{text}. FAULT: {beside[0]}" if beside else text
-
-
-# Checks the signed page of a run that failed or was aborted: its signature, the key, and the journal it
-# names.
 
 
 def check_ended_page(folder: Path, trust: Trust, now: datetime, stated: datetime, found: Standing) -> None:

@@ -23,9 +23,6 @@ from bench.records.journal import Capture
 from bench.records.run_folder import JOURNAL, MANIFEST, PLAN, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.records.storage import read_bounded, read_json, sha256_of, storage_errors
 
-# Verify the listed files of a sealed folder: its kind, exactly these files, unchanged, and each in its one
-# form.
-
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
 LARGEST_SEAL_BYTES = 64 << 20

@@ -51,8 +51,6 @@ from bench.report.text import meaning_of, number, unit_text, with_uncertainty
 from bench.stations.station import Station
 from bench.terminal.encoding import counted
 
-# The verdict in plain words.
-
 _DAYS_A_YEAR = 365.25
 _NAMED = 3
 _SCATTER_SIGMAS = 3.5

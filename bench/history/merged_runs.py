@@ -20,11 +20,6 @@ from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.records.run_index import RunIndex
 from bench.records.storage import sha256_of
 
-# The ledgers of several benches as one. No ledger is changed.
-#
-# A ledger lies in the configuration folder of its bench, or in a copy of this folder.
-# `bench.history.merged_runs` looks for the folders of the runs.
-
 _SHORT = 12
 """Characters of a hash that name a ledger."""
 

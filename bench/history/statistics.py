@@ -20,10 +20,6 @@ from scipy import optimize, stats
 
 from bench.base.errors import UsageError
 
-# A gauge study: how much of the scatter of many runs is the bench's, by analysis of variance. Numbers in, numbers out.
-# Control charts of one parameter: individuals with moving ranges (Shewhart), and EWMA. Numbers in, limits
-# out.
-
 Array = NDArray[np.float64]
 
 D2 = 2.0 / math.sqrt(math.pi)

@@ -169,8 +169,6 @@ COLUMNS: Sequence[Column] = (
 """All columns, in order."""
 
 
-# Rows of the table of runs: one run as one mapping by column. Pure: it reads no file.
-
 Cell = str | float | bool | datetime | list[str] | None
 """A value of the table; None if it is not known."""
 Row = Mapping[str, Cell]

@@ -37,8 +37,6 @@ from bench.records.storage import make_folder, storage_errors
 from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 from drivers import file_lock
 
-# Messages that are to be delivered, kept so that none is lost and none is made twice. Does not use the network.
-
 OUTBOX = "outbox.sqlite3"
 VERSION = 2
 DEADLINE_S = 30.0
@@ -281,8 +279,6 @@ def _delivery(row: Sequence[Any]) -> Delivery:
     message = Message(key, occasion, subject, text, run, folder, utc, *place)
     return Delivery(message, channel, state, tries, bool(twice), error)
 
-
-# Sends messages about runs by mail, webhook or apprise.
 
 TIMEOUT_S = 10.0
 """Longest silence of a server, s."""

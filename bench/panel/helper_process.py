@@ -80,8 +80,6 @@ class ForecastAnswer(TypedDict, total=False):
     fault: str
 
 
-# Stars and residuals of one recording as a page shows them.
-
 Array = NDArray[np.float64]
 
 _ORDERS = (5, 3)

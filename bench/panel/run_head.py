@@ -36,9 +36,6 @@ from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STA
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
 
-# Whether a process works on a run, when it last gave a sign of life, and the free disk space. Writes
-# nothing.
-
 _QUIET_LIMIT_S = 15.0
 
 
@@ -89,8 +86,6 @@ def _free_bytes(folder: Path) -> int | None:
     except OSError:
         return None
 
-
-# Whether a person may leave a run alone: the answer, and the reason.
 
 MAX_HOLD_H = 8
 """As `bench.run.states.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""

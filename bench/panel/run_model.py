@@ -31,10 +31,8 @@ from bench.records.storage import read_json, storage_errors
 from bench.run.machine import TimeLeft
 from bench.run.status import RunPlan, line_text, read_plan
 
-# Reads what is new in a journal, by its offset, and verifies each line as `bench.records.journal` does.
-#
 # A complete line that is not valid ends the reading: what stands before it is kept. If a file becomes
-# shorter, or another file takes its name, it is read again from its beginning. This module writes nothing.
+# shorter, or another file takes its name, it is read again from its beginning.
 
 MOST_BYTES = 1 << 21
 """Most bytes that one call reads, so that a long journal does not stop the others."""
@@ -127,9 +125,6 @@ class JournalTail:
             f"{self.path}:{self._lines + 1}: A power cut has damaged the end of the journal ({error})."
             " What stands before is complete. `starbench resume` removes the damaged end."
         )
-
-
-# What a page needs of a run's results.
 
 
 def read_final(folder: Path) -> Uncertainties:

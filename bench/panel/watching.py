@@ -227,12 +227,6 @@ class Watcher:
             return [watch for watch in self._watches.values() if watch.readers > 0]
 
 
-# What the helper process adds to a run's page: the coverage of the image so far, and the uncertainty to
-# expect.
-
-
-# Asks the panel's helper process (`bench.panel.helper_process`); starts it when it is needed first.
-
 _MOST_PICTURES = 60
 
 

@@ -32,8 +32,6 @@ from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordSte
 if TYPE_CHECKING:
     from bench.views.measure import Measurement
 
-# The steps of a script with parking after the last step that needs devices.
-
 
 @dataclass(frozen=True)
 class ParkStep:
@@ -54,9 +52,6 @@ def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
     if last < 0:
         return tuple(steps)
     return (*steps[: last + 1], ParkStep(), *steps[last + 1 :])
-
-
-# The options of the calibration engine for a solve step of a sequence.
 
 
 def calibration_options(

@@ -41,10 +41,6 @@ def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word
     return next((place for place in places if place in document.tree.values), path)
 
 
-# Passport files of collimators: their bytes, and what is refused about them.
-
-# Numbers of a passport that no measurement gives: too small, too large, or a covariance that is not one.
-
 _MOST = 1e6
 """Largest size of a value, mm; no collimator is a kilometre long."""
 LEAST_R_MM = 0.1

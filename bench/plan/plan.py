@@ -44,9 +44,6 @@ from sequences.script import (
 from sequences.solve_schema import CalibrationModel
 from sequences.tree import Fault
 
-# Expected duration and disk space of the steps of a plan, by the station's speeds and by the allowances
-# below.
-
 # Allowances, measured on the simulated bench. The devices of a real bench need more.
 PREFLIGHT_S = 1.1
 HOMING_EXTRA_S = 0.5

@@ -252,8 +252,6 @@ def _readable(folder: Path) -> None:
     left.rename(folder.parent / f"kept-{folder.name}")
 
 
-# The contract tests of a frame camera: what every driver of a frame camera must do, with any camera.
-
 _MANY = 5000
 """Number of frames of a capture that something is to end early."""
 _FRAMES_AT_WORK_S = 0.5

@@ -252,9 +252,6 @@ def _at(stage: Stage, name: str, share: float) -> float:
     return 0.99 * share * (limits.highest_deg if share > 0 else -limits.lowest_deg)
 
 
-# The contract tests of a light: what every driver of a light must do, with any device.
-
-
 class LightContract(SerialContract):
     """Derive from this class, name it ``Test...``, and give ``section`` and ``device``, a `SimulatedLight`.
 

@@ -12,8 +12,6 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.records.journal import CAPTURE_STORED
 
-# What a run's journal states about the devices: who they are, and how they were left. Types only.
-
 
 class DeviceData(TypedDict, total=False):
     """Identity of a device, as it states it itself; ``name`` is that of an axis."""

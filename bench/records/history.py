@@ -30,8 +30,6 @@ from bench.records.events import (
 )
 from bench.records.journal import CLOCK_JUMPED, Entry, Journal
 
-# How a run left each device: what confirmed a safe state, what did not, and what was never opened.
-
 DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]
 
@@ -376,11 +374,6 @@ def _apply_command(history: History, data: Commanded) -> None:
             history.to_skip[int(data["pose"])] = str(data["by"])
 
 
-# The journal of a run open for writing, together with the history that it amounts to.
-#
-# The type of each event's payload is fixed in `bench.records.events`; a type checker refuses a line that
-# lacks something.
-
 _WITHOUT_HARDWARE = frozenset({"settling", "checking"})
 """States in which nothing moves, is switched or is stored."""
 
@@ -420,10 +413,6 @@ def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:
         case Event.ATTEMPT_CHECKED | Event.STEP_DONE:
             return True
     return False
-
-
-# What helps after a run that did not finish: the command for terminal, messages, panel and the report of
-# the run.
 
 
 def way_on(history: History, folder: Path) -> tuple[str, str]:

@@ -333,10 +333,6 @@ class UnsyncedJournal(Journal):
         """Do nothing."""
 
 
-# The recordings of a run as its journal lists them: names, sizes and hashes.
-#
-# This module uses journal lines only; it touches no file.
-
 CAPTURES = "captures"
 CAPTURE_STORED = "capture_stored"
 """Event of a journal line about a capture; the line holds ``Capture.as_data``."""

@@ -79,9 +79,6 @@ def _mark_of(found: Mapping[str, Any]) -> LedgerMark:
     return LedgerMark(numbers[0], numbers[1], head, utc, tuple(sorted(counts.items())))
 
 
-# ---------------------------------------------------------------- the bench's own mark
-
-
 @dataclass(frozen=True)
 class OwnMark:
     """Content of ``ledger_high``."""
@@ -113,9 +110,6 @@ def write_own_mark(home: Path, own: OwnMark) -> None:
     """Write ``ledger_high``."""
     record = {**own.mark.to_dict(), "anchors": list(own.anchors)}
     write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
-
-
-# ---------------------------------------------------------------- second places
 
 
 def read_anchor(path: Path) -> list[LedgerMark]:
@@ -219,11 +213,6 @@ def ask_anchor(path: Path, *, was_there: bool) -> Witness:
     except BenchError as error:
         return Witness(str(path), trouble=error.what, was_there=was_there)
 
-
-# Breaks of the ledger: how they are found, recorded in the ledger itself, and explained by a person.
-
-
-# The runs in a ledger: from its lines to one entry for each run. Reads no files.
 
 RUN_BEGUN = "run_begun"
 RUN_ENDED = "run_ended"

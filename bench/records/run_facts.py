@@ -28,12 +28,6 @@ if TYPE_CHECKING:
     from sequences.schema import ResultLimitConfig
 
 
-# What a run says of one parameter: its value, its uncertainty with the k of this value, and what other runs
-# share.
-#
-# The same numbers for terminal, pages, mail and tables: U of a value is its own coverage factor times its
-# sigma.
-
 USUAL_COVERAGE_FACTOR = 2.0
 """The k of results of earlier versions, which do not state one."""
 _MOST_FACTORS = 3
@@ -391,8 +385,6 @@ def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int
     known = [one.stored.get("facts", {}).get(name) for one in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
 
-
-# Whether results keep limits, by guarded acceptance and rejection: of a run (PASS or FAIL), and of a certificate.
 
 RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
 NO_CONVERGENCE = "The optimisation did not converge."

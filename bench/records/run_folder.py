@@ -277,8 +277,6 @@ def _state_of(path: Path, capture: Capture | None) -> str:
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
 
 
-# Hashes of the files that the report step of a run has written, for its line of the journal.
-
 EXPORTS = "exports"
 VIEWS = "views.h5"
 WIRE_LOG = "wire.jsonl"

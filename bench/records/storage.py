@@ -157,11 +157,6 @@ def _write_new(path: Path, data: bytes, mode: int) -> None:
         os.close(descriptor)
 
 
-# Read files that somebody may have changed: ordinary ones only, and never more than they may hold.
-#
-# A pipe would keep the reader for ever, and a file that states ten gigabytes would fill the memory. Nothing
-# is written.
-
 MOST_BYTES = 100_000_000
 """Largest JSON file that is read: the results of ten thousand poses have 70 MB."""
 MOST_TABLE_BYTES = 1 << 30

@@ -28,11 +28,6 @@ from bench.report.text import (
     with_uncertainty,
 )
 
-# The uncertainty budget of a report: a row for each source of uncertainty, and what is not included.
-#
-# Each function takes ``calibration`` of results.json and returns printed text; it is empty if the results
-# have no budget.
-
 _SHOWN = ("fx", "worst_corner")
 _OF_STARS = "stars"
 #: Relative values are printed in millionths.
@@ -122,8 +117,6 @@ def _length(value: float) -> str:
     """Return a contribution with two significant digits, at most three decimals."""
     return "< 0.001" if 0 < value < 0.0005 else number(float(f"{value:.3f}"), 2 if value >= 0.01 else 1)
 
-
-# Rows of the report about statements and what all others say of them, and about sizes of errors in the views.
 
 _UNUSUAL, _CONTRADICTION = 2.0, 4.0
 """Sizes of an innovation, in units of its standard uncertainty."""

@@ -308,10 +308,6 @@ def _day_ticks(days: Sequence[float], group: ChartGroupData) -> list[tuple[float
     return [(days[place], _label(group["runs"][place]["begun_utc"], days[-1])) for place in places]
 
 
-# The page of control charts: one HTML file that loads nothing.
-#
-# Depends on the object of `bench.history.chart_findings` alone. The template escapes all text.
-
 MOST_DRAWN = 60
 """Most parameters that are drawn; the table has all of them."""
 _ORDER = ("out of control", "check", "in control", "too few")

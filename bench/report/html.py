@@ -170,11 +170,6 @@ def _css_text(value: object) -> str:
     return re.sub(r"[^A-Za-z0-9 ._-]", "?", str(value))
 
 
-# The page of a run that failed or was aborted: why it ended, what to do, what was recorded.
-#
-# Text from the journal alone, so that a run without results has its page too.
-
-
 def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
     """Render the page of a run that did not finish; the hash of its last line identifies the whole journal."""
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None

@@ -151,8 +151,6 @@ def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float3
     return np.asarray(distance, np.float32)
 
 
-# Plots over the sensor: their frame, and the part of the sensor that stars support. Pure; reads no file.
-
 GROUND = "#eef3f8"
 """Colour of the sensor where a plot shows what stars support."""
 _COARSE = 8

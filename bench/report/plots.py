@@ -257,8 +257,6 @@ def _round_down(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
 
 
-# Draws all plots of a report as SVG. What needs arrays is imported here and below: text alone needs none.
-
 _WIDE_ANGLE_DEG = 25.0
 
 

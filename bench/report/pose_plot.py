@@ -29,9 +29,6 @@ from calib.model.lens import is_fisheye
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
-# The distortion curve: the radial displacement of an image point against the field angle, with its
-# uncertainty.
-
 Array = NDArray[np.float64]
 
 _POINTS = 121
@@ -154,9 +151,6 @@ def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:
     angles = [angles_of(camera, some) for some in points if len(some)]
     finite = [float(np.nanmax(some)) for some in angles if np.isfinite(some).any()]
     return max(finite, default=None)
-
-
-# Cameras in the form of results.json as camera models: of a result, of its halves, of an earlier result.
 
 
 def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraModel:

@@ -113,9 +113,6 @@ def image_text(image: ImageFacts) -> str:
     return ", ".join(details) or NOTHING
 
 
-# The course of an ``until``: the expanded uncertainty after each pose, as table and plot, and how the step ended.
-# Plot of the course of an ``until``: the expanded uncertainty against the number of poses, with its goals.
-
 _COLOURS = ("#0072b2", "#d55e00")
 _HEIGHT, _GAP = 195.0, 12.0
 _MOST_POSES = 8
@@ -176,10 +173,8 @@ def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:
     return f"After {last['poses']} poses: {'; '.join(parts)}."
 
 
-# Diagram of a run's states: a box for each state in order of first entry, an arrow for each transition.
-#
-# Uses the names and times of the states alone. Transitions to the right are drawn above the boxes,
-# transitions back below them. A number beside an arrow is the number of times that the transition happened.
+# In the diagram of states, transitions to the right are drawn above the boxes, transitions back below them. A
+# number beside an arrow is the number of times that the transition happened.
 
 _STEP, _WIDE, _TALL = 92.0, 76.0, 26.0
 _MARGIN = 10.0

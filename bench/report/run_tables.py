@@ -29,9 +29,6 @@ from bench.report.text import (
     words_of,
 )
 
-# Rows of the report about what a calibration used: passport of the collimator, readings and parallax, input
-# files.
-
 Rows = list[tuple[str, str]]
 
 
@@ -189,11 +186,6 @@ def _bound(bound: ParallaxBound) -> str:
     shown = number(share, 2)
     return f"{text}: {shown} % of the focal length, standard uncertainty {sigma:.2g} %"
 
-
-# Rows of the report's tables about the devices: identities, connections, settings, and how each was left.
-#
-# Each function takes a part of results.json and returns rows of printed text. The rows are empty if the
-# part is missing; the page then omits the table.
 
 _UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 

@@ -15,8 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Colours and sizes that all plots share.
-
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of the poses, repeated after six: the palette of Okabe and Ito (2008), safe for colour-blind readers."""
 INK, MUTED, LINE = "#17212b", "#5c6874", "#d5dbe1"
@@ -33,8 +31,6 @@ def shade(share: float) -> str:
     part = min(max(share, 0.0), 1.0)
     return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(_PALE, _DEEP, strict=True))
 
-
-# Scales of plots: where a value stands along an axis, round numbers for ticks, and their labels. Pure.
 
 Array = NDArray[np.float64]
 
@@ -320,8 +316,6 @@ def _stroke(colour: str, width: float, opacity: float = 1.0) -> str:
     clear = f' stroke-opacity="{opacity:g}"' if opacity < 1 else ""
     return f'fill="none" {painted("stroke", colour)} stroke-width="{width:g}"{clear}'
 
-
-# The frame of a plot: its place in the picture, title, legend, axes, ticks and labels. Pure.
 
 _LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
 _BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from bench.records.results import CheckData, ConformityData, Results, StatementData
     from calib.studies.camera_check import OneViewCheck
 
-# An ``until`` in words: its goals, what it has reached, and how it ended.
-
 _GOALS = {"expanded_fx_px": "U(fx)", "worst_corner_px": "U at the corners"}
 
 
@@ -62,9 +60,6 @@ def decision_text(decided: UntilDecided) -> str:
     angles = ", ".join(f"{axis} {angle:g}" for axis, angle in chosen["angles_deg"].items())
     return f"{reached}; next: pose {chosen['pose']} at {angles} deg"
 
-
-# What a report calls what the camera saw: the stars of the target, or the points of a board at finite
-# distance.
 
 _BOARD_WORDS = {
     "star": "point",
@@ -339,8 +334,6 @@ def _plain(value: Decimal) -> str:
     return text.removeprefix("-") if not value else text.replace("-", MINUS)
 
 
-# PASS or FAIL of a run, in words.
-
 _KEPT = {
     "pass": "inside by U or more",
     "conditionalPass": "inside, but by less than U: not proven",
@@ -383,9 +376,6 @@ def _statement_text(one: StatementData) -> str:
         return f"{name}: this calibration did not estimate it (limit: {asked})."
     value, expanded = with_uncertainty(one["value"], one["expanded"])
     return f"{name} {value} ± {expanded}{' ' if unit else ''}{unit} ({asked}): {_KEPT[one['verdict']]}."
-
-
-# What a check of a calibration found, in words: for the command `check`, the report and the end of a run.
 
 
 _CAUSES = {

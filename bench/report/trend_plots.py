@@ -26,8 +26,6 @@ from bench.report.svg_plot import (
 )
 from bench.report.text import unit_of
 
-# The plot of a simulation study: histograms of the errors beside the normal distribution.
-
 Array = NDArray[np.float64]
 
 _REACH, _BINS = 4.0, 33

@@ -23,9 +23,6 @@ from bench.report.text import (
     words_of,
 )
 
-# The change since the last calibration of the same camera, as text: one sentence for the verdict, rows of a
-# table.
-
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 
 

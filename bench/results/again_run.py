@@ -50,8 +50,6 @@ from calib.errors import CalibrationError
 from drivers.errors import DriverError
 from sequences.script import RecordStep, SolveStep
 
-# Compares the moves and the devices of a run's journal with the bytes on the wires.
-
 _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
 """States in which the program speaks to the stage."""
 _SLACK_S = 1e-3

@@ -139,12 +139,6 @@ def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceDat
     return answer
 
 
-# Check that does not influence a result: where the entrance pupil is, and the parallax that follows.
-#
-# The rims of the beam show how far the entrance pupil is off the pivot (`calib.studies.parallax`). The
-# defocus comes from the station, or from the calibration if its model has it. The function returns plain
-# data for results.json.
-
 PARALLAX_TEST = "Parallax test"
 """Name of the shipped sequence that must have a result here, or say why there is none."""
 

@@ -19,8 +19,6 @@ from bench.evidence.findings import Findings
 from bench.records.run_folder import RESULTS
 from calib.view import View
 
-# Compares two contents of JSON files value by value, and names each difference by its place.
-
 Number = int | float
 
 

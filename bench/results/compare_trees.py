@@ -37,9 +37,6 @@ from calib.boards.board import Board
 from calib.target import StarTarget
 from calib.view import View
 
-# Compares views.h5 with the views that were made again: poses, stars, residuals, images, and that it holds no
-# more.
-
 _BYTES_BY = ("starbench", "h5py", "numpy", "program")
 
 

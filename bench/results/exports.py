@@ -49,8 +49,6 @@ from calib.model.camera import BROWN, SKEW, CameraModel, Undistortion, nearest_l
 from calib.target import StarTarget
 from calib.view import View
 
-# What the writers of the exports share: refusals of lenses that a format cannot carry, matrices, YAML.
-
 PLUMB_BOB = BROWN[:5]
 """The coefficients of ROS's model plumb_bob, and of OpenCV with five coefficients."""
 
@@ -373,8 +371,6 @@ WRITERS: Mapping[str, Writer] = {
 }
 """Writer of each file."""
 
-
-# The files of `starbench undistort`: rays, rectified pixels, ``cv2.remap``, preview; all calculated before writing.
 
 TABLES, CAMERA_INFO, PREVIEW = "undistort.npz", "camera_info.yaml", "preview.png"
 _GAP_PX = 8

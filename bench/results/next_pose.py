@@ -272,15 +272,6 @@ def _reason(wish: Wish, lacks: str) -> str:
     return f"it lowers {meaning_of_goal(widest)} most"
 
 
-# Forecast of an ``until`` before anything moves: how many poses it will need, and what it will reach.
-#
-# The poses are chosen as in a run, on the bench that the station expects.
-
-# The parts of the expanded uncertainties that further poses do not lower, from the uncertainty budget.
-#
-# Plans and decisions of an ``until`` use them. The module loads nothing that measures images, so that a
-# plan is quick.
-
 REDUCED_SLOWLY = frozenset({PARALLAX, UNBOUNDED_PARALLAX, GIMBAL_SCALE, COMMON_FIELD})
 """Sources that the stars of further poses lower too, by what they say of the same quantity."""
 

@@ -47,8 +47,6 @@ from calib.model.lens import is_fisheye
 from calib.target import StarTarget
 from sequences.script import SolveStep
 
-# Keeps the views that a run has found, so that `calibrate` need not find its stars again.
-
 
 def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
     """Keep the views of a run's accepted recordings, unless it is a rehearsal or shows a board."""
@@ -140,9 +138,6 @@ def shown_files(
     pictured = pictured_poses(results).names
     pictures = [one.shown(pictured=one.view.name in pictured) for one in views]
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
-
-
-# The last calibration of the same camera, found by the bench's ledger, and the change since then.
 
 
 class _Sealed(NamedTuple):

@@ -39,9 +39,6 @@ from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, ProjectionMap, projection_uncertainty
 from calib.view import View
 
-# What the report says first: the uncertainty of a direction in the worst corner, and where stars support
-# it.
-
 Array = NDArray[np.float64]
 
 _CORNERS = {
@@ -306,11 +303,8 @@ def _pose_gates(history: History) -> list[GateData]:
     ]
 
 
-# Software that a station brings into a run, besides Starbench: packages of plug-ins, and libraries of its
-# drivers.
-#
-# A verification may run on a computer without these packages. So `results_content.other_software` does not
-# compare them, and a run that cannot be read without a plug-in is told as not compared.
+# A verification may run on a computer without plug-ins and the libraries of drivers. So `other_software` does
+# not compare them, and a run that cannot be read without a plug-in is told as not compared.
 
 _LIBRARIES: Final = {"neuromorphic_evk4": "neuromorphic-drivers"}
 """Package that a built-in driver needs, by the name of the driver."""

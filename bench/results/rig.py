@@ -145,9 +145,6 @@ def _rising_us(path: Path) -> list[int]:
     return list(map(int, edges.t[edges.value == 1]))
 
 
-# Reads a rig of two cameras from a file: `rig.json`, or the `extrinsics.json` of Metavision SDK 5.
-
-
 Array = NDArray[np.float64]
 
 _MOST_BYTES = 20_000_000
@@ -220,10 +217,6 @@ def _require_possible(stated: StatedRig) -> None:
         (np.abs(known) <= _LARGEST_VARIANCE).all() and np.linalg.eigvalsh(known)[0] >= -1e-9 * np.trace(known)
     ):
         raise ValueError("its covariance is impossible")
-
-
-# Export of a rig of two cameras: Kalibr, ROS with rectification, OpenCV, and the extrinsics of Metavision
-# SDK 5.
 
 
 _NAMES = ("cam0", "cam1")

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from bench.records.history import Attempt
     from bench.views.views_file import StoredView
 
-# A calibration made again from the numbers of results.json, without its residuals; nothing is calculated.
-
 
 _SAME = (
     *("model", "rms_px", "mean_px", "variance_factor", "degrees_of_freedom", "converged", "iterations"),

@@ -34,8 +34,6 @@ from calib.studies.camera_check import CameraCheck, check_camera
 from calib.view import View
 from sequences.script import SolveStep
 
-# Errors of the engine about a board: they speak of points and of the board, not of stars. Texts only.
-
 
 @contextmanager
 def errors_in(words: TargetWords) -> Iterator[None]:
@@ -48,9 +46,6 @@ def errors_in(words: TargetWords) -> Iterator[None]:
         said = type(error)(words.fitting(error.what), where=error.where, remedy=words.fitting(error.remedy))
         raise said from error
 
-
-# Comparison of a calibration with Zhang's planar model on the same points, and with the truth of a
-# simulated bench.
 
 CHECK_SEED = 20_260_101
 """Of the drawn changes of a check: the same files give the same numbers."""
@@ -109,9 +104,6 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
         for name in _COMPARED
         if name in values and name in true
     ]
-
-
-# Measure an accepted recording of a run again, from its file alone.
 
 
 def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:

@@ -16,8 +16,6 @@ from bench.base.errors import UsageError
 from bench.records.run_facts import Estimate, IndexedRun
 from bench.records.summaries import SlopeData, TrendData
 
-# Agreement of several runs of one camera: each parameter's values against their weighted mean.
-#
 # What all runs share (certificate, glass, print) does not appear in their differences, and no number of
 # runs lowers it: the mean carries it in full.
 

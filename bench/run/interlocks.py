@@ -165,8 +165,6 @@ def interlock_text(name: str) -> str:
     return name.replace("_", " ")
 
 
-# The kinds of interlocks: door, disk space, camera temperature, event rate, lost device; each says why it holds.
-
 _MOST_BYTES = 64
 
 

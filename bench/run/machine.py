@@ -18,8 +18,6 @@ from bench.records.journal import Entry
 if TYPE_CHECKING:
     from transitions import EventData
 
-# How long a run still takes: the times of its plan, scaled by what its steps took so far.
-
 _LEAST_STEPS = 3
 _SMALLEST, _LARGEST = 0.5, 50.0
 _FIXED = frozenset({"prompt", "wait", "settle"})

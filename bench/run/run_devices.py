@@ -199,9 +199,6 @@ def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -
     return found
 
 
-# What the parts of one run share: task, folder, journal, clock, devices, interlocks. Data only.
-
-
 @dataclass(frozen=True)
 class RunContext:
     """One run, as its states and steps see it."""

@@ -36,8 +36,6 @@ from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from sequences.script import ChooseStep, RecordStep, WaitStep
 
-# Messages about one run: when it fails, holds or ends, its status goes to the outbox as text.
-
 HOLD_NOTIFY_INTERVAL_S = 600.0
 """Shortest time between two notifications about holds by the same interlock, s."""
 
@@ -95,8 +93,6 @@ def _waits_for(facts: Entering) -> str:
         return f"is held by the {interlock_text(facts['rule'])} interlock: {facts['why']}"
     return f"is held by {facts['by']}" if "by" in facts else "asks the operator a question"
 
-
-# Run a script: choose the next step, react to failures, and leave the bench safe at every end.
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""

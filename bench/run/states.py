@@ -37,8 +37,6 @@ from sequences.script import (
     WaitStep,
 )
 
-# Checks before anything moves: identity of the devices, camera settings, reported faults.
-
 OPTIONAL: Final = ("firmware_built", "link_mbit_s")
 """Parts of a camera's identity that are left out where the camera does not state them."""
 NOT_STATED: Final = "not stated by the device"

@@ -36,8 +36,6 @@ from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft
 from bench.terminal.encoding import clock_text, counted, times
 
-# Journal lines as text for people: time and a short sentence. Lines that only programs need have no text.
-
 
 def line_text(entry: Entry) -> str:
     """Return a journal line as text with its time; empty for lines that only programs need."""
@@ -376,8 +374,6 @@ def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
     texts = (text for text in map(line_text, reversed(entries)) if text)
     return tuple(reversed(tuple(islice(texts, LAST_LINES))))
 
-
-# Status of a run as lines of text, for the terminal, messages and the panel.
 
 _WORTH_TELLING_S = 5.0
 """A run that has ended tells how late the computer was if it lost more than this, s."""

@@ -246,9 +246,6 @@ def _switch_off(station: Station, clock: BenchClock) -> str:
         return switch_off(light)
 
 
-# Devices of a station opened one by one: the camera first, then stage and light, each on its own thread.
-
-
 _CLOSE_S: Final = 15.0
 """Longest wait for a device that is still being opened, s."""
 

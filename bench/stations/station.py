@@ -50,8 +50,6 @@ from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name, ResultLimits
 from sequences.strict_model import StrictModel, Within
 
-# The camera section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them.
-
 
 class SimulatedEvk4Config(EventCameraConfig):
     """A simulated EVK4, connected through a local socket."""
@@ -160,10 +158,6 @@ else:
 CameraConfig = _Cameras
 
 
-# The station file: the devices of a bench, their ports, and their limits.
-# The ledger section of a station file: the second place for the head of the ledger, and what a break of it
-# does.
-
 _STRICT = "strict"
 
 
@@ -199,8 +193,6 @@ class LedgerConfig(StrictModel):
     def _from_word(cls, value: Any) -> Any:
         return {"strict": "true"} if value == _STRICT else value
 
-
-# Section `expected` of the station file: approximate values of the bench, for forecasts and studies only.
 
 _Side = Annotated[int, Within(8, 65_536, "px")]
 _Coefficient = Annotated[float, Within(-1000, 1000)]
@@ -252,9 +244,6 @@ class ExpectedConfig(StrictModel):
             self.collimator.pose_rms_px,
         )
 
-
-# The board section of a station file: a flat board at finite distance that stands there in place of a
-# collimator.
 
 _Points = Annotated[int, Within(3, 200)]
 _Frequency = Annotated[float, Within(1, 1000, "Hz")]

@@ -20,9 +20,6 @@ from calib.model.type_b_terms import Distribution, TermKind, TypeBTerm
 from sequences.schema import Name
 from sequences.strict_model import StrictModel, Within
 
-# Sections of the station file about the collimator and about the gimbal's readings: what is known, and how
-# well.
-
 Celsius = Annotated[float, Field(ge=-50, le=100)]
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 

@@ -140,11 +140,6 @@ Positive = Annotated[float, Within(1e-6, 1e9)]
 FocalLength = Annotated[float, Within(1, 100_000, "mm")]
 
 
-# The target section of a station file: the printed star pattern, and the drawing of its reticle.
-#
-# The module holds keys, ranges and defaults. `bench.stations.target_files` draws the reticle; docs/target.md
-# shows every key.
-
 # The messages section of a station file: on which occasions messages are sent, and by mail, webhook or
 # other services.
 #
@@ -203,11 +198,6 @@ class MessagesConfig(StrictModel):
     webhooks: Annotated[tuple[WebhookConfig, ...], Field(max_length=20)] = ()
     apprise: Annotated[tuple[AppriseConfig, ...], Field(max_length=20)] = ()
 
-
-# The interlocks section of a station file: what makes a run hold, when the run continues, and the longest
-# hold.
-#
-# This module has the keys and their ranges; `bench.run.interlocks` has the interlocks.
 
 Hold = Annotated[
     float,

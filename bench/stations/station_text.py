@@ -33,8 +33,6 @@ from sequences.schema import Axis
 from sequences.strict_model import Within
 from sequences.tree import Fault
 
-# Descriptions of devices: YAML files that say how a stage or a light is talked to, without code.
-
 SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
 
 

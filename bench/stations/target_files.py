@@ -26,8 +26,6 @@ from bench.stations.station_fields import TargetConfig
 from bench.stations.target_shapes import Drawing, Shapes, draw_target
 from calib.target import StarTarget
 
-# What a target is good for with a lens and a collimator: stars in view, their size in px, and warnings.
-
 IMX636_PIXEL_UM = 4.86
 """Side of a pixel of the Prophesee IMX636 (EVK4), by its data sheet."""
 
@@ -292,8 +290,6 @@ def _short(number: float) -> str:
     text = f"{number:.6f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
-
-# Drawings as DXF and GDSII, for makers of masks and reticles; by ezdxf and gdstk (extra ``draw``).
 
 OPAQUE_LAYER, OUTLINE_LAYER = "OPAQUE", "OUTLINE"
 """Layers of a DXF file."""

@@ -21,8 +21,6 @@ from bench.base.errors import UsageError
 from bench.stations.station_fields import TargetConfig
 from calib.target import StarTarget
 
-# Letters made of upright rectangles, for the text on a reticle.
-
 ROWS, COLUMNS = 7, 5
 """Cells of a letter; one empty column follows each letter."""
 

@@ -16,10 +16,6 @@ from sequences.strict_model import StrictModel, Within, is_plain_number
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-# What all descriptions of devices share: requests and replies, the line, refusals, notices, states.
-#
-# The module checks templates; it reads no file and opens no device.
-
 ADDRESS = frozenset({"address"})
 NOTHING: frozenset[str] = frozenset()
 _ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
@@ -225,9 +221,6 @@ class Described(StrictModel):
             ),
             notices=tuple(of.Notice(one.text, one.means or "") for one in self.notices),
         )
-
-
-# The description of a light's protocol: keys, checks, and its form for the driver. Opens nothing.
 
 
 class _Set(_Exchange):

@@ -183,10 +183,6 @@ class Progress:
         )
 
 
-# Questions to the operator: answered at this terminal, from another one, or by the default after a time-
-# out.
-
-
 _POLL_S = 0.2
 _YES = {"c", "continue", "y", "yes"}
 _NO = {"a", "abort", "n", "no"}

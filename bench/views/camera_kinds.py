@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from bench.stations.devices import Camera
     from bench.views.measure import ExpectedGrid, Measurement
 
-# How long a recording must be to contain whole flicker periods.
-
 RECORDING_MARGIN_S = 1e-3
 """Time recorded in addition to the whole periods and the one that is cut at the ends, s."""
 

@@ -49,8 +49,6 @@ from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 from sequences.script import Gates
 
-# From one recording of events to the event image of whole flicker periods. It knows no target.
-
 
 class EventData(NamedTuple):
     """Content of a recording."""
@@ -212,9 +210,6 @@ def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> Me
     }
 
 
-# From one recording to one view: RAW file, whole flicker periods, event image, stars.
-# A recording without a tag and without stars: whether it shows light at all.
-#
 # A dark lamp and a closed lens cap are no fault of the camera's direction. `bench.align.advice` tells the
 # same cases apart on the live picture.
 
@@ -236,9 +231,6 @@ def without_light(error: TargetNotFound, facts: MeasuredFacts, pixels: int) -> T
         remedy="Check first that the lamp is lit. Then remove the lens cap, open the aperture, raise the light's "
         "level, or turn the camera towards the collimator.",
     )
-
-
-# The image that a run keeps of each pose for people; calculations use the recording itself.
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ from calib.model.gimbal import Gimbal
 from calib.model.rotation import exp_map, log_map
 from calib.view import View
 
-# Recognition of views that do not constrain a camera, and the reason in words.
-
 Array = NDArray[np.float64]
 
 

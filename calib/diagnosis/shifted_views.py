@@ -163,8 +163,6 @@ def _moved(bundle: Bundle, place: int, shift_mm: Array) -> Bundle:
     return replace(bundle, observations=replace(obs, target=target))
 
 
-# The origin of image points: half a pixel away in some views.
-
 HALF_PX = 0.5
 _STARS_OF_ORIGINS = 400
 

@@ -17,8 +17,6 @@ from calib.compiled import KERNEL
 from calib.errors import TooFewEvents
 from calib.events.flicker import EventTimes, Flicker, event_times, folded
 
-# When in a flicker period the events come: whole periods, the folded rate, and the bursts; no pixel positions.
-
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
 PERIOD_TOLERANCE = 0.03
 #: Number of bins of the folded rate.
@@ -96,8 +94,6 @@ def whole_period_window(
     start = begin + (min(waits) if min(waits) <= slack else 0.0)
     return start, start + wanted * flicker.period_us, wanted
 
-
-# One pass over the events of a window: all sums that event images are made of, one value a pixel.
 
 #: Types of the fields of `PixelSums`.
 _KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)

@@ -286,9 +286,6 @@ def _check(t: Any, x: Any, y: Any, p: Any, size: tuple[int, int]) -> None:
         )
 
 
-# The event image of a live picture, from the number of events of each pixel and polarity alone.
-
-
 class QuickImage(NamedTuple):
     """Image by counts."""
 
@@ -321,8 +318,6 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
         cv2.copyTo(cv2.medianBlur(image, 3), hot, image)
     return QuickImage(name, image, found)
 
-
-# Whether the camera stood still: the stars of both halves of a window of whole periods are compared.
 
 #: Shift between the halves from which a pose counts as moving, px. Repeated recordings of a pose at rest differ by
 #: 0.006 to 0.02 px a star, and far less in the mean.

@@ -38,8 +38,6 @@ def event_times(t: Ints, p: NDArray[np.integer]) -> EventTimes:
     )
 
 
-# Period and phase of the flicker, from times and polarities of trigger edges or events; no pixel positions.
-
 #: Largest distance of an edge from its place in the train, as a share of the period.
 EDGE_TOLERANCE = 0.15
 #: Least width of the bins of the event rate, us, and their largest number.

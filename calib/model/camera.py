@@ -30,8 +30,6 @@ __all__ = [
     "undistort",
 ]
 
-# An image without distortion: the ray of each pixel, its place in the rectified image, and the map back.
-
 PINHOLE = ("fx", "fy", "cx", "cy")
 #: Name of the skew: the element K[0, 1] of the camera matrix, px. MATLAB can estimate it; OpenCV's model has none. It
 #: is estimated beside coefficients of Brown's model.
@@ -286,8 +284,6 @@ class CameraModel:
         """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
 
-
-# The camera with fewer lens coefficients that projects most like another one over its sensor.
 
 _STEPS = 20
 _POINTS_ACROSS = 33

@@ -195,8 +195,6 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     )
 
 
-# What the rims of the views say about their discs, linearised: information and right sides of normal equations.
-
 #: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
 #: grid is even in the logarithm, from differences that do not matter to those of the published recordings.
 _CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)

@@ -252,8 +252,6 @@ def _sums_inside(
     return float(squares)
 
 
-# Centre of a star by point symmetry: half a turn about the centre leaves the printed star unchanged.
-
 #: Half the side of the square in which symmetry is measured, pitches: the star's own cell and no more, so that
 #: neighbours share no pixels.
 SYMMETRY_REACH = 0.49
@@ -371,8 +369,6 @@ def refine_by_symmetry(
         stars, centres, slopes = stars[going], centres[going], slopes[going]
     return fit
 
-
-# How well stars are located: the scatter of neighbouring stars scales their covariances.
 
 #: Neighbours of a star in the stencil, and their weights.
 _STENCIL = {

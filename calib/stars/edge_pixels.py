@@ -18,8 +18,6 @@ from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import OVERSAMPLING, EdgeMap, cell_reach
 
-# Pixels near the edges of stars, collected from a quantised image star by star, and in each star edge by edge.
-
 
 class EdgePixels(NamedTuple):
     """All pixels near an edge of N stars with E edges each: star by star, and in each star edge by edge."""
@@ -149,8 +147,6 @@ def _store_by_edge(space: Any, small: Any, n: Any, counts: Any, group: int, foun
         found.tau[at], found.along_x[at], found.along_y[at] = space[0, m], space[1, m], space[2, m]
         found.u[at], found.v[at], found.level[at] = space[3, m], space[4, m], small[0, m]
 
-
-# Pixels near the edges of stars: their levels of brightness, counted, and the scores of each star's unknowns.
 
 #: Width of the bins of tau, px.
 TAU_BIN_PX = 0.03

@@ -43,8 +43,6 @@ def search_stars(
     return np.where(np.isnan(score)[:, None], np.nan, guesses + moves[best]), score
 
 
-# From the first stars to all: growth over the grid, where the stars found predict their neighbours.
-
 #: Least correlation with its pattern of a star during growth.
 MIN_CORRELATION = 0.45
 #: Radius of the search around a predicted star, pitches: for the first stars, and next to stars already found.

@@ -100,8 +100,6 @@ def _nearest_edges(pitch_px: float, segments: int) -> Bytes:
     return np.asarray(edge, np.uint8)
 
 
-# Stars beside something other than stars: which sides of their cell the print ends at, and how much of it is used.
-
 #: Least half side of the part of a cell that is used, pitches, however wide the blur is.
 MIN_REACH = 0.25
 

@@ -223,8 +223,6 @@ def _last_bright(section: Ints, rho: Array, bright: Bools, open_: Bools, pitch_m
     return np.asarray(order[ends])
 
 
-# The place of the rim in each of many sections of a circle, from samples of white print.
-
 #: Nodes farther than this from all stars, pitches, are outside of the beam.
 _REACH = 3
 #: Samples along each side of a node's cell, and their least distance from an edge of the print, pitches: first of all
@@ -424,8 +422,6 @@ def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
         centre = 2.0 * reach * normal
     return origin + centre, float(np.sqrt(np.mean(((away - centre) ** 2).sum(axis=1))))
 
-
-# Vignetted stars: the outermost stars of the beam, and their larger uncertainty.
 
 #: Standard uncertainty per axis that is added to a vignetted star's own, px. In simulated beams the outermost stars
 #: are all shifted outwards by 0.03 px, which changes f by 2 sigma. With this uncertainty they have little weight.

@@ -184,8 +184,6 @@ def _values(picture: Array32, scale: float, at: Array) -> Array:
     ).ravel()
 
 
-# A dark square on light in a live picture: a tag that cannot be read, because it is blurred or cut by the frame.
-
 Border = Literal["left", "right", "upper", "lower"]
 
 #: Long side of the reduced image, cells. A module of a tag is then some cells wide.

@@ -183,8 +183,6 @@ def _shares(camera: CameraModel, slope: Array, offset: Array) -> dict[str, float
     return shares
 
 
-# One view of a plane target at an unknown place.
-
 #: Changes of the camera that a pose imitates to this share of their effect are not judged.
 _UNSEEN = 1e-3
 #: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error.

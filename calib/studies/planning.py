@@ -38,8 +38,6 @@ from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_sha
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
-# Choice of poses: what each possible pose would add to the poses that are recorded or planned.
-
 #: Rows of the uncertainty budget that further poses lower; all others stay about as they are.
 REDUCED_BY_POSES = frozenset(
     {

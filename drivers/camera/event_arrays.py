@@ -63,8 +63,6 @@ def join_triggers(pieces: list[Triggers]) -> Triggers:
     )
 
 
-# What every format of events is read to: a source of pieces, with its trigger edges and its sensor's size.
-
 MOST_RATIO: Final = 200
 """How many times larger than the file its arrays may be. Events are compressed to a third, at most to a thirtieth."""
 SMALL_BYTES: Final = 1 << 24

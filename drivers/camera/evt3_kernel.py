@@ -261,8 +261,6 @@ def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any
     return StopReason.NONE
 
 
-# Decode EVT3 words in one compiled loop.
-
 MARGIN: Final = 32
 """Room that the arrays need beyond the last event: three vectors are written at once."""
 

@@ -215,8 +215,6 @@ def _voltage_share(load_ohm: float) -> float:
     return 1.0 if math.isinf(load_ohm) else load_ohm / (load_ohm + SOURCE_OHM)
 
 
-# ---------------------------------------------------------------- SCPI
-
 _HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
 _VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
 _PERCENT: Final = {"PCT": 1.0, "%": 1.0}

@@ -327,9 +327,6 @@ class Axis:
         self._homing = False
 
 
-# What all simulated stage controllers share: power, a restart without answers, events of the motion, and a buffer.
-
-
 class Unit(ABC):
     """Something with power that moves axes; for ``boot_s`` after a restart it gives no answers."""
 

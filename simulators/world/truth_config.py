@@ -197,9 +197,6 @@ def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
     )
 
 
-# ---------------------------------------------------------------- section board
-
-
 def board_from_config(given: object) -> BoardTruth:
     """Read the section of the board: the keys of `BoardTruth` over the defaults of its kind; no ``kind`` if empty.
 

@@ -248,8 +248,6 @@ def _new_hdf5(path: Path) -> Iterator[Any]:
         yield file
 
 
-# Import events from files for analysis, of any program.
-
 _AGAIN: Final = "Export it again from the RAW recording."
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
 PIECE_EVENTS: Final = 500_000
