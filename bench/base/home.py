@@ -155,6 +155,15 @@ def forms() -> dict[str, str]:
     }
 
 
+def differing_software(used: Mapping[str, str], here: Mapping[str, str]) -> str:
+    """Return what of the software used differs here: ``numpy 2.1 (here 2.2)``, with commas."""
+    return ", ".join(
+        f"{name.replace('_', ' ')} {used.get(name, 'not stated')} (here {version})"
+        for name, version in here.items()
+        if used.get(name) != version
+    )
+
+
 def _sources(folder: Path) -> Iterable[Path]:
     return (path for path in folder.rglob("*") if path.suffix in _ENDINGS)
 

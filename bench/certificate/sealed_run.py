@@ -17,6 +17,7 @@ from typing import Any
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError
+from bench.base.home import differing_software
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
 from bench.evidence.findings import Findings, Verification
 from bench.records.events import Event
@@ -69,12 +70,8 @@ def _installed() -> list[Software]:
 
 def other_writer(software: tuple[Software, ...]) -> str:
     """Return how the program that wrote a certificate differs, as ``typst 0.14 (here 0.15)``; empty if it does not."""
-    stated = {one.name: one.version for one in software}
-    return ", ".join(
-        f"{one.name.replace('_', ' ')} {stated.get(one.name, 'not stated')} (here {one.version})"
-        for one in written_with()
-        if stated.get(one.name) != one.version
-    )
+    stated, here = ({one.name: one.version for one in every} for every in (software, written_with()))
+    return differing_software(stated, here)
 
 
 _SEAL = "Before the issue the sealed run was verified: its seal, every file, its journal and the ledger."

@@ -22,14 +22,7 @@ from typing import Any, Self
 from bench.base.bounded_json import parse_json
 from bench.base.errors import FORESEEN, BenchError, Failure, UsageError
 from bench.base.home import forms
-from bench.records.storage import (
-    MOST_TABLE_BYTES,
-    lock_folder,
-    make_folder,
-    read_bounded,
-    storage_errors,
-    write_all,
-)
+from bench.records.storage import lock_folder, make_folder, storage_errors, whole_lines, write_all
 
 
 def require_program_of(program: str) -> None:
@@ -96,15 +89,8 @@ class Table:
         self._rows[key] = value
 
     def _read(self) -> dict[str, Any]:
-        if not self.path.is_file():
-            return {}
         rows: dict[str, Any] = {}
-        with storage_errors(self.path):
-            data = read_bounded(self.path, MOST_TABLE_BYTES)
-            whole = data[: data.rfind(b"\n") + 1]
-            if len(whole) < len(data):
-                os.truncate(self.path, len(whole))
-        for line in whole.splitlines():
+        for line in whole_lines(self.path):
             with suppress(ValueError, KeyError, TypeError):
                 key, value = self._known(parse_json(line))
                 rows[key] = value

@@ -20,7 +20,7 @@ from bench.base.bounded_json import parse_json, without_nan
 from bench.base.errors import UsageError
 from bench.base.home import forms
 from bench.compare.spec import ColumnConfig, ComparisonConfig
-from bench.records.storage import MOST_TABLE_BYTES, make_folder, read_bounded, storage_errors
+from bench.records.storage import make_folder, storage_errors, whole_lines
 
 if TYPE_CHECKING:
     from bench.compare.methods import FailedRow, Row
@@ -102,17 +102,9 @@ def _prepare(folder: Path, text: bytes) -> None:
 
 
 def _read_rows(path: Path) -> dict[str, Row]:
-    """Return the rows that are known; a line that a power cut left half is left out."""
-    if not path.is_file():
-        return {}
+    """Return the rows that are known."""
     found = {}
-    with storage_errors(path):
-        data = read_bounded(path, MOST_TABLE_BYTES)
-    whole = data[: data.rfind(b"\n") + 1]
-    if len(whole) < len(data):
-        with storage_errors(path), path.open("r+b") as stream:
-            stream.truncate(len(whole))
-    for line in whole.splitlines():
+    for line in whole_lines(path):
         row = parse_json(line)
         found[row.pop("key")] = row
     return found

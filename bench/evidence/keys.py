@@ -11,8 +11,8 @@ import binascii
 import os
 import re
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -38,14 +38,13 @@ from bench.evidence.signers import (
 )
 from bench.evidence.sshsig import KEY_TYPE, Ed25519Signer, fingerprint, key_type_of, strings
 from bench.records.storage import (
+    locked_folder,
     make_folder,
-    open_to_lock,
     read_bounded,
     storage_errors,
     sync_folder,
     write_atomic,
 )
-from drivers import file_lock
 
 # The public half of the bench's key. OpenSSH's private key format states it in the clear, so no passphrase
 # is needed.
@@ -153,23 +152,14 @@ def ensure_key(
 ) -> BenchKey:
     """Load the bench's key, or make one; others' reading it, or a passphrase that nobody can give, is refused."""
     make_folder(folder)
-    with locked_folder(folder):  # two runs started at the same time must not make two keys
+    with (
+        storage_errors(folder),
+        locked_folder(folder),
+    ):  # two runs started at the same time must not make two keys
         if (folder / KEY_FILE).exists():
             finish_rotation(folder)
             return _load(folder, ask_passphrase)
         return create_key(folder, principal=principal)
-
-
-@contextmanager
-def locked_folder(folder: Path) -> Iterator[None]:
-    """Lock the configuration folder while a key is made or replaced; waits for other processes."""
-    with storage_errors(folder):
-        lock = open_to_lock(folder)
-        try:
-            file_lock.lock(lock, wait=True)
-            yield
-        finally:
-            os.close(lock)
 
 
 def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes | None = None) -> BenchKey:
@@ -275,7 +265,7 @@ def finish_rotation(folder: Path) -> None:
 def _finish_locked(folder: Path) -> None:
     """Finish a replacement of the key, if one was begun; usually there is none, and nothing is locked."""
     if (folder / NEW_KEY).exists():
-        with locked_folder(folder):
+        with storage_errors(folder), locked_folder(folder):
             finish_rotation(folder)
 
 
@@ -332,7 +322,7 @@ def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: b
         raise EvidenceError(
             "There is no key to replace.", where=str(folder), remedy="Make one with `starbench keys create`."
         )
-    with locked_folder(folder):
+    with storage_errors(folder), locked_folder(folder):
         finish_rotation(folder)
         old, principal = read_public(folder / f"{KEY_FILE}.pub")
         archived = _archive(folder, old, keep=keep_old)

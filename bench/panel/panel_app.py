@@ -144,10 +144,10 @@ class Panel:
         return page_app(
             [
                 Route("/", self._first_page),
-                Route("/runs", self._list_page),
+                Route("/runs", _page("list.html")),
                 *(self._line_routes(self._line) if self._line is not None else ()),
-                Route("/run/{key:path}", self._run_page),
-                Route("/batch/{key:path}", self._batch_page),
+                Route("/run/{key:path}", _page("run.html")),
+                Route("/batch/{key:path}", _page("batch.html")),
                 Route("/report/{key:path}", self._report),
                 Route("/api/here", lambda _request: JSONResponse({})),
                 Route("/api/list", self._list_stream),
@@ -195,14 +195,11 @@ class Panel:
             return await state(request)
 
         return [
-            Route("/line", lambda _request: FileResponse(ASSETS / "line.html")),
+            Route("/line", _page("line.html")),
             Route("/api/line", state),
             Route("/api/line/begin", begin, methods=["POST"]),
             Route("/api/line/stop", stop, methods=["POST"]),
         ]
-
-    async def _list_page(self, _request: Request) -> Response:
-        return FileResponse(ASSETS / "list.html")
 
     async def _first_page(self, _request: Request) -> Response:
         if self._line is not None:
@@ -211,12 +208,6 @@ class Panel:
             kind = "batch" if (self._list.root / QUEUE_COPY).is_file() else "run"
             return RedirectResponse(f"/{kind}/.", status_code=303)
         return FileResponse(ASSETS / "list.html")
-
-    async def _run_page(self, _request: Request) -> Response:
-        return FileResponse(ASSETS / "run.html")
-
-    async def _batch_page(self, _request: Request) -> Response:
-        return FileResponse(ASSETS / "batch.html")
 
     async def _report(self, request: Request) -> Response:
         """Answer with the report of a run, which may run no script here."""
@@ -389,6 +380,11 @@ class Panel:
     async def _batch_state(self, request: Request) -> Response:
         text, _ = await run_in_threadpool(self._batch(request).text)
         return Response(text, media_type="application/json")
+
+
+def _page(name: str) -> Callable[[Request], Response]:
+    """Return what answers with a page."""
+    return lambda _request: FileResponse(ASSETS / name)
 
 
 def _command_fault(given: dict[str, Any]) -> str:

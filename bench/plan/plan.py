@@ -23,6 +23,7 @@ from bench.stations.station import Station, load_station
 from bench.stations.station_fields import find_placeholders
 from bench.views.camera_kinds import recording_duration_s
 from calib.model.passport import Passport
+from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
 from sequences.reader import Located, OptionSettings, find_document, read_document
@@ -65,21 +66,6 @@ PICTURE_SIZE = (1280, 720)
 POSE_BYTES = 200_000
 """Images, stars and logs of one pose."""
 REPORT_BYTES = 1_000_000
-
-
-def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Return the duration, s, of a move over a distance of any sign with a trapezoidal speed profile.
-
-    >>> travel_s(10, speed_deg_s=10, acceleration_deg_s2=100)
-    1.1
-    >>> travel_s(1, speed_deg_s=10, acceleration_deg_s2=100)
-    0.2
-    """
-    distance = abs(distance_deg)
-    ramps = speed_deg_s**2 / acceleration_deg_s2
-    if distance < ramps:  # too short to reach full speed
-        return 2 * math.sqrt(distance / acceleration_deg_s2)
-    return distance / speed_deg_s + speed_deg_s / acceleration_deg_s2
 
 
 class Estimate:
@@ -184,7 +170,7 @@ class Estimate:
         """Return the time of the slowest axis, s. An axis that the station does not have is a fault of the script."""
         return max(
             (
-                travel_s(distance, self._axes[name].speed_deg_s, self._axes[name].acceleration_deg_s2)
+                travel_time_s(distance, self._axes[name].speed_deg_s, self._axes[name].acceleration_deg_s2)
                 for name, distance in distances_deg.items()
                 if name in self._axes
             ),

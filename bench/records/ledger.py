@@ -7,7 +7,6 @@ that lines removed from the end are noticed. Certificates take their numbers fro
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -44,8 +43,7 @@ from bench.records.ledger_marks import (
     write_own_mark,
 )
 from bench.records.run_folder import MANIFEST, is_sealed
-from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_errors, sync_folder
-from drivers import file_lock
+from bench.records.storage import locked_folder, make_folder, sha256_of, storage_errors, sync_folder
 
 LEDGER = "ledger.jsonl"
 PLACE_FORGOTTEN = "place_forgotten"
@@ -94,13 +92,8 @@ class Ledger:
     def _held(self) -> Iterator[None]:
         """Lock the ledger against other processes."""
         make_folder(self.home)
-        with storage_errors(self.path):
-            lock = open_to_lock(self.home)
-        try:
-            file_lock.lock(lock, wait=True)
+        with locked_folder(self.home):
             yield
-        finally:
-            os.close(lock)
 
     @contextmanager
     def _opened(self) -> Iterator[Journal]:

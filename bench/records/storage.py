@@ -192,6 +192,18 @@ def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
     return data
 
 
+def whole_lines(path: Path) -> list[bytes]:
+    """Return the lines of a table, none without a file; half a line, which a power cut has left, is taken out of it."""
+    if not path.is_file():
+        return []
+    with storage_errors(path):
+        data = read_bounded(path, MOST_TABLE_BYTES)
+        whole = data[: data.rfind(b"\n") + 1]
+        if len(whole) < len(data):
+            os.truncate(path, len(whole))
+    return whole.splitlines()
+
+
 def read_json(path: Path, most_bytes: int = MOST_BYTES) -> Any:
     """Read a JSON file of a bounded size; `ValueError` if it is none, nested too deeply, or has too many values."""
     return parse_json(read_bounded(path, most_bytes))
@@ -221,6 +233,18 @@ def lock_folder(path: Path) -> int:
             remedy="Wait until that process ends, or stop it.",
         ) from error
     return lock
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder for the block; waits for other processes."""
+    with storage_errors(folder):
+        lock = open_to_lock(folder)
+    try:
+        file_lock.lock(lock, wait=True)
+        yield
+    finally:
+        os.close(lock)
 
 
 def is_locked(path: Path) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.base.bounded_json import parse_json
 from bench.base.clock import BenchClock
-from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S
 from bench.records.storage import read_bounded
 from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
@@ -28,6 +28,7 @@ from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.stage import AxisIdentity, AxisLimits
+from drivers.stage.motion import longest_move_s
 
 if TYPE_CHECKING:
     from bench.simulated import RehearsedWorld
@@ -86,8 +87,9 @@ class VirtualStage:
 
     def home(self) -> None:
         """See `Stage.home`. Takes the time of a move over the whole range."""
-        ranges = {name: limit.highest_deg - limit.lowest_deg for name, limit in self.limits.items()}
-        self._clock.sleep(self._travel_s(ranges) + HOMING_EXTRA_S)
+        lowest = {name: limit.lowest_deg for name, limit in self.limits.items()}
+        highest = {name: limit.highest_deg for name, limit in self.limits.items()}
+        self._clock.sleep(longest_move_s(self.limits, lowest, highest) + HOMING_EXTRA_S)
         self.at_deg = dict.fromkeys(self.limits, 0.0)
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
@@ -102,7 +104,7 @@ class VirtualStage:
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
         """See `Stage.move_duration_s`. The time of the slowest axis."""
-        return self._travel_s({name: angle - from_deg[name] for name, angle in to_deg.items()})
+        return longest_move_s(self.limits, from_deg, to_deg)
 
     def position_deg(self) -> dict[str, float]:
         """Return the angle by axis, degrees. Raises NotHomed if the stage is not homed."""
@@ -123,16 +125,6 @@ class VirtualStage:
 
     def close(self) -> None:
         """Do nothing: there is no port."""
-
-    def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
-        limits = self.limits
-        return max(
-            (
-                travel_s(distance, limits[name].speed_deg_s, limits[name].acceleration_deg_s2)
-                for name, distance in distances_deg.items()
-            ),
-            default=0.0,
-        )
 
 
 class VirtualLight:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import __version__
-from bench.base.home import forms
+from bench.base.home import differing_software, forms
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.records.events import AttemptData, GateData, RunStarted
@@ -218,11 +218,7 @@ def software() -> dict[str, str]:
 def other_software(used: Mapping[str, str], names: Sequence[str] | None = None) -> str:
     """Return which software, by results.json or the journal, differs here: ``numpy 2.1 (here 2.2)``, with commas."""
     here = software()
-    return ", ".join(
-        f"{name.replace('_', ' ')} {used.get(name, 'not stated')} (here {here[name]})"
-        for name in names or here
-        if used.get(name) != here[name]
-    )
+    return differing_software(used, {name: here[name] for name in names or here})
 
 
 def other_engine(results: Results) -> str:

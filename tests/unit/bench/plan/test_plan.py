@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from station_texts import PLAIN
 
 from bench.base.errors import ScriptError
-from bench.plan.plan import POSE_BYTES, REPORT_BYTES, load_documents, make_plan, travel_s
+from bench.plan.plan import POSE_BYTES, REPORT_BYTES, load_documents, make_plan
 from bench.plan.plan_text import duration_text, render_plan
 from bench.stations.station import SHIPPED_STATIONS, Station
 from bench.views.camera_kinds import periods_in_window, recording_duration_s
+from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence
@@ -101,7 +102,7 @@ def test_a_recording_holds_its_whole_periods_wherever_the_light_stands(window_ms
 
 @given(st.floats(0, 360), st.floats(0.1, 100), st.floats(0.1, 1000))
 def test_a_move_takes_as_long_as_its_trapezoid_is_wide(distance, speed, acceleration):
-    duration = travel_s(distance, speed, acceleration)
+    duration = travel_time_s(distance, speed, acceleration)
     ramp_s = min(speed / acceleration, duration / 2)
     reached = acceleration * ramp_s
     assert math.isclose(reached * (duration - ramp_s), distance, rel_tol=1e-9, abs_tol=1e-9)
@@ -114,15 +115,17 @@ def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_t
         " {wait: {duration_s: 100}}, record, {prompt: {text: x, timeout_s: 30}}, solve, report]\n"
     )
     took = {step.step.number: step.duration_s for step in made.steps}
-    assert took[2] == pytest.approx(travel_s(10, 40, 200), abs=0.2)
+    assert took[2] == pytest.approx(travel_time_s(10, 40, 200), abs=0.2)
     assert took[3] == 2
-    assert took[5] == pytest.approx(travel_s(1, 40, 200), abs=0.2)  # tilt alone: pan is there already
+    assert took[5] == pytest.approx(travel_time_s(1, 40, 200), abs=0.2)  # tilt alone: pan is there already
     assert (took[6], took[8]) == (100, 30)
     done = [step.done_after_s for step in made.steps]
     homing_s = done[0] - took[1]
     parking_s = done[7] - took[8] - done[6]
-    assert homing_s > travel_s(30, 40, 200)  # over pan's whole range
-    assert parking_s == pytest.approx(travel_s(10, 40, 200), abs=0.2)  # after the last recording, from pan 10
+    assert homing_s > travel_time_s(30, 40, 200)  # over pan's whole range
+    assert parking_s == pytest.approx(
+        travel_time_s(10, 40, 200), abs=0.2
+    )  # after the last recording, from pan 10
     assert made.duration_s == done[-1] == pytest.approx(sum(took.values()) + homing_s + parking_s)
 
 
