@@ -85,8 +85,6 @@ def convert(
 
 
 def _convert_one(source: Path, output: Path, kind: str) -> int:
-    from dataclasses import asdict
-
     from drivers.camera.formats import event_conversion
 
     with reliable_interrupts():
@@ -96,18 +94,14 @@ def _convert_one(source: Path, output: Path, kind: str) -> int:
             kind,  # type: ignore[arg-type]
             utc_now=lambda: datetime.now(UTC),
         )
-    click.echo(_text(output, asdict(written)))
-    _say_if_cut_off(source, asdict(written))
+    _say(source, output, asdict(written))
     return 0
 
 
-def _text(output: Path, written: Mapping[str, Any]) -> str:
+def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     moved = written["moved_events"]
     late = f", {moved} given the time of the event before" if moved else ""
-    return f"{output}: {written['events']} events{late}, {written['triggers']} triggers"
-
-
-def _say_if_cut_off(source: Path, written: Mapping[str, Any]) -> None:
+    click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers")
     if written["cut_off"]:
         click.echo(
             f"{source}: the file ends in the middle of a word; everything before it was converted.", err=True
@@ -128,8 +122,7 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
         elif one.before:
             click.echo(f"{one.target}: was converted before")
         elif one.summary is not None:
-            click.echo(_text(one.target, one.summary))
-            _say_if_cut_off(one.source, one.summary)
+            _say(one.source, one.target, one.summary)
         line.count()
 
     with kept_work(workers, folder, CONVERTED, line, "converted") as kept:

@@ -77,8 +77,7 @@ def export_runs(choice: RunChoice, path: Path) -> int:
 def _rows(merged: MergedRuns) -> Iterator[Row]:
     trust, now = home_trust(home_folder()), datetime.now(UTC)
     known = known_authorisations(home_folder())
-    details = RunIndex(home_folder()).details(merged.runs)
-    for run, more in zip(merged.runs, details, strict=True):
+    for run, more in RunIndex(home_folder()).details(merged.runs):
         state = shown_state(Path(run.folder), trust, now, known)
         yield table_row(run, more, merged.places[run.folder], state)
 
@@ -93,9 +92,8 @@ def chart_runs(
     """
     _require_page(page)
     merged = find_runs(choice)
-    details = RunIndex(home_folder()).details(merged.runs)
-    facts = ((run, more, merged.places[run.folder]) for run, more in zip(merged.runs, details, strict=True))
-    grouped = group_runs(facts, by)
+    facts = RunIndex(home_folder()).details(merged.runs)
+    grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts), by)
     _require_parameter(grouped, parameter)
     if parameter is not None:
         grouped.groups = [group for group in grouped.groups if parameter in group.key.parameters]
@@ -221,11 +219,11 @@ def show_capability(choice: RunChoice, words: str) -> int:
     """Print the gauge study; exit status 1 if ledgers and folders do not agree."""
     factors = _factors(words)
     merged = find_runs(choice)
-    details = RunIndex(home_folder()).details(merged.runs)
-    every = [
-        _Run(run, more, merged.places[run.folder]) for run, more in zip(merged.runs, details, strict=True)
+    chosen = [
+        _Run(run, more, merged.places[run.folder])
+        for run, more in RunIndex(home_folder()).details(merged.runs)
+        if run.how == "finished" and run.parameters
     ]
-    chosen = [one for one in every if one.run.how == "finished" and one.run.parameters]
     _require_one_kind(chosen)
     levels = {name: [_FACTORS[name](one) for one in chosen] for name in factors}
     if "" in levels.get("operator", ()):
@@ -234,17 +232,15 @@ def show_capability(choice: RunChoice, words: str) -> int:
             remedy="Leave them out with --since, or study another factor: --capability day.",
         )
     cameras = [one.run.camera for one in chosen]
-    found = [_studied(name, chosen, cameras, levels) for name in chosen[0].run.parameters if _is_camera(name)]
+    found = [
+        _studied(name, chosen, cameras, levels) for name in chosen[0].run.parameters if name in _OF_THE_CAMERA
+    ]
     show(
         lambda: _as_json(chosen, cameras, levels, found),
         _lines(chosen, cameras, levels, found),
     )
     print_findings(merged.notes, merged.faults)
     return 1 if merged.faults else 0
-
-
-def _is_camera(name: str) -> bool:
-    return name in _OF_THE_CAMERA
 
 
 def _factors(words: str) -> list[str]:

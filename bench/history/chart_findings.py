@@ -431,9 +431,7 @@ def standard_problem(station: Station, home: Path, now: datetime) -> str:
     ]
     if not own:
         return f"{name}, has no result on this station." if standard.every_days is not None else ""
-    grouped = group_runs(
-        ((run, details, RunPlace()) for run, details in zip(own, index.details(own), strict=True)), "camera"
-    )
+    grouped = group_runs(((*found, RunPlace()) for found in index.details(own)), "camera")
     newest = own[-1]
     for group in find_charts(grouped.groups, baseline=standard.baseline)["groups"]:
         if group["runs"][-1]["run"] == newest.id and (names := _violated(group)):

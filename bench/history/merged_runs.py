@@ -171,7 +171,7 @@ def merge_runs(
         _name_missing(merged, ledgers.entered, by_head, found, unread)
     _strangers(merged, ledgers.sources)
     merged.runs.sort(key=lambda run: (run.begun_utc, run.folder))
-    for run, details in zip(merged.runs, index.details(merged.runs), strict=True):
+    for run, details in index.details(merged.runs):
         if details["results_fault"]:
             merged.faults.append(f"{run.folder}: {details['results_fault']}")
     return merged

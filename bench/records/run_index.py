@@ -98,12 +98,13 @@ class RunIndex:
         ]
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
 
-    def details(self, runs: Iterable[IndexedRun]) -> Iterator[RunDetails]:
-        """Yield the `run_details` of runs that ``runs`` has listed, in the same order."""
+    def details(self, runs: Iterable[IndexedRun]) -> Iterator[tuple[IndexedRun, RunDetails]]:
+        """Yield runs that ``runs`` has listed, in the same order, with their `run_details`."""
         with self._open() as index:
             for run in runs:
                 row = index.execute("SELECT found FROM details WHERE folder = ?", (run.folder,)).fetchone()
-                yield json.loads(row[0]) if row else _read(Path(run.folder))[1]  # the index was deleted since
+                # Without a row, the index was deleted since.
+                yield run, json.loads(row[0]) if row else _read(Path(run.folder))[1]
 
     def entered(self) -> list[KnownRun]:
         """List the runs of the index that name their line in a ledger. No run folder is read."""

@@ -132,11 +132,16 @@ def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Foreca
     found: list[Forecast | None] = []
     for pose in further:
         poses = [*poses, dict(pose.angles_deg)]
-        try:
-            found.append(forecast(bench, poses))
-        except (TooFewStars, DegenerateViews):
-            found.append(None)
+        found.append(forecast_if_enough(bench, poses))
     return found
+
+
+def forecast_if_enough(bench: ExpectedBench, poses: list[dict[str, float]]) -> Forecast | None:
+    """Return the forecast for these poses; None if they do not suffice."""
+    try:
+        return forecast(bench, poses) if poses else None
+    except (TooFewStars, DegenerateViews):
+        return None
 
 
 def _poses_deg(planned: Plan) -> list[dict[str, float]]:

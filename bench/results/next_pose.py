@@ -19,13 +19,13 @@ from bench.results.forecasts import (
     SMALLEST_COVERAGE_FACTOR,
     expected_bench,
     forecast_bench,
+    forecast_if_enough,
     pose_grid,
 )
 from bench.results.solve_options import stated_radial_sigma
 from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
 from calib.engine import Calibration
-from calib.errors import DegenerateViews, TooFewStars
 from calib.model.collimator import Collimator
 from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
@@ -40,7 +40,7 @@ from calib.model.result_parts import (
     BudgetRow,
 )
 from calib.studies.expected_posterior import Angles, Sigmas
-from calib.studies.planning import REDUCED_BY_POSES, Forecast, PoseWeigher, WeighedPose, fit_gimbal, forecast
+from calib.studies.planning import REDUCED_BY_POSES, Forecast, PoseWeigher, WeighedPose, fit_gimbal
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import RecordStep, Until
@@ -349,7 +349,7 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
     wish = Wish(until.goals, {}, roll=False, needs_tag=True, min_stars=record.gates.min_stars)
     while True:
         recorded = len(taken) - earlier
-        found = _forecast(bench, taken)
+        found = forecast_if_enough(bench, taken)
         reached = {name: found.limited[name.removesuffix("_px")] for name in until.goals} if found else {}
         if reached and all(reached[name] <= goal for name, goal in until.goals.items()):
             text = f"about {recorded} poses until {goals_text(until.goals)}"
@@ -368,14 +368,6 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
         if not isinstance(choice, Choice):
             return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
         taken.append(dict(choice.angles_deg))
-
-
-def _forecast(bench: ExpectedBench, taken: list[dict[str, float]]) -> Forecast | None:
-    """Return the forecast for these poses; None if they do not suffice."""
-    try:
-        return forecast(bench, taken) if taken else None
-    except (TooFewStars, DegenerateViews):
-        return None
 
 
 def _why_not(

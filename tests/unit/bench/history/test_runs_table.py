@@ -29,7 +29,7 @@ def rows_of(home, folders):
     assert faults == []
     return [
         table_row(run, details, RunPlace("a", "b", "entered"), ShownState())
-        for run, details in zip(runs, index.details(runs), strict=True)
+        for run, details in index.details(runs)
     ]
 
 

@@ -125,7 +125,7 @@ def test_details_are_those_of_the_journal_also_where_the_index_was_deleted_since
     kept = list(index.details(runs))
     index.path.unlink()
     assert list(index.details(runs)) == kept
-    assert [one["deviations"] for one in kept] == [["so"]] * 3
+    assert [details["deviations"] for _, details in kept] == [["so"]] * 3
 
 
 def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
