@@ -21,8 +21,8 @@ from bench.certificate.certificate_data import (
     sha256,
 )
 from bench.certificate.lab_config import ItemConfig
-from bench.records.events import GateData
-from bench.records.results import BoresightData, CalibrationData, KnownDirection, Results
+from bench.records.events import GateData, LightSettingsData
+from bench.records.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
 from bench.report.pose_plot import camera_covariance, camera_of
 from bench.report.text import unit_of, words_of
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
@@ -164,7 +164,7 @@ def is_unnamed(found: Results) -> bool:
     return not found["devices"]["camera"].get("serial")
 
 
-def _light_and_camera(found: Results) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+def _light_and_camera(found: Results) -> tuple[LightSettingsData, CameraConditions]:
     """Return the settings of light and camera as the run read them back; empty if it did not."""
     conditions = found.get("conditions")
     return (conditions["light"], conditions["camera"]) if conditions else ({}, {})
@@ -198,15 +198,15 @@ def conditions_of(found: Results) -> tuple[Condition, ...]:
             _DEGREE,
         ),
         _range("measured frequency of the light", [pose.get("flicker_hz") for pose in found["poses"]], "Hz"),
-        _text("light", [_setting(name, light[name]) for name in sorted(light)]),
+        _text("light", [_setting(name, value) for name, value in sorted(light.items())]),
         _range("event rate", [one.get("event_rate_mev_s") for one in attempts], "Mev/s"),
         _value("illumination", camera.get("illumination_lux"), "lx"),
         _text("board", [str(board)] if (board := found["run"].get("board")) else []),
         _text(
             "settings of the camera",
             [
-                _setting(name, camera[name])
-                for name in sorted(camera)
+                _setting(name, value)
+                for name, value in sorted(camera.items())
                 if name not in ("biases", "temperature_c", "illumination_lux")
             ],
         ),

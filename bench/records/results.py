@@ -16,6 +16,7 @@ from bench.records.events import (
     GateData,
     ImageFacts,
     LedgerPlace,
+    LightSettingsData,
     StateEntered,
     UntilDecided,
 )
@@ -362,7 +363,7 @@ class CameraConditions(TypedDict):
 class Conditions(TypedDict):
     """Settings of light and camera at the last accepted recording."""
 
-    light: Mapping[str, Any]
+    light: LightSettingsData
     camera: CameraConditions
 
 

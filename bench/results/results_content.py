@@ -244,9 +244,9 @@ def _lasting(truth: Mapping[str, Any]) -> dict[str, Any]:
 def _conditions(history: History, kind: CameraKind) -> Conditions:
     """Return the settings of light and camera, as read back at the last accepted recording."""
     stored = [a.stored for _, a in sorted(history.accepted().items())]
-    light: Mapping[str, Any] = stored[-1]["light"]
+    light = stored[-1]["light"]
     if light.get("waveform") == "steady":  # the settings of a flicker do not apply
-        light = {name: light[name] for name in ("waveform", "high_v")}
+        light = {"waveform": light["waveform"], "high_v": light["high_v"]}
     return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
 
 

@@ -13,14 +13,14 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.records import events
-from bench.records.events import Event
+from bench.records.events import Commanded, Event
 from bench.records.history import History, RunLog
 from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import lines_after
@@ -176,7 +176,7 @@ def remove_inbox(folder: Path) -> None:
         sync_folder(folder)
 
 
-def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
+def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> Commanded:
     """Send a command and return its answer in the journal, ``word by pose taken why``; withdraw it if none comes."""
     inbox = inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
@@ -216,13 +216,13 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     )
 
 
-def _answer_in(folder: Path, command_id: str, begin: int) -> dict[str, Any] | None:
+def _answer_in(folder: Path, command_id: str, begin: int) -> Commanded | None:
     lines = lines_after(folder / JOURNAL, begin)
-    answers = (data for event, data in lines if event == Event.COMMANDED and data.get("id") == command_id)
-    return next(answers, None)
+    found = (data for event, data in lines if event == Event.COMMANDED and data.get("id") == command_id)
+    return cast("Commanded | None", next(found, None))
 
 
-def command_text(answer: Mapping[str, Any]) -> str:
+def command_text(answer: Commanded) -> str:
     """Return what happened to a command, by the answer of `send`, as a sentence.
 
     >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"})
