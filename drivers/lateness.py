@@ -12,10 +12,10 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Final
+from typing import Final, TypedDict
 
 PERIOD_S: Final = 0.02
 """The thread asks to be woken after this time, s."""
@@ -30,6 +30,14 @@ BUSY_S: Final = 0.3
 REMEDY: Final = (
     "End other programs on this computer, or start fewer runs at the same time; then resume the run."
 )
+
+
+class LatenessData(TypedDict, total=False):
+    """How late a process was woken, in all and at once, and the computer's load; empty where it was not measured."""
+
+    lost_s: float
+    longest_s: float
+    load: float | None  # Of the last minute; None where the system has none
 
 
 class Lateness:
@@ -70,8 +78,8 @@ class Lateness:
             overdue_s = 0.0 if self._held else self._now_s() - self._due_s
             return self._lost_s + (overdue_s if overdue_s > NOTED_S else 0.0)
 
-    def summary(self) -> Mapping[str, float | None]:
-        """Return ``lost_s``, ``longest_s`` and ``load`` (last minute; None where the system has none) for a journal."""
+    def summary(self) -> LatenessData:
+        """Return the lateness for a journal."""
         return {"lost_s": round(self.lost_s(), 3), "longest_s": round(self.longest_s, 3), "load": _load()}
 
 

@@ -14,13 +14,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from types import FrameType
-from typing import Any
 
-from drivers.lateness import own_lateness
+from drivers.lateness import LatenessData, own_lateness
 
 
 class Aborted(Exception):
@@ -124,7 +123,7 @@ class BenchClock:
         """Return for how long, s, the work has not waited, checked or read the time; 0 while it waits."""
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
-    def lateness(self) -> Mapping[str, Any]:
+    def lateness(self) -> LatenessData:
         """Return how late a busy computer woke this process; the first call begins to measure."""
         return own_lateness().summary()
 
@@ -198,7 +197,7 @@ class VirtualClock(BenchClock):
         self.check()
         self._now_s += max(0.0, seconds)
 
-    def lateness(self) -> Mapping[str, Any]:
+    def lateness(self) -> LatenessData:
         """See `BenchClock.lateness`."""
         return {}
 

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.records.journal import CAPTURE_STORED
+from drivers.lateness import LatenessData
 
 
 class DeviceData(TypedDict, total=False):
@@ -455,7 +456,7 @@ class ComputerBusy(TypedDict):
 
     late_s: float
     window_s: float
-    lateness: Mapping[str, Any]
+    lateness: LatenessData
 
 
 class Deviation(TypedDict):
@@ -485,4 +486,4 @@ class RunEnded(TypedDict):
     error: NotRequired[FailureData]
     crashed: NotRequired[bool]
     devices: NotRequired[Sequence[Mapping[str, str]]]
-    lateness: NotRequired[Mapping[str, Any]]
+    lateness: NotRequired[LatenessData]

@@ -29,6 +29,7 @@ from bench.records.events import (
     event_name,
 )
 from bench.records.journal import CLOCK_JUMPED, Entry, Journal
+from drivers.lateness import LatenessData
 
 DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]
@@ -167,7 +168,7 @@ class History:
     """Why a pose is skipped, by pose index."""
     ledger: LedgerPlace = field(default_factory=lambda: cast("LedgerPlace", {}))
     """Its place in the laboratory's ledger (`bench.records.ledger`)."""
-    lateness: Mapping[str, Any] = field(default_factory=dict)
+    lateness: LatenessData = field(default_factory=LatenessData)
     """How late a busy computer woke the process, by its last line about it (`drivers.lateness`); empty before one."""
     busy: str = ""
     """How late the computer was when the journal last said that it is too busy, as text; empty if it never was."""

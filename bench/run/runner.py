@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NotRequired, TypedDict, cast
+from typing import Literal, NotRequired, TypedDict, cast
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.errors import FORESEEN, BenchError, Failure, StorageError
@@ -34,6 +34,7 @@ from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
+from drivers.lateness import LatenessData
 from sequences.script import ChooseStep, RecordStep, WaitStep
 
 HOLD_NOTIFY_INTERVAL_S = 600.0
@@ -106,7 +107,7 @@ class _EndData(TypedDict):
     """What every end of a run adds to its line of the journal."""
 
     devices: Sequence[Mapping[str, str]]
-    lateness: NotRequired[Mapping[str, Any]]
+    lateness: NotRequired[LatenessData]
 
 
 @dataclass(frozen=True)

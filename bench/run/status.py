@@ -35,6 +35,7 @@ from bench.report.text import decision_text, reached_text, with_uncertainty
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft
 from bench.terminal.encoding import clock_text, counted, times
+from drivers.lateness import LatenessData
 
 
 def line_text(entry: Entry) -> str:
@@ -174,7 +175,7 @@ class Status:
     # busy, lateness: How late a busy computer was, as text and in seconds (`drivers.lateness`); empty if
     # the journal has none.
     busy: str = ""
-    lateness: Mapping[str, Any] = field(default_factory=dict)
+    lateness: LatenessData = field(default_factory=LatenessData)
     # ledger_number, ledger_head: Number of the run in its bench's ledger, and the hash of its line there;
     # None for a rehearsal.
     ledger_number: int | None = None
