@@ -8,7 +8,7 @@ logarithms are correlated: a level that all share, and a smaller scatter about i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,13 +18,18 @@ from calib.joint.fields import DEGREE
 
 Array = NDArray[np.float64]
 
-#: Highest degrees of the fields of a pose, by turn and by turn squared.
-POSE_DEGREE, TURN_DEGREE, TURN_2_DEGREE = 4, 4, 3
+#: Highest degree of the field of a pose.
+POSE_DEGREE = 4
+#: Highest degrees of the fields by turn and by turn squared, on a gimbal, which keeps the pupil where it is.
+_ON_GIMBAL = 4, 3
+#: The same where visible discs count: a pupil that is moved through the beam by 10 mm sees all that the glass has, and
+#: what these fields lack becomes an error of the focal length.
+_WITH_DISCS = DEGREE, DEGREE - 1
 STAR, READING = "star noise", "readings"
 POSE = tuple(f"pose field, degree {d}" for d in range(1, POSE_DEGREE + 1))
 COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
-TURN = tuple(f"field by turn, degree {d}" for d in range(1, TURN_DEGREE + 1))
-TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(TURN_2_DEGREE + 1))
+TURN = tuple(f"field by turn, degree {d}" for d in range(1, DEGREE + 1))
+TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(DEGREE))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
 SCALE_TURN_2 = "scale by turn squared"
 PARALLAX, RIM, DISCS = "parallax", "rim", "discs"
@@ -45,6 +50,10 @@ class Family:
     glass: float = (
         0.0  # 1-sigma of the level that it shares with the other families of the collimator's glass
     )
+
+    def first(self, count: int) -> Family:
+        """Return the family of the first amplitudes alone."""
+        return replace(self, names=self.names[:count], medians=self.medians[:count])
 
     @property
     def covariance(self) -> Array:
@@ -69,8 +78,8 @@ FAMILIES = (
     Family((READING,), (1.0,), 0.4, 0.0),
     Family(POSE, _smooth(2e-6, POSE_DEGREE), 1.3, 0.5, 0.25),
     Family(COMMON, _smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
-    Family(TURN, _smooth(3e-6, TURN_DEGREE), 1.0, 0.5, 0.25, 0.9),
-    Family(TURN_2, _smooth(1e-6, TURN_2_DEGREE + 1), 1.0, 0.5, 0.0, 0.9),
+    Family(TURN, _smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
+    Family(TURN_2, _smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
     Family(
         (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 0.5, 1e-3, 4e-4, 4e-6), 1.3, 0.5
     ),
@@ -118,7 +127,7 @@ class Hyperprior:
         """Smallest and largest logarithm of each amplitude in the search."""
         reach = _REACH * np.sqrt(np.diag(self.covariance))
         high = self.mean + reach
-        fields = self.places((*POSE, *COMMON, *TURN, *TURN_2))
+        fields = self.places([name for name in (*POSE, *COMMON, *TURN, *TURN_2) if name in self.names])
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
         high[self.at(READING)] = np.log(_NOISIEST_READINGS)
         return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))
@@ -132,6 +141,18 @@ class Hyperprior:
         return np.array([self.names.index(name) for name in names], np.int64)
 
 
+def turn_degrees(*, discs: bool) -> tuple[int, int]:
+    """Return the highest degrees of the fields by turn and by turn squared; ``discs``: whether visible discs count."""
+    return _WITH_DISCS if discs else _ON_GIMBAL
+
+
+def _families(*, discs: bool) -> list[Family]:
+    """Return the families of the amplitudes that there are."""
+    degree, degree_2 = turn_degrees(discs=discs)
+    counts = {TURN: degree, TURN_2: degree_2 + 1, (DISCS,): int(discs)}
+    return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
+
+
 def hyperprior(
     parallax_sigma: float, known: Mapping[str, tuple[float, float]] | None = None, *, discs: bool = False
 ) -> Hyperprior:
@@ -140,7 +161,7 @@ def hyperprior(
     Half of ``parallax_sigma``, a share of r for large radial terms, is typical; ``known`` are medians and 1-sigma of
     the logarithm of amplitudes that a station states. ``discs``: whether visible discs count.
     """
-    families = FAMILIES if discs else FAMILIES[:-1]
+    families = _families(discs=discs)
     names = tuple(name for family in families for name in family.names)
     mean = np.log([median for family in families for median in family.medians])
     mean[names.index(PARALLAX)] += np.log(parallax_sigma)

@@ -109,10 +109,15 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of all shared unknowns."""
         fields = [f"common_{k}" for k in self.common]
-        for turns, degree in ((_TURNS, amp.TURN_DEGREE), (_TURNS_2, amp.TURN_2_DEGREE)):
+        for turns, degree in zip((_TURNS, _TURNS_2), self.turn_degrees, strict=True):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
         errors = (*RADIAL, *self.turning, DRIFT, *self.rim, *fields, *self.terms)
         return (*self.camera, *CENTRE, *errors, *self.gimbal)
+
+    @property
+    def turn_degrees(self) -> tuple[int, int]:
+        """Highest degrees of the fields by turn and by turn squared."""
+        return amp.turn_degrees(discs=bool(self.rim))
 
     @cached_property
     def turning(self) -> tuple[str, ...]:
@@ -185,7 +190,7 @@ class Layout:
     def by_turn(self) -> TurnFields:
         """The fields that follow the turn."""
         parts = []
-        for names, degree in ((_TURNS, amp.TURN_DEGREE), (_TURNS_2, amp.TURN_2_DEGREE)):
+        for names, degree in zip((_TURNS, _TURNS_2), self.turn_degrees, strict=True):
             places = both(degree >= DEGREES)
             for name, powers in names.items():
                 columns = self.places([f"{name}_{j}" for j in places])
@@ -270,12 +275,13 @@ class Layout:
         30 times larger than the others, and can be exchanged against fx. So has coma, which can be exchanged against
         p1, p2 and, with these, the principal point.
         """
-        places = both((DEGREES > 0) & (DEGREES <= amp.TURN_DEGREE))
+        highest = self.turn_degrees[0]
+        places = both((DEGREES > 0) & (highest >= DEGREES))
         degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
         shifted = np.concatenate(
             [self.basis.shifted(e, _CURVATURE_SIZES)[places] for e in ((1.0, 0.0), (0.0, 1.0))]
         )
-        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN, start=1)]
+        parts = [(hyper.at(amp.TURN[d - 1]), _of_degree(degrees, d)) for d in range(1, highest + 1)]
         parts.append((hyper.at(amp.CURVATURE_TURN), shifted))
         beside = [
             np.concatenate([self.basis.shape(partial(_coma, e, turn))[places] for turn in np.eye(2)])
@@ -288,9 +294,10 @@ class Layout:
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the fields by turn squared; those of round glass have an amplitude of their own, as in `_turn`."""
-        places = both(amp.TURN_2_DEGREE >= DEGREES)
+        highest = self.turn_degrees[1]
+        places = both(highest >= DEGREES)
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
-        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN_2)]
+        parts = [(hyper.at(amp.TURN_2[d]), _of_degree(degrees, d)) for d in range(highest + 1)]
         names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
         round_glass = [
             np.concatenate([self.basis.shape(partial(shape, powers))[places] for powers in _TURNS_2.values()])

@@ -93,7 +93,8 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
         return eta
     errors, focal_px, sigma_px = bench.errors, bench.camera.fx, bench.star_sigma_px
     edge = float(np.tan(np.radians(bench.half_angle_deg)))
-    eta[hyper.places(_ERRORS)] += np.log(errors.times_good(focal_px, sigma_px))
+    known = [name for name in _ERRORS if name in hyper.names]
+    eta[hyper.places(known)] += np.log(errors.times_good(focal_px, sigma_px))
     own = errors.pose_times_good(focal_px, sigma_px, bench.collimator.r, edge)
     eta[hyper.places(amp.POSE)] += np.log(own)
     if bench.readings is not None:
