@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.joint import amplitudes as amp
-from calib.joint.equations import State
+from calib.joint.equations import Bench, State
+from calib.joint.marginal import Problem
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
 from calib.model.boresight import RotationErrors
@@ -20,8 +23,8 @@ MIN_POSES = 3
 def left_out_rms(optimum: Optimum) -> float | None:
     """Return the root mean square residual of poses left out, of which only the rotation is adjusted, px.
 
-    The other poses predict the shared unknowns (one step from the mode), and the left-out pose has no own field. None
-    with fewer than three poses.
+    The other poses predict the shared unknowns (one step from the mode). The left-out pose has no own field, and its
+    pupil is where its disc shows it. None with fewer than three poses.
     """
     marginal, solution = optimum.marginal, optimum.solution
     bench, equations = marginal.problem.bench, marginal.equations
@@ -36,20 +39,33 @@ def left_out_rms(optimum: Optimum) -> float | None:
         own, right = _of_pose(optimum, pose, star, squares)
         left = np.linalg.solve(information - own, information @ solution.step - right)
         shared: Array = np.asarray(left, np.float64)
-        away = equations.maps[pose] @ shared
+        there = _as_shown(marginal.problem, pose)
+        away = (
+            there.maps[pose] @ (optimum.state.shared + shared) - equations.maps[pose] @ optimum.state.shared
+        )
         away[bench.layout.pose_places] -= optimum.state.fields[pose]
         turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
         fields = optimum.state.fields.copy()
         fields[pose] = 0.0
-        moved = bench.moved(optimum.state, shared, fields - optimum.state.fields, turned)
+        moved = there.moved(optimum.state, shared, fields - optimum.state.fields, turned)
         state = State(moved.shared, fields, moved.rotations)
         for v in np.flatnonzero(bench.poses == pose):
-            residual = bench.view_residuals(state, int(v))
+            residual = there.view_residuals(state, int(v))
             seen = np.isfinite(residual).all(axis=1)
             weights = equations.weights[v][seen]
             total += float(weights @ (residual[seen] ** 2).sum(axis=1))
             count += float(weights.sum())
     return float(np.sqrt(total / count))
+
+
+def _as_shown(problem: Problem, pose: int) -> Bench:
+    """Return the bench whose pupil of one pose is where its disc shows it, if the camera is moved by hand."""
+    bench, pupils = problem.bench, problem.pupils
+    if pupils is None:
+        return bench
+    places = bench.pupils.copy()
+    places[pose] = pupils.shown[pose]
+    return replace(bench, pupils=places)
 
 
 def _of_pose(optimum: Optimum, pose: int, star: float, squares: Array) -> tuple[Array, Array]:

@@ -60,6 +60,14 @@ class Problem:
         rest = (amp.RIM, amp.RIM, amp.DISCS, amp.DISCS) if self.bench.layout.rim else ()
         return np.concatenate([fields, self.hyper.places(rest)])
 
+    @cached_property
+    def places_cost(self) -> float:
+        """Cost of pupils that are elsewhere than the visible discs show them."""
+        if self.pupils is None:
+            return 0.0
+        away = (self.bench.pupils - self.pupils.shown).reshape(-1)
+        return float(away @ self.pupils.information @ away)
+
     @property
     def _own(self) -> int:
         return len(self.bench.layout.pose_places)
@@ -248,7 +256,7 @@ class Marginal:
         own_pull, between = w * self.own_pull - expected * fields, w * self.between
         constant = stated_cost + w * self.equations.cost + float(b @ inside @ b)
         constant += stated.logarithm + logarithm + self.rows_observed * float(np.log(star))
-        constant -= self.equations.logarithm
+        constant += self.problem.places_cost - self.equations.logarithm
         constant += float((expected * fields**2).sum()) - n * float(np.log(expected).sum())
         normal = _Normal(information, pull, own, own_pull, between, inside, constant)
         return self._with_readings(normal, squares) if self.uses_readings else normal

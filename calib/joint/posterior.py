@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
-from calib.joint.marginal import Solution
+from calib.joint.marginal import Marginal, Solution
+from calib.joint.places import places_of
 from calib.joint.prior import NO_FAULT, Faults
-from calib.joint.pupil_spread import spread_of_pupils
 from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step
 from calib.model.result_parts import GIMBAL_SCALE
@@ -45,10 +45,10 @@ _LARGEST_LOG = 100.0
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
 _APART = 2.0
-#: The equations hold at the most probable faults if these would keep this weight (`calib.joint.samples.trusted`).
-_NEAR = 0.95
 #: The equations hold for steps of this share of focal length and radius.
-_HOLDS = 0.02
+_NEAR = 0.01
+#: A fault that leads farther is looked at if its odds against none are more than this.
+_COUNTS = 0.05
 #: Nodes whose fx is known only to this many U count half in the variances.
 _FAR = 2.0
 #: Within this number of sigma of the others, a fault is at most 1.25 times more probable than it was: 0.5 %.
@@ -97,7 +97,8 @@ class Posterior:
     def pupils(self) -> Array | None:
         """(S, S) covariance that the places of the pupil add; None on a gimbal."""
         optimum = self.optimum
-        return spread_of_pupils(optimum.marginal, optimum.eta, optimum.solution)
+        places = places_of(optimum.marginal, optimum.eta, optimum.solution)
+        return None if places is None else places.spread
 
     @cached_property
     def counted(self) -> Array:
@@ -171,24 +172,50 @@ def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probabi
 def posterior(optimum: Optimum, rounds: int) -> Posterior:
     """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
 
-    If the equations there promise only what lies far away again, it is not to be had: then only what is near the
-    optimum counts. ``rounds``: largest number of linearisations of the search there.
+    Faults that lead far away count as the equations there say, which are found by at most ``rounds`` linearisations. If
+    these promise only what lies far away again, it is not to be had.
     """
     curvature, modes = _modes(optimum)
-    best = max(modes, key=lambda one: one.odds)
-    if not best.faults or trusted(optimum.marginal, best.solution, optimum.solution) > _NEAR:
+    far = [bool(one.faults) and not _holds(optimum, one) for one in modes]
+    near = [one for one, away in zip(modes, far, strict=True) if not away]
+    likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_odds, default=None)
+    if likeliest is None or likeliest.odds < _COUNTS:
         return _mixture(optimum, curvature, modes)
-    there = beside(optimum, best.faults, rounds)
-    curvature_there, modes_there = _modes(there)
-    near = _near(there, modes_there)
-    if near:
-        return _mixture(there, curvature_there, near)
-    return _mixture(optimum, curvature, _near(optimum, modes))
+    there = beside(optimum, likeliest.faults, rounds)
+    odds = _odds(there, likeliest.faults, optimum)
+    if odds > 1.0 and likeliest.odds > max(one.odds for one in near):
+        curvature_there, modes_there = _modes(there)
+        near_there = [one for one in modes_there if _holds(there, one)]
+        if near_there:
+            return _mixture(there, curvature_there, near_there)
+        odds = 0.0
+    share = min(odds / likeliest.odds, 1.0)
+    kept = [
+        replace(one, odds=share * one.odds) if away else one for one, away in zip(modes, far, strict=True)
+    ]
+    return _mixture(optimum, curvature, kept)
 
 
-def _near(optimum: Optimum, modes: Sequence[Mode]) -> list[Mode]:
-    """Return the modes whose step is so short that the equations hold there."""
-    return [one for one in modes if relative_step(optimum.marginal, one.solution.step) < _HOLDS]
+def _odds(there: Optimum, faults: Faults, than: Optimum) -> float:
+    """Return how much more probable faults are, by the equations of their state, than none is at an optimum.
+
+    The stars have the weights of the optimum: where they fit badly, they would not count.
+    """
+    problem = there.marginal.problem
+    same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
+    again = Marginal(problem, same, there.state)
+    eta, found = best_amplitudes(again, than.eta, _FAULT_STEPS, faults)
+    log = 0.5 * (than.solution.value - found.value) * _share_of_stars(again, eta, found, faults)
+    return math.exp(min(log, _LARGEST_LOG)) * math.prod(FAULTS[fault] for _, fault in faults)
+
+
+def _holds(optimum: Optimum, mode: Mode) -> bool:
+    """Return whether the step to a mode is so short that the equations hold there."""
+    return relative_step(optimum.marginal, mode.solution.step) < _NEAR
+
+
+def _by_odds(mode: Mode) -> float:
+    return mode.odds
 
 
 def _modes(optimum: Optimum) -> tuple[Array, list[Mode]]:
@@ -213,7 +240,7 @@ def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Mode]) -> Poste
         for name, _ in mode.faults:
             probabilities[name] = probabilities.get(name, 0.0) + share
     spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
-    best = max(modes, key=lambda one: one.odds)
+    best = max(modes, key=_by_odds)
     largest = Node(best.odds / whole, best.eta, best.faults, best.solution)
     return Posterior(optimum, tuple(nodes), spread, probabilities, largest)
 
@@ -270,13 +297,25 @@ def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
                 marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, found=start, curvature=known
             )
             log = 0.5 * (base.solution.value - ended.value) - none
+            log *= _share_of_stars(marginal, eta, ended, faults)
             log += math.log(trusted(marginal, ended, base.solution))
             if log > 0.0:
                 odds = base.odds * probability * math.expm1(min(log, _LARGEST_LOG))
                 found.append(Mode(faults, eta, ended, odds))
-    likeliest = max(found, key=lambda one: one.odds, default=base)
+    likeliest = max(found, key=_by_odds, default=base)
     beside = _faults(optimum, curvature, likeliest) if likeliest.odds > base.odds else []
     return [*found, *beside]
+
+
+def _share_of_stars(marginal: Marginal, eta: Array, found: Solution, faults: Faults) -> float:
+    """Return the share of evidence against statements that counts: places of pupils may be the cause of the rest."""
+    places = places_of(marginal, eta, found)
+    if places is None:
+        return 1.0
+    witnesses = marginal.problem.knowledge.witnesses
+    rows = np.concatenate([witnesses[name].rows for name, _ in faults])
+    stars, discs = (float(((rows @ one) * rows).sum()) for one in (found.covariance, places.spread))
+    return stars / (stars + discs)
 
 
 def _starts(optimum: Optimum, base: Mode) -> list[tuple[Array, Solution]]:

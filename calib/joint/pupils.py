@@ -1,7 +1,7 @@
 """Where the camera's pupil is in the beam, if the camera is moved by hand: what the visible discs show of it.
 
 The fields by turn follow the pupil. On a gimbal it follows the turn, which is known far better than a disc. If not, the
-discs say where it is, and how well they do adds to the uncertainty (`calib.joint.pupil_spread`).
+discs say where it is, and the stars say it better (`calib.joint.places`).
 """
 
 from __future__ import annotations

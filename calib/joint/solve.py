@@ -17,6 +17,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.curvature import FINE, ROUGH, best_amplitudes
 from calib.joint.equations import Equations, State, robust_sigma
 from calib.joint.marginal import Marginal, Problem, Solution
+from calib.joint.places import places_of
 from calib.joint.prior import Faults
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class Optimum:
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
     eta, state = first_amplitudes(problem, start), start
-    bench, equations = problem.bench, first_equations(problem, start)
+    equations, placed = first_equations(problem, start), problem.pupils is None
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
         eta, found = _in_round(k, marginal, eta)
@@ -81,14 +82,33 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
             if k < _LATE:
                 eta, found = better_amplitudes(marginal, eta, found)
             if small(marginal, found, share):
-                return Optimum(marginal, eta, found, k + 1, converged=True)
+                if placed:
+                    return Optimum(marginal, eta, found, k + 1, converged=True)
+                placed = True
         state, lengths = shortened(marginal, eta, found)
+        if placed and problem.pupils is not None:
+            problem, state, lengths = _placed(marginal, eta, found, state, 1.0 / (1 + k // _LATE))
         spread = robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
             limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
-        equations = bench.linearised(state, limit, equations if k >= _REWEIGHTED else None)
+        equations = problem.bench.linearised(state, limit, equations if k >= _REWEIGHTED else None)
     return Optimum(marginal, eta, marginal.solve(eta), rounds, converged=False)
+
+
+def _placed(
+    marginal: Marginal, eta: Array, found: Solution, state: State, size: float
+) -> tuple[Problem, State, list[Array]]:
+    """Return the problem with better places of the pupils, and a state there with the lengths of its residuals.
+
+    ``size`` is the share of the step: whole steps of places and of state by turns may swing for ever.
+    """
+    problem, places = marginal.problem, places_of(marginal, eta, found)
+    if places is None:
+        return problem, state, problem.bench.whitened(state)
+    bench = replace(problem.bench, pupils=problem.bench.pupils + size * places.step)
+    state = bench.aligned(state, marginal.equations.weights)
+    return replace(problem, bench=bench), state, bench.whitened(state)
 
 
 def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:

@@ -24,6 +24,14 @@ def test_where_nothing_is_stated_of_a_mount_moved_by_hand_the_uncertainty_is_wid
     assert min(line["U"]["fx"] for line in lines) > 20.0
 
 
+@pytest.mark.parametrize(("world", "seed"), [("product-S1", 51), ("S1", 11)])
+def test_25_poses_of_a_mount_moved_by_hand_are_known_as_well_as_their_certificate(world, seed):
+    """Where the places of the pupil were what the discs show, and the fields by turn of low degree: 43 and 64 px off."""
+    line = result(world, 25, seed, "c")
+    assert ratios([line], "fx") < 1.0
+    assert line["U"]["fx"] < 15.0
+
+
 def test_a_fault_that_only_linear_equations_promise_does_not_move_the_result():
     """On this bench they made of a right print one that is 52 % too small: fx 265 px wrong, residuals of 199 px."""
     line = result("S2", 25, 53, "c")

@@ -1,4 +1,4 @@
-"""What the places of a pupil that is moved by hand add to the uncertainty."""
+"""The places of a pupil that is moved by hand: how they are found, and what they add to the uncertainty."""
 
 from dataclasses import replace
 
@@ -9,8 +9,8 @@ from calib import CalibrationOptions, Passport, calibrate
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
+from calib.joint.places import places_of
 from calib.joint.posterior import posterior
-from calib.joint.pupil_spread import spread_of_pupils
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.result_parts import PUPILS
 from tests.benchmarks.worlds.catalogue import WORLDS
@@ -33,6 +33,28 @@ def with_pupils(optimum, places):
     return Marginal(problem, equations, optimum.state)
 
 
+def doubt(optimum, places):
+    """Return -2 log of the likelihood of places with all else integrated out, times what the discs say of them."""
+    return with_pupils(optimum, places).solve(optimum.eta).value
+
+
+def test_places_are_the_most_probable_ones_with_all_else_integrated_out(optimum):
+    at, size = optimum.marginal.problem.bench.pupils, 1e-3
+    sigma = np.sqrt(np.diag(np.linalg.inv(optimum.marginal.problem.pupils.information))).reshape(at.shape)
+    steps = [size * sigma * np.eye(at.size)[k].reshape(at.shape) for k in range(at.size)]
+    slopes = [(doubt(optimum, at + step) - doubt(optimum, at - step)) / (2.0 * size) for step in steps]
+    assert np.abs(slopes).max() < 0.2  # for a change by 1 sigma of what the discs say
+
+
+def test_places_elsewhere_come_back(optimum):
+    at = optimum.marginal.problem.bench.pupils
+    moved = at + 0.02 * np.random.default_rng(1).normal(size=at.shape)
+    marginal = with_pupils(optimum, moved)
+    back = moved + places_of(marginal, optimum.eta, marginal.solve(optimum.eta)).step
+    assert doubt(optimum, back) < doubt(optimum, moved) - 1.0
+    assert np.abs(back - at).max() < 0.5 * np.abs(moved - at).max()
+
+
 def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
     found = posterior(optimum, 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
@@ -41,16 +63,21 @@ def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
     assert (parts[PUPILS] > 0).all()
 
 
-@pytest.mark.parametrize("seed", [9, 17, 36, 38])
-def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_principal_point(seed):
+def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera():
     """Short arcs show the middles of the discs to millimetres only; what the rim does bends about them."""
-    bench = draw_bench("like-real", NINE, seed)
-    found = calibrate(bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
-    for name in ("cx", "cy"):
-        error = abs(getattr(found.camera, name) - getattr(bench.truth.camera, name))
-        expanded = found.coverage_factors[name] * found.sigma[name]
-        assert expanded < 15.0
-        assert error < 1.3 * expanded
+    over = []
+    for seed in (9, 17, 36, 38):
+        bench = draw_bench("like-real", NINE, seed)
+        found = calibrate(bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
+        expanded = {name: found.coverage_factors[name] * found.sigma[name] for name in ("fx", "cx", "cy")}
+        assert expanded["fx"] < 5.0  # the certificate is right and not doubted
+        assert max(expanded.values()) < 15.0
+        over += [
+            abs(getattr(found.camera, name) - getattr(bench.truth.camera, name)) / u
+            for name, u in expanded.items()
+        ]
+    assert max(over) < 1.6
+    assert np.mean(np.array(over) < 1.0) > 0.9
 
 
 def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covariance():
@@ -74,7 +101,7 @@ def test_pupils_that_are_known_exactly_add_nothing(optimum):
     known = replace(marginal.problem.pupils, information=1e12 * marginal.problem.pupils.information)
     problem = replace(marginal.problem, pupils=known)
     exact = Marginal(problem, marginal.equations, marginal.state)
-    spread = spread_of_pupils(exact, optimum.eta, solution)
+    spread = places_of(exact, optimum.eta, solution).spread
     assert np.diag(spread).max() < 1e-6 * np.diag(solution.covariance).max()
 
 
@@ -92,7 +119,8 @@ def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
         moves.append((ahead.step - behind.step) / (2.0 * step))
     tight = 1e4 * marginal.problem.pupils.information  # so that the stars add nothing to what the discs say
     problem = replace(marginal.problem, pupils=replace(marginal.problem.pupils, information=tight))
-    spread = spread_of_pupils(Marginal(problem, marginal.equations, marginal.state), optimum.eta, solution)
+    tightened = Marginal(problem, marginal.equations, marginal.state)
+    spread = places_of(tightened, optimum.eta, solution).spread
     expected = np.array(moves).T @ np.linalg.inv(tight) @ np.array(moves)
     camera = slice(0, 4)
     sigmas, theirs = (np.sqrt(np.diag(one)[camera]) for one in (spread, expected))

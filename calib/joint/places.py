@@ -1,0 +1,85 @@
+"""The places of a pupil that is moved by hand, which discs show only so well: better ones, and what they leave unknown.
+
+They are unknowns that the fields by turn multiply. About the fields found the equations are linear in them, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint import amplitudes as amp
+from calib.joint.marginal import Marginal, Solution
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Places:
+    """The linear equations of the places of n poses, with all other unknowns eliminated."""
+
+    step: Array  # (n, 2) to the most probable places, tangents
+    spread: Array  # (S, S) covariance that the shared unknowns have because the discs show the places only so well
+
+
+def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
+    """Return the places at a solution for given amplitudes; None on a gimbal."""
+    problem, equations = marginal.problem, marginal.equations
+    if problem.pupils is None:
+        return None
+    bench, by_turn = problem.bench, problem.bench.layout.by_turn
+    squares, own_places = np.exp(2.0 * eta), problem.bench.layout.pose_places
+    star = squares[problem.hyper.at(amp.STAR)]
+    b = (marginal.state.shared + found.step)[by_turn.columns]
+    moved = ((by_turn.slopes(bench.pupils) * b) @ np.eye(bench.layout.size)[by_turn.rows]).swapaxes(1, 2)
+    back = moved.swapaxes(1, 2)
+    seen = equations.squares @ moved / star
+    alone, with_own = back @ seen, seen[:, own_places]
+    across = equations.maps.swapaxes(1, 2) @ seen
+    pull = (back @ (equations.right / star)[:, :, None])[:, :, 0]
+    if marginal.uses_readings:  # what the readings say of the places, in the axes of each view's rotation
+        rows = marginal.axes @ equations.coupling @ moved[bench.poses]
+        weighted = marginal.reading_weights(squares)[:, :, None] * rows
+        np.add.at(alone, bench.poses, rows.swapaxes(1, 2) @ weighted)
+        np.add.at(with_own, bench.poses, marginal.own_rows.swapaxes(1, 2) @ weighted)
+        np.add.at(across, bench.poses, marginal.rows.swapaxes(1, 2) @ weighted)
+        np.add.at(pull, bench.poses, (weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
+    uncertain = _by_uncertainty(marginal, found, equations.squares / star)
+    pull -= across.swapaxes(1, 2) @ found.step + (with_own.swapaxes(1, 2) @ found.fields[:, :, None])[:, :, 0]
+    alone = alone - with_own.swapaxes(1, 2) @ found.own @ with_own
+    shared = np.concatenate(list(across - found.follow.swapaxes(1, 2) @ with_own), axis=1)
+    follow = found.covariance @ shared
+    information = problem.pupils.information + _on_diagonal(alone) - shared.T @ follow
+    # The stars say where the places are, but not how sure that is: with their information, U of fx is half of what nine
+    # poses with nothing stated need.
+    spread = follow @ np.linalg.solve(problem.pupils.information, follow.T)
+    away = problem.pupils.information @ (bench.pupils - problem.pupils.shown).reshape(-1)
+    pull -= uncertain[0]
+    step = np.linalg.solve(information + _on_diagonal(uncertain[1]), pull.reshape(-1) - away)
+    return Places(step.reshape(-1, 2), np.asarray(spread))
+
+
+def _by_uncertainty(marginal: Marginal, found: Solution, stars: Array) -> tuple[Array, Array]:
+    """Return (n, 2), (n, 2, 2) half of gradient and curvature of log det of the shared information by the places.
+
+    Without them the places would follow fields that are hardly known. stars: (n, B, B) information of the bases.
+    """
+    bench, layout = marginal.problem.bench, marginal.problem.bench.layout
+    by_turn, own = layout.by_turn, layout.pose_places
+    slopes = by_turn.slopes(bench.pupils)
+    left = stars - stars[:, :, own] @ found.own @ stars[:, own]
+    together = left @ marginal.equations.maps @ found.covariance[:, by_turn.columns]
+    gradient = (slopes @ together[:, by_turn.rows, range(len(by_turn.rows)), None])[:, :, 0]
+    known = found.covariance[by_turn.columns[:, None], by_turn.columns]
+    curved = left[:, by_turn.rows[:, None], by_turn.rows] * known
+    return gradient, slopes @ curved @ slopes.swapaxes(1, 2)
+
+
+def _on_diagonal(blocks: Array) -> Array:
+    """Return the (2 n, 2 n) matrix with (n, 2, 2) blocks on its diagonal."""
+    n = len(blocks)
+    whole = np.zeros((n, 2, n, 2))
+    whole[range(n), :, range(n)] = blocks
+    return whole.reshape(2 * n, 2 * n)
