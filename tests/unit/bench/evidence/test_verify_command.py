@@ -54,7 +54,7 @@ def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, 
     assert said.return_value == 0  # nothing was to be compared
     assert json.loads(said.stdout)["again"] is False
     said = told_by_command(forger.folder, *elsewhere, "--json", "--again")
-    assert said.return_value == 4
+    assert said.return_value == 4, said.output
     found = json.loads(said.stdout)
     assert (found["ok"], found["complete"]) == (True, False)
     assert found["not_compared"][0].startswith("report.html with results.json: it was made with report form")
