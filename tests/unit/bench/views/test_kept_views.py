@@ -234,6 +234,7 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
         "bench.base.bounded_json",
         "bench.records.",
         "drivers.file_lock",
+        "drivers.lateness",
         "sequences.",
     }
     graph = grimp.build_graph(
