@@ -64,7 +64,7 @@ class Event(StrEnum):
     ATTEMPT_CHECKED = "attempt_checked"  # A recording was measured, and accepted or refused
     ATTEMPT_LOST = "attempt_lost"  # The camera could not complete a recording; nothing was stored
     SOLVED = "solved"  # A calibration stands: its main numbers
-    WRITTEN = "written"  # Results, report, views and exports are written: their hashes
+    WRITTEN = "written"  # Hashes of results, report, views and exports, which are written now
     UNTIL_DECIDED = (
         "until_decided"  # What an ``until`` found so far, and the next pose that it chose, or why it ended
     )
@@ -72,7 +72,7 @@ class Event(StrEnum):
     ASKED = "asked"  # The run asks the operator a question
     ANSWERED = "answered"  # The operator's answer, or the default
     COMMANDED = "commanded"  # An operator's command from another terminal, taken or refused
-    POSE_SKIPPED = "pose_skipped"  # A pose will not be recorded any more; a deviation
+    POSE_SKIPPED = "pose_skipped"  # A pose is given up. The report calls it a deviation
     INTERLOCK_RELEASED = "interlock_released"  # An interlock that held the run releases it
     SUPERVISOR_LOST = (
         "supervisor_lost"  # The process that watched this one is gone; the run goes on to its own end

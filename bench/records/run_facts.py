@@ -161,7 +161,7 @@ class IndexedRun:
 
 
 def run_facts(history: History, folder: Path) -> IndexedRun:
-    """Return what a list of runs states of a run by its journal; ``how`` is empty if the journal has no end."""
+    """Return the row of a run in a list of runs, by its journal. ``how`` is empty if the journal has no end."""
     solved, started = history.solved, history.started
     return IndexedRun(
         folder=str(folder),

@@ -127,7 +127,7 @@ class Hyperprior:
         """Smallest and largest logarithm of each amplitude in the search."""
         reach = _REACH * np.sqrt(np.diag(self.covariance))
         high = self.mean + reach
-        fields = self.places([name for name in (*POSE, *COMMON, *TURN, *TURN_2) if name in self.names])
+        fields = [at for at, name in enumerate(self.names) if name in (*POSE, *COMMON, *TURN, *TURN_2)]
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
         high[self.at(READING)] = np.log(_NOISIEST_READINGS)
         return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))

@@ -62,7 +62,7 @@ class Problem:
 
     @cached_property
     def places_cost(self) -> float:
-        """Cost of pupils that are elsewhere than the visible discs show them."""
+        """Cost of how far the pupils are from where the visible discs show them."""
         if self.pupils is None:
             return 0.0
         away = (self.bench.pupils - self.pupils.shown).reshape(-1)

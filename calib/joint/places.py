@@ -1,6 +1,6 @@
-"""The places of a pupil that is moved by hand, which discs show only so well: better ones, and what they leave unknown.
+"""The places of a pupil that is moved by hand: the most probable ones, and what they add to the uncertainty.
 
-They are unknowns that the fields by turn multiply. About the fields found the equations are linear in them, too.
+Fields by turn are multiplied by these places. At the fields found, the equations are linear in the places, too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Places:
     """The linear equations of the places of n poses, with all other unknowns eliminated."""
 
     step: Array  # (n, 2) to the most probable places, tangents
-    spread: Array  # (S, S) covariance that the shared unknowns have because the discs show the places only so well
+    spread: Array  # (S, S) covariance of the shared unknowns that comes from the uncertainty of the discs
 
 
 def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
@@ -46,25 +46,25 @@ def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
         np.add.at(with_own, bench.poses, marginal.own_rows.swapaxes(1, 2) @ weighted)
         np.add.at(across, bench.poses, marginal.rows.swapaxes(1, 2) @ weighted)
         np.add.at(pull, bench.poses, (weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
-    uncertain = _by_uncertainty(marginal, found, equations.squares / star)
     pull -= across.swapaxes(1, 2) @ found.step + (with_own.swapaxes(1, 2) @ found.fields[:, :, None])[:, :, 0]
     alone = alone - with_own.swapaxes(1, 2) @ found.own @ with_own
     shared = np.concatenate(list(across - found.follow.swapaxes(1, 2) @ with_own), axis=1)
     follow = found.covariance @ shared
     information = problem.pupils.information + _on_diagonal(alone) - shared.T @ follow
-    # The stars say where the places are, but not how sure that is: with their information, U of fx is half of what nine
-    # poses with nothing stated need.
+    # Only the information of the discs counts here. With that of the stars, U of fx was half of what nine poses with
+    # nothing stated need.
     spread = follow @ np.linalg.solve(problem.pupils.information, follow.T)
     away = problem.pupils.information @ (bench.pupils - problem.pupils.shown).reshape(-1)
-    pull -= uncertain[0]
-    step = np.linalg.solve(information + _on_diagonal(uncertain[1]), pull.reshape(-1) - away)
+    gradient, curvature = _of_determinant(marginal, found, equations.squares / star)
+    step = np.linalg.solve(information + _on_diagonal(curvature), (pull - gradient).reshape(-1) - away)
     return Places(step.reshape(-1, 2), np.asarray(spread))
 
 
-def _by_uncertainty(marginal: Marginal, found: Solution, stars: Array) -> tuple[Array, Array]:
+def _of_determinant(marginal: Marginal, found: Solution, stars: Array) -> tuple[Array, Array]:
     """Return (n, 2), (n, 2, 2) half of gradient and curvature of log det of the shared information by the places.
 
-    Without them the places would follow fields that are hardly known. stars: (n, B, B) information of the bases.
+    Without them the places would follow fields that are hardly known. Readings have no part in them. stars: (n, B, B)
+    information of the bases.
     """
     bench, layout = marginal.problem.bench, marginal.problem.bench.layout
     by_turn, own = layout.by_turn, layout.pose_places

@@ -101,11 +101,10 @@ def _placed(
 ) -> tuple[Problem, State, list[Array]]:
     """Return the problem with better places of the pupils, and a state there with the lengths of its residuals.
 
-    ``size`` is the share of the step: whole steps of places and of state by turns may swing for ever.
+    ``size`` is the share of the step. Whole steps of places and of state in turn may swing for ever.
     """
     problem, places = marginal.problem, places_of(marginal, eta, found)
-    if places is None:
-        return problem, state, problem.bench.whitened(state)
+    assert places is not None
     bench = replace(problem.bench, pupils=problem.bench.pupils + size * places.step)
     state = bench.aligned(state, marginal.equations.weights)
     return replace(problem, bench=bench), state, bench.whitened(state)

@@ -34,7 +34,7 @@ def with_pupils(optimum, places):
 
 
 def doubt(optimum, places):
-    """Return -2 log of the likelihood of places with all else integrated out, times what the discs say of them."""
+    """Return -2 log of the probability of places, with all other unknowns integrated out."""
     return with_pupils(optimum, places).solve(optimum.eta).value
 
 
