@@ -12,7 +12,16 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import FocalLength, Positive, Serial, Text
@@ -22,6 +31,8 @@ from sequences.strict_model import StrictModel, Within
 
 Celsius = Annotated[float, Field(ge=-50, le=100)]
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
+#: A focal length farther than this share from the nominal one is another collimator's (``calib.joint.adjust``).
+_OTHER_RADIUS = 0.15
 
 
 def _date(value: Any) -> Any:
@@ -111,6 +122,22 @@ class CollimatorConfig(StrictModel):
         StatedValue | None,
         Field(description="Shift of the pattern on the target over the shift of the camera across the beam."),
     ] = None
+
+    @field_validator("certificate")
+    @classmethod
+    def _of_this_collimator(
+        cls, certificate: str | CertificateConfig | None, info: ValidationInfo
+    ) -> str | CertificateConfig | None:
+        """Refuse before anything moves what the adjustment would take for another collimator's certificate."""
+        nominal = info.data.get("nominal_r_mm")
+        stated = certificate.r_mm if isinstance(certificate, CertificateConfig) else None
+        if stated is not None and nominal is not None and abs(stated - nominal) > _OTHER_RADIUS * nominal:
+            raise PydanticCustomError(
+                "other_collimator",
+                "r_mm {stated} is more than 15 % off nominal_r_mm {nominal}: another collimator's. Correct one.",
+                {"stated": f"{stated:g}", "nominal": f"{nominal:g}"},
+            )
+        return certificate
 
     @model_validator(mode="after")
     def _certificate_or_passport(self) -> CollimatorConfig:

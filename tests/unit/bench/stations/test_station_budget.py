@@ -1,5 +1,6 @@
 """Sections of a station file about budget, collimator and readings."""
 
+from contextlib import nullcontext
 from datetime import date
 
 import numpy as np
@@ -152,6 +153,15 @@ def knowing(section: str) -> Station:
     return check_document(f"{KEPT}\n{section}\n".encode(), "b.yaml", Station).value
 
 
+@pytest.mark.parametrize(("r_mm", "refused"), [(216, True), (217, False), (293, False), (294, True)])
+def test_a_certificate_within_fifteen_percent_of_the_data_sheet_is_of_this_collimator(r_mm, refused):
+    section = (
+        f"collimator: {{nominal_r_mm: 255, certificate: {{r_mm: {r_mm}, number: 1, uncertainty_mm: 1}}}}"
+    )
+    with pytest.raises(DocumentFaults) if refused else nullcontext():
+        assert knowing(section).collimator.certificate.r_mm == r_mm
+
+
 def test_a_certificate_has_values_and_an_older_one_is_a_text():
     values = knowing(
         "collimator: {certificate: {r_mm: 255.03, uncertainty_mm: 0.1, number: 7, date: 2026-01-31}}"
@@ -182,6 +192,7 @@ def test_the_gimbal_states_what_its_readings_are_worth():
         ("collimator: {certificate: {r_mm: 1, number: 1, uncertainty_mm: 1, date: 2026-02-30}}", "certificate.date: must be a date"),
         ("collimator: {certificate: {r_mm: 1, number: 1, uncertainty_mm: 1, date: 2026-02-03, valid_until: 2025-01-01}}", "valid_until is before the date"),
         ("collimator: {certificate: {r_mm: 1, number: 1, uncertainty_mm: 1}, passport: p.json}", "collimator: give the values of a certificate or a passport, not both"),
+        ("collimator: {certificate: {r_mm: 2550, number: 1, uncertainty_mm: 1}, nominal_r_mm: 255}", "collimator.certificate: r_mm 2550 is more than 15 % off nominal_r_mm 255: another collimator's. Correct one."),
         ("collimator: {certificate: {radius: 1}}", "collimator.certificate.radius: unknown key."),
         ("collimator: {defocus: {value: 0, sigma: -1}}", "collimator.defocus.sigma: must be from 0 to 1e+06"),
         ("collimator: {defocus: 0}", "collimator.defocus: must be a mapping"),
