@@ -94,22 +94,6 @@ def test_the_makers_library_identifies_homes_moves_stops_and_reads(tmp_path):
         axis.close_device()
 
 
-def test_a_second_client_homes_moves_and_reads(tmp_path):
-    standa = pytest.importorskip("pylablib.devices.Standa", reason="pylablib is not installed")
-    controller = XimcController(model(), time.monotonic)
-    with SerialDevice(PseudoTerminal(tmp_path / "pan"), controller) as device:
-        stage = standa.Standa8SMC(device.address)
-        stage.home()
-        stage.set_position_reference(0)
-        stage.set_encoder_reference(0)
-        stage.move_to(12_345)
-        stage.wait_move(10)
-        assert stage.get_position() == 12_345
-        assert stage.get_encoder() == round(12_345 * 20 / 256)
-        assert not stage.is_moving()
-        stage.close()
-
-
 def test_a_wrong_checksum_is_refused_and_nothing_moves(homed: Controller):
     data = struct.pack("<ih6x", 100, 0)
     assert homed.device.receive(b"move" + data + struct.pack("<H", crc16(data) ^ 1)) == b"errd"
