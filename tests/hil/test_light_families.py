@@ -1,6 +1,6 @@
 """Every family of lights on its simulated driver, on a virtual clock: one behaviour.
 
-What its faults do stands in test_every_light_fault.py, what its ports do in test_plugin_contract.py.
+What its faults do stands in test_every_light_fault.py, what a port does in test_plugin_contract.py.
 """
 
 from __future__ import annotations
@@ -8,9 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import SettingRefused
+from drivers.errors import DriverError, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
+from simulators.faults.line_faults import LineFault
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import VirtualClock, direct_line
@@ -92,6 +93,12 @@ def test_opening_and_closing_switch_nothing(rig) -> None:
     assert again.is_on()
     assert again.read().frequency_hz == pytest.approx(50.0, rel=1e-6)
     assert rig.states[-1].output
+
+
+def test_a_stranger_on_the_port_is_refused(rig) -> None:
+    rig.line.device.inject(LineFault("stranger", count=None))
+    with pytest.raises(DriverError):
+        OPENED[rig.kind](rig.line, rig.line.clock)
 
 
 def test_a_steady_light_burns_at_its_level_without_an_edge_and_goes_dark(rig) -> None:

@@ -1,4 +1,7 @@
-"""The contract suite for plug-ins, on every family of our own devices, each on its port."""
+"""The contract suite for plug-ins, on one of our own devices of each kind, on its port.
+
+The families without terminals: test_stage_families.py, test_light_families.py.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,6 @@ from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import AxisConfig, LightConfig
 from simulators.world.world import LightState, World
-from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG
 from tests.hil.evk4_host import FLICKER, SMALL
 
 STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
@@ -44,18 +46,6 @@ class OurStage(StageContract):
         device.angles_deg = lambda: {
             name: one.axis.pointing.angle_deg(time.monotonic()) for name, one in stage.controllers.items()
         }
-        return device
-
-
-class OurLight(LightContract):
-    """A simulated driver of a light, and the section for ours."""
-
-    of_bench: ClassVar[str]
-
-    def device(self, clock: Callable[[], float]) -> Any:
-        states = [LightState()]
-        device = make_light(LightConfig(self.of_bench, "SB7"), clock, states.append)
-        device.is_lit = lambda: states[-1].output and states[-1].high > 0
         return device
 
 
@@ -89,30 +79,6 @@ class TestXimc(OurStage):
 
 
 @pytest.mark.slow
-class TestGrbl(OurStage):
-    of_bench = "grbl"
-    scale = 640
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "grbl",
-        "port": "PORT",
-        "axes": {
-            "pan": axis(letter="X", steps_per_deg=640, zero_deg=16),
-            "tilt": axis(10.0, letter="Y", steps_per_deg=640, zero_deg=11),
-        },
-    }
-
-
-@pytest.mark.slow
-class TestEsp(OurStage):
-    of_bench = "esp301"
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "esp30x",
-        "port": "PORT",
-        "axes": {"pan": axis(number=1, serial="100101"), "tilt": axis(10.0, number=2, serial="100102")},
-    }
-
-
-@pytest.mark.slow
 class TestFlirPtu(OurStage):
     of_bench = "flir_ptu"
     scale = 800
@@ -130,70 +96,15 @@ class TestFlirPtu(OurStage):
 
 
 @pytest.mark.slow
-class TestThorlabs(OurStage):
-    """One axis: the suite has one port."""
-
-    of_bench = "thorlabs_apt"
-    names = ("pan",)
-    scale = 136_533
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "thorlabs_apt",
-        "axes": {"pan": axis(port="PORT", serial="100101", counts_per_deg=K10CR1_COUNTS_PER_DEG)},
-    }
-
-
-@pytest.mark.slow
-class TestDynamixel(OurStage):
-    of_bench = "dynamixel"
-    scale = 11
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "dynamixel",
-        "port": "PORT",
-        "axes": {
-            "pan": axis(id=1, model="XL430-W250", counts_per_deg=4096 / 360),
-            "tilt": axis(10.0, id=2, model="XL430-W250", counts_per_deg=4096 / 360),
-        },
-    }
-    tolerance_deg = 0.05
-
-
-@pytest.mark.slow
-class TestKeysight(OurLight):
-    of_bench = "keysight"
+class TestKeysight(LightContract):
     section: ClassVar[Mapping[str, Any]] = {"driver": "scpi", "port": "PORT", "serial": "SB7"}
     other_serial = "SB8"
 
-
-@pytest.mark.slow
-class TestRigol(OurLight):
-    of_bench = "rigol"
-    section: ClassVar[Mapping[str, Any]] = {**TestKeysight.section, "dialect": "numbered"}
-    other_serial = "SB8"
-
-
-@pytest.mark.slow
-class TestSiglent(OurLight):
-    of_bench = "siglent"
-    section: ClassVar[Mapping[str, Any]] = {**TestKeysight.section, "dialect": "siglent"}
-    other_serial = "SB8"
-
-
-@pytest.mark.slow
-class TestGardasoft(OurLight):
-    of_bench = "gardasoft"
-    section: ClassVar[Mapping[str, Any]] = {"driver": "gardasoft", "port": "PORT"}
-
-
-@pytest.mark.slow
-class TestMicrocontroller(OurLight):
-    of_bench = "microcontroller"
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "text",
-        "protocol": "microcontroller_light",
-        "port": "PORT",
-        "serial": "SB7",
-    }
-    other_serial = "SB8"
+    def device(self, clock: Callable[[], float]) -> Any:
+        states = [LightState()]
+        device = make_light(LightConfig("keysight", "SB7"), clock, states.append)
+        device.is_lit = lambda: states[-1].output and states[-1].high > 0
+        return device
 
 
 class TestSimulatedEvk4(CameraContract):

@@ -1,6 +1,6 @@
 """Every family of stages on its simulated controllers, on a virtual clock: one behaviour.
 
-What its faults do stands in test_every_fault.py, what its ports do in test_plugin_contract.py.
+What its faults do stands in test_every_fault.py, what a port does in test_plugin_contract.py.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.errors import MoveFailed, NotHomed, OutsideLimits
+from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.thorlabs_controller import STOP, STOP_BY_RAMP, short
 from drivers.stage.zaber import ZaberAxis, ZaberStage
+from simulators.faults.line_faults import LineFault
 from simulators.ports.serial_device import SerialDevice, TcpPort
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController
@@ -78,6 +79,12 @@ def test_a_stage_is_identified_homed_and_moved(rig) -> None:
     with pytest.raises(OutsideLimits):
         rig.stage.move_to({"pan": 15.5})
     assert rig.true_deg() == pytest.approx(9.5, abs=0.002)
+
+
+def test_a_stranger_on_the_port_is_refused(rig) -> None:
+    rig.line.device.inject(LineFault("stranger", count=None))
+    with pytest.raises(DriverError):
+        rig.reopen()
 
 
 def test_closing_moves_nothing(rig) -> None:
