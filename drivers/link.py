@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, Final, NamedTuple, TypeVar
@@ -160,7 +161,7 @@ class ReplyReader:
             line = self._link.take_line()
             if line is None:
                 self._wait_for_more()
-            elif not self._link.route_unsolicited(line):
+            elif not self._link.take_unsolicited(line):
                 return line
 
     def read_exactly(self, count: int) -> bytes:
@@ -197,19 +198,14 @@ class ReplyReader:
         )
 
 
-def no_unsolicited(_line: bytes) -> bool:
-    """Take no line as unsolicited: for protocols without such messages."""
-    return False
-
-
-class Link:
+class Link(ABC):
     """A line to one device or a chain of devices. Threads share it; one exchange is made at a time.
 
-    ``resynchronise`` brings the line back into step (see ``prove_in_step``). It is called with the lock held, may call
-    ``drain`` and exchange ``urgently``, and raises `ReplyError` when it fails. ``unsolicited`` returns True for a line
-    that answers no request. ``wire_log`` records every byte. While a thread holds ``lock``, no other thread can send.
+    ``wire_log`` records every byte. While a thread holds ``lock``, no other thread can send.
     """
 
+    terminator: bytes = b"\n"
+    """End of a line that the device sends."""
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
     reply_s: float = 1.0
     """Longest time for a whole reply, unless an exchange has its own, in seconds; most of it is for a busy computer."""
@@ -218,27 +214,26 @@ class Link:
     longest_drain_s: float = 1.0
     """Longest wait for that silence, in seconds."""
 
-    def __init__(
-        self,
-        port: Port,
-        *,
-        clock: Clock,
-        resynchronise: Callable[[], object],
-        terminator: bytes = b"\n",
-        unsolicited: Callable[[bytes], bool] = no_unsolicited,
-        wire_log: WireLog | None = None,
-    ) -> None:
+    def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self.lock = threading.RLock()
         self._port = port
         self._clock = clock
-        self._resynchronise = resynchronise
-        self._terminator = terminator
-        self._unsolicited = unsolicited
         self._wire_log = wire_log
         self._buffer = bytearray()
         self._in_step = True
         self._urgent = False
         self._urgent_reply_s: float | None = None
+
+    @abstractmethod
+    def _resynchronise(self) -> None:
+        """Bring the line back into step (see ``prove_in_step``), or raise `ReplyError`.
+
+        It is called with the lock held, may call ``drain`` and exchange ``urgently``.
+        """
+
+    def take_unsolicited(self, line: bytes) -> bool:  # noqa: ARG002 - most protocols have no such messages
+        """Take a line that answers no request; return whether it is one."""
+        return False
 
     @property
     def name(self) -> str:
@@ -412,7 +407,7 @@ class Link:
 
         A line that is too long raises `ReplyGarbled` and is thrown away, so that the next call does not find it again.
         """
-        end = self._buffer.find(self._terminator)
+        end = self._buffer.find(self.terminator)
         if end < 0 and len(self._buffer) <= LONGEST_LINE:
             return None
         if end < 0 or end > LONGEST_LINE:
@@ -423,21 +418,17 @@ class Link:
                 where=self.name,
                 remedy="Check the port and the baud rate in the station file.",
             )
-        return self.take(end + len(self._terminator))
-
-    def route_unsolicited(self, line: bytes) -> bool:
-        """Pass a line to the handler of unsolicited messages; return whether it took the line."""
-        return self._unsolicited(line)
+        return self.take(end + len(self.terminator))
 
     # ------------------------------------------------------------ inside
 
     def _take_strays(self) -> None:
-        """Route unsolicited lines that came since the last exchange; anything else is a late reply."""
+        """Take unsolicited lines that came since the last exchange; anything else is a late reply."""
         self.receive(0.0)
         while self._buffer:
             try:
                 line = self.take_line()
-                understood = line is not None and self.route_unsolicited(line)
+                understood = line is not None and self.take_unsolicited(line)
             except ReplyGarbled:
                 understood = False
             if not understood:

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
-from drivers.link import TRIES, Link, ReplyReader, no_unsolicited, repeat
+from drivers.link import TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -75,23 +75,17 @@ class TextLine(Link):
         request_end: bytes = b"\n",
         reply_end: bytes = b"\n",
         reply_s: float = REPLY_S,
-        unsolicited: Callable[[bytes], bool] = no_unsolicited,
+        unsolicited: Callable[[bytes], bool] | None = None,
         wire_log: WireLog | None = None,
     ) -> None:
         self._identity_query = identity_query
         self._is_identity = is_identity
         self._identity_form = identity_form
         self._request_end = request_end
-        self._reply_end = reply_end
+        self.terminator = reply_end
+        self._unsolicited = unsolicited
         self.reply_s = reply_s
-        super().__init__(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            terminator=reply_end,
-            unsolicited=unsolicited,
-            wire_log=wire_log,
-        )
+        super().__init__(port, clock=clock, wire_log=wire_log)
         self.identity_text = ""
         self.drain()
         self.identity_text = self._identify()
@@ -224,6 +218,10 @@ class TextLine(Link):
         with self.urgently():
             self.send(command)
 
+    def take_unsolicited(self, line: bytes) -> bool:
+        """See `Link.take_unsolicited`."""
+        return self._unsolicited is not None and self._unsolicited(line)
+
     # ------------------------------------------------------------ inside
 
     def _encode(self, text: str) -> bytes:
@@ -237,7 +235,7 @@ class TextLine(Link):
 
     def _parse_reply(self, line: bytes) -> str:
         """Return the text of a reply: printable ASCII, not empty. A CR before its end may be missing."""
-        body = line.removesuffix(self._reply_end).removesuffix(b"\r")
+        body = line.removesuffix(self.terminator).removesuffix(b"\r")
         if not re.fullmatch(rb"[ -~]+", body):
             raise self.garbled_reply(f"not a reply: {line[:80]!r}.")
         return body.decode("ascii").strip()

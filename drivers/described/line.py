@@ -34,13 +34,8 @@ class DescribedLine(Link):
         self.quiet_s, self.reply_s = description.quiet_s, description.reply_s
         self._notices: list[Notice] = []
         self._known = ""
-        super().__init__(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            terminator=description.reply_end,
-            wire_log=wire_log,
-        )
+        self.terminator = description.reply_end
+        super().__init__(port, clock=clock, wire_log=wire_log)
         self.identity: Mapping[str, Value] = {}
         self.drain()
         self._clear_device()

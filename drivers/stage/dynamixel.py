@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled, WrongDevice
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import Port
 from drivers.stage import AxisIdentity
 from drivers.stage import dynamixel_bus as protocol
 from drivers.stage.dynamixel_bus import DynamixelBus, Settings, State
@@ -46,35 +45,32 @@ class DynamixelAxis(Axis):
         return self.counts_per_deg
 
 
-class DynamixelStage(OneLineStage[DynamixelAxis]):
+class DynamixelStage(OneLineStage[DynamixelAxis, DynamixelBus]):
     """A stage of one to three Dynamixel servos. Implements ``drivers.stage.Stage``.
 
-    Open it with ``DynamixelStage.open``; the constructor takes a port that is open already. Axes stand in the order of
-    the station file. A servo is refused whose torque is on in a mode that this driver cannot use.
+    A servo is refused whose torque is on in a mode that this driver cannot use.
     """
 
     BAUDRATE = 57600
 
-    def __init__(
-        self, port: Port, axes: Sequence[DynamixelAxis], *, clock: Clock, wire_log: WireLog | None = None
-    ) -> None:
-        super().__init__(axes, clock=clock, where=port.name)
+    def _connected(self, port: Port, wire_log: WireLog | None) -> DynamixelBus:
+        ids = [axis.id for axis in self._axes.values()]
+        return DynamixelBus(port, ids, clock=self._clock, wire_log=wire_log)
+
+    def _set_up(self) -> None:
         self._goals: dict[str, int] = {}
-        with closed_on_error(port):
-            ids = [axis.id for axis in axes]
-            self._bus = self._share(DynamixelBus(port, ids, clock=clock, wire_log=wire_log))
-            self.identify()
-            for axis in axes:
-                _check_span(axis)
-            self._bring_to_rest()
-            for axis in axes:
-                self._program(axis)
+        self.identify()
+        for axis in self._axes.values():
+            _check_span(axis)
+        self._bring_to_rest()
+        for axis in self._axes.values():
+            self._program(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. A servo has no serial number; its model (of the X series) and its id stand for it."""
         found = []
         for axis in self._axes.values():
-            settings = self._bus.read_settings(axis.id)
+            settings = self._line.read_settings(axis.id)
             model = protocol.MODELS.get(settings.model, "")
             if not model or (axis.model and model != axis.model):
                 wanted = f"a {axis.model}" if axis.model else "a servo of the X series"
@@ -89,13 +85,13 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        return all(self._bus.read_state(axis.id).torque for axis in self._axes.values())
+        return all(self._line.read_state(axis.id).torque for axis in self._axes.values())
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`."""
         said = []
         for name, axis in self._axes.items():
-            state = self._bus.read_state(axis.id)
+            state = self._line.read_state(axis.id)
             said += [f"{name}: {fault}" for fault in state.faults]
             said += [] if state.torque else [f"{name}: the torque is off"]
         return said
@@ -103,7 +99,7 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: DynamixelAxis) -> None:
-        state = self._bus.read_state(axis.id)
+        state = self._line.read_state(axis.id)
         if state.errors:
             raise not_movable(
                 axis,
@@ -120,10 +116,10 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
 
     def _clear_faults(self, axis: DynamixelAxis) -> None:
         """Restart a servo that has shut down, whose torque is off already, and set it up again."""
-        state = self._bus.read_state(axis.id)
+        state = self._line.read_state(axis.id)
         if state.errors and not state.torque:
-            self._bus.reboot(axis.id)
-            state = self._bus.read_state(axis.id)
+            self._line.reboot(axis.id)
+            state = self._line.read_state(axis.id)
         if state.errors:
             raise not_movable(
                 axis,
@@ -133,21 +129,21 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
         self._program(axis)
 
     def _begin_move(self, axis: DynamixelAxis, angle_deg: float) -> None:
-        goal = self._goal(axis, self._bus.read_state(axis.id), angle_deg)
+        goal = self._goal(axis, self._line.read_state(axis.id), angle_deg)
         self._goals[axis.name] = goal
-        self._bus.move(axis.id, goal)
+        self._line.move(axis.id, goal)
 
     def _begin_homing(self, axis: DynamixelAxis) -> None:
         """Switch the torque on where the axis stands."""
-        state = self._bus.read_state(axis.id)
+        state = self._line.read_state(axis.id)
         if not state.torque:
-            self._bus.write_value(axis.id, protocol.GOAL, struct.pack("<i", state.position))
-            self._bus.write_value(axis.id, protocol.TORQUE, b"\1")
-            state = self._bus.read_state(axis.id)
+            self._line.write_value(axis.id, protocol.GOAL, struct.pack("<i", state.position))
+            self._line.write_value(axis.id, protocol.TORQUE, b"\1")
+            state = self._line.read_state(axis.id)
         self._goals[axis.name] = state.goal
 
     def _read_state(self, axis: DynamixelAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002
-        state = self._bus.read_state(axis.id)
+        state = self._line.read_state(axis.id)
         position_deg = self._angle_deg(axis, state.position)
         if state.errors:
             return AxisState(position_deg, state.moving, _shut_down(state))
@@ -163,7 +159,7 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
 
     def _send_stop(self) -> None:
         self._goals.clear()
-        self._bus.stop_all()
+        self._line.stop_all()
 
     # ------------------------------------------------------------ scale and settings
 
@@ -191,7 +187,7 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
 
     def _program(self, axis: DynamixelAxis) -> None:
         """Set modes and profile where they differ. Modes can be set without torque only."""
-        settings, state = self._bus.read_settings(axis.id), self._bus.read_state(axis.id)
+        settings, state = self._line.read_settings(axis.id), self._line.read_state(axis.id)
         drive_mode = settings.drive_mode & ~protocol.TIME_BASED_OR_TORQUE_BY_GOAL
         wanted = {protocol.DRIVE_MODE: drive_mode, protocol.OPERATING_MODE: protocol.EXTENDED_POSITION}
         present = {
@@ -208,8 +204,8 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
             )
         for address, value in wanted.items():
             if value != present[address]:
-                self._bus.write_value(axis.id, address, bytes([value]))
-        settings = self._bus.read_settings(axis.id)
+                self._line.write_value(axis.id, address, bytes([value]))
+        settings = self._line.read_settings(axis.id)
         if (settings.drive_mode, settings.operating_mode) != tuple(wanted.values()):
             raise DeviceRefused(
                 "operating mode and drive mode read back differently from what was set:"
@@ -218,15 +214,15 @@ class DynamixelStage(OneLineStage[DynamixelAxis]):
                 remedy="Set operating mode 4 with DYNAMIXEL Wizard.",
             )
         _check_speed(axis, settings)
-        self._program_profile(axis, self._bus.read_state(axis.id))
+        self._program_profile(axis, self._line.read_state(axis.id))
 
     def _program_profile(self, axis: DynamixelAxis, state: State) -> None:
         """Set speed and acceleration where they differ, as after a restart, and read them back."""
         wanted = _profile(axis)
         if (state.ramp, state.speed) == wanted:
             return
-        self._bus.write_value(axis.id, protocol.PROFILE, struct.pack("<II", *wanted))
-        state = self._bus.read_state(axis.id)
+        self._line.write_value(axis.id, protocol.PROFILE, struct.pack("<II", *wanted))
+        state = self._line.read_state(axis.id)
         if (state.ramp, state.speed) != wanted:
             raise DeviceRefused(
                 f"acceleration and speed read back differently from what was set: {state.ramp} and {state.speed}"

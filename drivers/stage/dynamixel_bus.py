@@ -269,13 +269,7 @@ class DynamixelBus(Link):
         self._servos = tuple(servos)
         self._asked = self._servos[0]
         self._ages: dict[int, _Age] = {}
-        super().__init__(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            unsolicited=self._is_echo,
-            wire_log=wire_log,
-        )
+        super().__init__(port, clock=clock, wire_log=wire_log)
         self.mark_out_of_step()
 
     def take_line(self) -> bytes | None:
@@ -292,6 +286,10 @@ class DynamixelBus(Link):
             if length := size(unread[start : start + HEAD_SIZE]):
                 return self.take(length)
             self.take(len(HEADER))
+
+    def take_unsolicited(self, line: bytes) -> bool:
+        """Take an instruction: an adapter of one wire hears what it sends."""
+        return self._parse(line).instruction != STATUS
 
     def read_settings(self, servo: int) -> Settings:
         """Ask for the settings that outlast a loss of power."""
@@ -425,10 +423,6 @@ class DynamixelBus(Link):
 
     def _parse(self, data: bytes) -> Packet:
         return parse(data, self.name)
-
-    def _is_echo(self, data: bytes) -> bool:
-        """Whether a packet is an instruction: an adapter of one wire hears what it sends."""
-        return self._parse(data).instruction != STATUS
 
     def _resynchronise(self) -> None:
         """Wait for silence; then get the answer to a ping, which no other instruction has, alone on the line."""

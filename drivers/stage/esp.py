@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.link import read_until_agreed
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
 from drivers.stage.watched import (
@@ -107,37 +106,32 @@ class EspAxis(Axis):
         return round((angle_deg - self.zero_deg) * self.direction, 5)
 
 
-class EspStage(OneLineStage[EspAxis]):
+class EspStage(OneLineStage[EspAxis, TextLine]):
     """A stage of one to three axes on an ESP controller. Implements ``drivers.stage.Stage``.
 
-    Open it with ``EspStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
-    station file. Limits beyond the controller's, and axes that do not count in degrees, raise `OutsideLimits`.
+    Limits beyond the controller's, and axes that do not count in degrees, raise `OutsideLimits`.
     """
 
     BAUDRATE = 19200
 
-    def __init__(
-        self, port: Port, axes: Sequence[EspAxis], *, clock: Clock, wire_log: WireLog | None = None
-    ) -> None:
-        super().__init__(axes, clock=clock, where=port.name)
-        self._time_cycles = 0
-        self._restarts = 0
-        with closed_on_error(port):
-            line = TextLine(
-                port,
-                identity_query="VE?",
-                is_identity=lambda text: text.upper().startswith("ESP"),
-                request_end=b"\r",
-                reply_s=PROMPT_S,
-                clock=clock,
-                wire_log=wire_log,
-            )
-            self._line = self._share(line)
-            self._read_errors()
-            self.identify()
-            self._bring_to_rest()
-            for axis in axes:
-                self._program(axis)
+    def _connected(self, port: Port, wire_log: WireLog | None) -> TextLine:
+        return TextLine(
+            port,
+            identity_query="VE?",
+            is_identity=lambda text: text.upper().startswith("ESP"),
+            request_end=b"\r",
+            reply_s=PROMPT_S,
+            clock=self._clock,
+            wire_log=wire_log,
+        )
+
+    def _set_up(self) -> None:
+        self._time_cycles = self._restarts = 0
+        self._read_errors()
+        self.identify()
+        self._bring_to_rest()
+        for axis in self._axes.values():
+            self._program(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""

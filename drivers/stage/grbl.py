@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.grbl_controller import (
     ALARMS,
@@ -53,12 +53,11 @@ class GrblAxis(Axis):
         return self.steps_per_deg
 
 
-class GrblStage(OneLineStage[GrblAxis]):
+class GrblStage(OneLineStage[GrblAxis, GrblController]):
     """A stage of one to three axes on a GRBL board. Implements ``drivers.stage.Stage``.
 
-    Open it with ``GrblStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
-    station file. ``serial`` is the name that was given to the board with ``$I=...``; empty when it is not checked.
-    Scale or travel that do not fit the board's raise `OutsideLimits`.
+    ``serial`` is the name that was given to the board with ``$I=...``; empty when it is not checked. Scale or travel
+    that do not fit the board's raise `OutsideLimits`.
     """
 
     BAUDRATE = 115200
@@ -72,19 +71,22 @@ class GrblStage(OneLineStage[GrblAxis]):
         clock: Clock,
         wire_log: WireLog | None = None,
     ) -> None:
-        super().__init__(axes, clock=clock, where=port.name)
         self._serial = serial
         self._places = {axis.name: _LETTERS.index(axis.letter) for axis in axes}
         self._homing = False
-        with closed_on_error(port):
-            self._board = self._share(GrblController(port, clock=clock, wire_log=wire_log))
-            self._bring_to_rest()  # a moving board refuses $I
-            self.identify()
-            self._program()
+        super().__init__(port, axes, clock=clock, wire_log=wire_log)
+
+    def _connected(self, port: Port, wire_log: WireLog | None) -> GrblController:
+        return GrblController(port, clock=self._clock, wire_log=wire_log)
+
+    def _set_up(self) -> None:
+        self._bring_to_rest()  # a moving board refuses $I
+        self.identify()
+        self._program()
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. The board's name counts as its serial number, which the station file states."""
-        version, name = self._board.query_build_info()
+        version, name = self._line.query_build_info()
         if self._serial and name.upper() != self._serial.upper():  # the board capitalises every line
             raise WrongDevice(
                 f"the station file names {self._serial}, but a board named '{name}' answers. Nothing was moved.",
@@ -95,20 +97,20 @@ class GrblStage(OneLineStage[GrblAxis]):
 
     def _has_reference(self) -> bool:
         """Whether this driver has homed the board, which has neither restarted nor raised an alarm since then."""
-        self._board.query_status()
+        self._line.query_status()
         return self._was_homed()
 
     def _lifetime(self) -> tuple[int, int]:
         """Return the number of restarts and of alarms so far; each of them undoes a reference."""
-        return self._board.restarts, len(self._board.alarms)
+        return self._line.restarts, len(self._line.alarms)
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Names a state that blocks moves, and a missing reference."""
         try:
-            self._board.query_status()
+            self._line.query_status()
         except MoveFailed as error:  # the board waits for a reset, which homing sends
             return [f"board: {error.what}", "board: no reference"]
-        state = self._board.query_status().state
+        state = self._line.query_status().state
         found = [f"board: {self._describe(state)}"] if state in BLOCKING_STATES else []
         return found if self._was_homed() else [*found, "board: no reference"]
 
@@ -117,8 +119,8 @@ class GrblStage(OneLineStage[GrblAxis]):
 
         A board that has stopped at a limit switch is reset first: its motion has ended, and its reference is lost.
         """
-        if self._board.needs_reset:
-            self._board.wake()
+        if self._line.needs_reset:
+            self._line.wake()
         super().home()
 
     def stop(self) -> None:
@@ -126,13 +128,13 @@ class GrblStage(OneLineStage[GrblAxis]):
         try:
             super().stop()
         except MoveFailed:
-            if not self._board.needs_reset:
+            if not self._line.needs_reset:
                 raise
 
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: GrblAxis) -> None:
-        state = self._board.query_status().state
+        state = self._line.query_status().state
         if not self._was_homed():
             raise no_reference(axis, "the board has no reference")
         if state in BLOCKING_STATES:
@@ -140,22 +142,22 @@ class GrblStage(OneLineStage[GrblAxis]):
 
     def _clear_faults(self, axis: GrblAxis) -> None:
         """Check that homing can begin: homing clears an alarm by itself, and no other blocking state."""
-        state = self._board.query_status().state
+        state = self._line.query_status().state
         if state not in {"Idle", "Alarm"}:
             raise not_movable(axis, self._describe(state))
 
     def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         jog = self._jog(goals_deg)
-        with self._board.lock:
+        with self._line.lock:
             check_not_stopped()
-            self._board.command(jog)
+            self._line.command(jog)
 
     def _begin_move(self, axis: GrblAxis, angle_deg: float) -> None:
-        self._board.command(self._jog({axis.name: angle_deg}))
+        self._line.command(self._jog({axis.name: angle_deg}))
 
     def _jog(self, goals_deg: Mapping[str, float]) -> str:
         """Return the command that jogs axes together on a straight line, the slowest axis at its speed."""
-        report = self._board.query_status()
+        report = self._line.query_status()
         words, distances_deg, times_s = [], [], []
         for name, goal_deg in goals_deg.items():
             axis = self._axes[name]
@@ -169,27 +171,27 @@ class GrblStage(OneLineStage[GrblAxis]):
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._homing = False
         super()._start_homing(check_not_stopped)
-        self._board.wait_for_homing()
+        self._line.wait_for_homing()
         self._homing = False
 
     def _begin_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one search finds all references
         if not self._homing:
             self._homing = True
-            self._board.start_homing()
+            self._line.start_homing()
 
     def _read_state(self, axis: GrblAxis, *, homing: bool = False) -> AxisState:
         """Read state and position from one report."""
-        report = self._board.query_status()
+        report = self._line.query_status()
         problem = self._problem(report.state, homing=homing)
         position_kept = report.state in {"Hold", "Door", "Run"} and self._was_homed()
         return AxisState(self._angle_deg(axis, report), report.moving, problem, position_kept)
 
     def _send_stop(self) -> None:
         """Cancel the jog. A homing, or the program of another sender, ends only by a reset."""
-        self._board.cancel_jog()
-        if self._homing or self._board.query_status().state in {"Run", "Home"}:
+        self._line.cancel_jog()
+        if self._homing or self._line.query_status().state in {"Run", "Home"}:
             self._homing = False
-            self._board.reset()
+            self._line.reset()
 
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
         return axis.zero_deg + machine_positions(report, [self._places[axis.name]], self._where)[0]
@@ -197,18 +199,18 @@ class GrblStage(OneLineStage[GrblAxis]):
     def _problem(self, state: str, *, homing: bool) -> str:
         """Return why a move in this state will not end at its target; empty when it may."""
         homed_in = None if homing else self._homed_in
-        if homed_in is not None and homed_in[0] != self._board.restarts:
+        if homed_in is not None and homed_in[0] != self._line.restarts:
             return "the board restarted during the move: its position is lost"
         if state in BLOCKING_STATES:
             return self._describe(state)
         if homed_in is not None and not self._was_homed():
-            return f"the board raised ALARM:{self._board.alarms[-1]} during the move: its position is lost"
+            return f"the board raised ALARM:{self._line.alarms[-1]} during the move: its position is lost"
         return ""
 
     def _describe(self, state: str) -> str:
         words = f"{BLOCKING_STATES[state]} ({state})"
-        if state == "Alarm" and self._board.alarms:
-            code = self._board.alarms[-1]
+        if state == "Alarm" and self._line.alarms:
+            code = self._line.alarms[-1]
             words += f": {ALARMS.get(code, 'unknown alarm')} (ALARM:{code})"
         return words
 
@@ -216,12 +218,12 @@ class GrblStage(OneLineStage[GrblAxis]):
 
     def _program(self) -> None:
         """Check the scale; set limits, speed and acceleration where they differ, and read them back."""
-        present = self._board.query_settings()
+        present = self._line.query_settings()
         wanted = self._wanted_settings(present)
         for number, value in sorted(wanted.items()):
             if not _same(present.get(number), value):
-                self._board.query(f"${number}={value:.3f}" if number >= _STEPS else f"${number}={value:.0f}")
-        got = self._board.query_settings()
+                self._line.query(f"${number}={value:.3f}" if number >= _STEPS else f"${number}={value:.0f}")
+        got = self._line.query_settings()
         wrong = [
             f"${n}: asked {v:.3f}, got {got.get(n)}" for n, v in wanted.items() if not _same(got.get(n), v)
         ]

@@ -198,13 +198,7 @@ class GrblController(Link):
         self.restarts = 0
         self.alarms: list[int] = []
         self.needs_reset = False
-        super().__init__(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            unsolicited=self._take_push_message,
-            wire_log=wire_log,
-        )
+        super().__init__(port, clock=clock, wire_log=wire_log)
         self._wait_for_boot()
 
     def query_status(self) -> StatusReport:
@@ -362,11 +356,12 @@ class GrblController(Link):
         with self.lock:
             self.receive(0.0)
             while (line := self.take_line()) is not None:
-                if not self.route_unsolicited(line):
+                if not self.take_unsolicited(line):
                     return line
         return None
 
-    def _take_push_message(self, line: bytes) -> bool:
+    def take_unsolicited(self, line: bytes) -> bool:
+        """Take a push message: note restarts and alarms."""
         if is_welcome(line):
             self.restarts += 1
             self.needs_reset = False
@@ -417,4 +412,4 @@ class GrblController(Link):
     def _take_push_messages(self, old: bytes) -> None:
         """Note the restarts and alarms in bytes that are thrown away."""
         for line in old.splitlines(keepends=True):
-            self._take_push_message(line)
+            self.take_unsolicited(line)

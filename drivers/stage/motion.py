@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
@@ -42,6 +43,11 @@ def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
 def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
     """Return the expected time of a move of one axis, s."""
     return travel_time_s(to_deg - from_deg, limits.speed_deg_s, limits.acceleration_deg_s2)
+
+
+def longest_homing_s(limits: AxisLimits) -> float:
+    """Return the longest time, s, that a search of the reference may take: it may cross the travel several times."""
+    return 30.0 + 5.0 * (limits.highest_deg - limits.lowest_deg) / limits.speed_deg_s
 
 
 def longest_move_s(
@@ -113,77 +119,6 @@ def _range_deg(ends: tuple[float | None, float | None], to_deg: Callable[[float]
     return f"{low} to {high} deg"
 
 
-class MoveWatch:
-    """Decides from readings of one axis whether it has arrived, is still moving, or has failed.
-
-    Arrived: two consecutive idle readings, with the position at the target. Failed: two idle readings elsewhere; busy
-    past the deadline; busy without progress.
-
-    ``target_deg`` is None for a search of the reference, which may end anywhere; ``tolerance_deg`` is the largest
-    distance from the target at which the axis has arrived; ``now_s`` the start of the move, ``allowed_s`` its longest
-    time, ``patience_s`` the longest time in which a busy axis may keep its position.
-    """
-
-    def __init__(
-        self,
-        axis: str,
-        target_deg: float | None,
-        *,
-        tolerance_deg: float,
-        now_s: float,
-        allowed_s: float,
-        patience_s: float = PATIENCE_S,
-    ) -> None:
-        self.axis = axis
-        self.target_deg = target_deg
-        self._tolerance_deg = tolerance_deg
-        self._allowed_s = allowed_s
-        self._end_s = now_s + allowed_s
-        self._patience_s = patience_s
-        self._idle_reads = 0
-        self._last_deg = math.nan
-        self._moved_s = now_s
-
-    def update(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
-        """Take one reading of the axis; return whether it has arrived, or raise `MoveFailed`."""
-        self._idle_reads = 0 if busy else self._idle_reads + 1
-        if position_deg != self._last_deg:
-            self._last_deg = position_deg
-            self._moved_s = now_s
-        if self._idle_reads >= 2:
-            return self._ended()
-        if busy and now_s - self._moved_s > self._patience_s:
-            raise self._failed(
-                f"busy without progress for {self._patience_s:g} s, at {position_deg:.4f} deg{self._aim()}."
-            )
-        if now_s > self._end_s:
-            raise MoveTimeout(
-                f"still moving after {self._allowed_s:.1f} s, at {position_deg:.4f} deg{self._aim()}.",
-                where=self.axis,
-                remedy="Check that nothing blocks the axis, and that its speed is the one in the station file.",
-            )
-        return False
-
-    def _ended(self) -> bool:
-        if self.target_deg is None:
-            return True
-        off_deg = self._last_deg - self.target_deg
-        if abs(off_deg) <= self._tolerance_deg:
-            return True
-        raise self._failed(
-            f"stopped at {self._last_deg:.4f} deg, {off_deg:+.4f} deg from its target"
-            f" {self.target_deg:.4f} deg."
-        )
-
-    def _aim(self) -> str:
-        return "" if self.target_deg is None else f" on the way to {self.target_deg:.4f} deg"
-
-    def _failed(self, what: str) -> MoveFailed:
-        return MoveFailed(
-            what, where=self.axis, remedy="Find what blocks the axis, then home the stage and resume."
-        )
-
-
 @dataclass(frozen=True, kw_only=True)
 class Axis(ABC):
     """One axis as the station file describes it. A family adds its scale, and how the controller names the axis."""
@@ -210,19 +145,64 @@ class Axis(ABC):
         return self.zero_deg + counts / self.scale
 
 
-def move_watch(axis: Axis, goal_deg: float, now_s: float, allowed_s: float) -> MoveWatch:
-    """Return the watch of a move of an axis."""
-    return MoveWatch(axis.name, goal_deg, tolerance_deg=axis.tolerance_deg, now_s=now_s, allowed_s=allowed_s)
+A = TypeVar("A", bound=Axis)
 
 
-def homing_watch(axis: Axis, now_s: float) -> MoveWatch:
-    """Return the watch of a search of the reference, which may cross the whole travel several times."""
-    span_deg = axis.limits.highest_deg - axis.limits.lowest_deg
-    return MoveWatch(
-        axis.name,
-        None,
-        tolerance_deg=axis.tolerance_deg,
-        now_s=now_s,
-        allowed_s=30.0 + 5.0 * span_deg / axis.limits.speed_deg_s,
-        patience_s=HOMING_PATIENCE_S,
-    )
+class MoveWatch(Generic[A]):
+    """Decides from readings of one axis whether it has arrived, is still moving, or has failed.
+
+    Arrived: two consecutive idle readings, with the position at the target. Failed: two idle readings elsewhere; busy
+    past the deadline; busy without progress.
+
+    ``target_deg`` is None for a search of the reference, which may end anywhere; ``now_s`` is the start of the move,
+    ``allowed_s`` its longest time.
+    """
+
+    def __init__(self, axis: A, target_deg: float | None, *, now_s: float, allowed_s: float) -> None:
+        self.axis = axis
+        self.target_deg = target_deg
+        self._allowed_s = allowed_s
+        self._end_s = now_s + allowed_s
+        self._patience_s = HOMING_PATIENCE_S if target_deg is None else PATIENCE_S
+        self._idle_reads = 0
+        self._last_deg = math.nan
+        self._moved_s = now_s
+
+    def update(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
+        """Take one reading of the axis; return whether it has arrived, or raise `MoveFailed`."""
+        self._idle_reads = 0 if busy else self._idle_reads + 1
+        if position_deg != self._last_deg:
+            self._last_deg = position_deg
+            self._moved_s = now_s
+        if self._idle_reads >= 2:
+            return self._ended()
+        if busy and now_s - self._moved_s > self._patience_s:
+            raise self._failed(
+                f"busy without progress for {self._patience_s:g} s, at {position_deg:.4f} deg{self._aim()}."
+            )
+        if now_s > self._end_s:
+            raise MoveTimeout(
+                f"still moving after {self._allowed_s:.1f} s, at {position_deg:.4f} deg{self._aim()}.",
+                where=self.axis.name,
+                remedy="Check that nothing blocks the axis, and that its speed is the one in the station file.",
+            )
+        return False
+
+    def _ended(self) -> bool:
+        if self.target_deg is None:
+            return True
+        off_deg = self._last_deg - self.target_deg
+        if abs(off_deg) <= self.axis.tolerance_deg:
+            return True
+        raise self._failed(
+            f"stopped at {self._last_deg:.4f} deg, {off_deg:+.4f} deg from its target"
+            f" {self.target_deg:.4f} deg."
+        )
+
+    def _aim(self) -> str:
+        return "" if self.target_deg is None else f" on the way to {self.target_deg:.4f} deg"
+
+    def _failed(self, what: str) -> MoveFailed:
+        return MoveFailed(
+            what, where=self.axis.name, remedy="Find what blocks the axis, then home the stage and resume."
+        )

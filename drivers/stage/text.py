@@ -17,7 +17,7 @@ from drivers.described.description import AxisSetting, Exchange, StageDescriptio
 from drivers.described.line import DescribedLine
 from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
 from drivers.link import TRIES, read_until_agreed
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, reads_otherwise
@@ -46,11 +46,10 @@ class TextAxis(Axis):
         return (angle_deg - self.zero_deg) * self.counts_per_deg
 
 
-class TextStage(OneLineStage[TextAxis]):
+class TextStage(OneLineStage[TextAxis, DescribedLine]):
     """A stage of one to three axes on one controller. Implements ``drivers.stage.Stage``.
 
-    Open it with ``TextStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
-    station file; ``serial`` is empty when it is not checked. Limits or a scale that contradict the controller's raise
+    ``serial`` is empty when it is not checked. Limits or a scale that contradict the controller's raise
     `OutsideLimits`.
     """
 
@@ -64,20 +63,23 @@ class TextStage(OneLineStage[TextAxis]):
         clock: Clock,
         wire_log: WireLog | None = None,
     ) -> None:
-        super().__init__(axes, clock=clock, where=port.name)
         self._description = description
         self._serial = serial
         self._awaited: list[tuple[TextAxis, str]] = []
         """Axes whose late reply to ``home`` has not come, with what was sent."""
         self._rest_deg: dict[str, float] = {}
         """Where each axis came to rest after a motion of this driver."""
-        with closed_on_error(port):
-            self._line = self._share(DescribedLine(port, description.line, clock=clock, wire_log=wire_log))
-            self.identify()
-            self._bring_to_rest()
-            for axis in axes:
-                self._program(axis)
-            self._line.take_notices()
+        super().__init__(port, axes, clock=clock, wire_log=wire_log)
+
+    def _connected(self, port: Port, wire_log: WireLog | None) -> DescribedLine:
+        return DescribedLine(port, self._description.line, clock=self._clock, wire_log=wire_log)
+
+    def _set_up(self) -> None:
+        self.identify()
+        self._bring_to_rest()
+        for axis in self._axes.values():
+            self._program(axis)
+        self._line.take_notices()
 
     @classmethod
     def _baudrate(cls, description: StageDescription) -> int:

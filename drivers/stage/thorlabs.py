@@ -49,9 +49,7 @@ class _Begun:
 class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     """A stage of one to three Thorlabs axes. Implements ``drivers.stage.Stage``.
 
-    Open it with ``ThorlabsStage.open``; the constructor takes the open port of each axis's controller, in the order of
-    ``axes``, which is that of the station file. Speed, acceleration or scale that do not fit the controller raise
-    `OutsideLimits`.
+    Speed, acceleration or scale that do not fit the controller raise `OutsideLimits`.
     """
 
     PORT: ClassVar = {"baudrate": 115200, "rtscts": True}

@@ -193,11 +193,6 @@ def size(head: bytes, where: str) -> int:
     return HEAD_SIZE + int(length)
 
 
-def is_unasked(message: bytes) -> bool:
-    """Return whether a message answers no request of this driver."""
-    return struct.unpack_from("<H", message)[0] in UNASKED
-
-
 def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> bytes:
     """Check that a message answers the request ``wanted`` (its id is the next number), and return its data."""
     data = message[HEAD_SIZE:]
@@ -254,13 +249,7 @@ class ThorlabsController(Link):
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self._sign_of_life = b""
         self.homings = 0
-        super().__init__(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            unsolicited=self._take_unasked,
-            wire_log=wire_log,
-        )
+        super().__init__(port, clock=clock, wire_log=wire_log)
         self.mark_out_of_step()
         self.family = family_of(self.read_information().model, self.name)
         if self.family.sign_of_life:
@@ -279,6 +268,12 @@ class ThorlabsController(Link):
         except ReplyGarbled:
             self.take(len(unread))
             raise
+
+    def take_unsolicited(self, line: bytes) -> bool:
+        """Take a message that answers no request, and count the ends of homings."""
+        message = struct.unpack_from("<H", line)[0]
+        self.homings += message == HOMED
+        return message in UNASKED
 
     def read_information(self) -> Information:
         """Ask who it is, until two answers agree."""
@@ -389,12 +384,6 @@ class ThorlabsController(Link):
 
         channel = 0 if message == REQUEST_INFORMATION else CHANNEL
         return self.exchange(self._sign_of_life + short(message, channel), read_reply)
-
-    def _take_unasked(self, message: bytes) -> bool:
-        unasked = is_unasked(message)
-        if unasked and message[:2] == HOMED.to_bytes(2, "little"):
-            self.homings += 1
-        return unasked
 
     def _resynchronise(self) -> None:
         """Silence what another program has switched on; then get the identity, alone on the line."""

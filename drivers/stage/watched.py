@@ -26,7 +26,7 @@ from drivers.errors import (
 from drivers.link import Link, Reading, read_position_until_agreed
 from drivers.serial_port import Port, SerialPort, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
-from drivers.stage.motion import Axis
+from drivers.stage.motion import A, Axis, MoveWatch
 from drivers.wire_log import WireLog
 
 _STOP_POLL_S = 0.02
@@ -53,7 +53,6 @@ class AxisState(NamedTuple):
     position_kept: bool = False
 
 
-A = TypeVar("A", bound=Axis)
 L = TypeVar("L", bound=Link)
 
 
@@ -202,11 +201,8 @@ class WatchedStage(ABC, Generic[A]):
         try:
             self._homed_in = None
             self._start_homing(check_not_stopped)
-            now_s = self._clock.monotonic()
-            watches = [(axis, motion.homing_watch(axis, now_s)) for axis in self._axes.values()]
-            self._wait(watches, check_not_stopped)
-            for axis in self._axes.values():
-                self._check_end(axis, None)
+            allowed_s = {name: motion.longest_homing_s(limits) for name, limits in self.limits.items()}
+            self._watch(dict.fromkeys(self._axes), allowed_s, check_not_stopped)
             for axis in self._axes.values():
                 self._finish_homing(axis)
             self._position_doubt, self._homed_in = "", self._lifetime()
@@ -224,16 +220,10 @@ class WatchedStage(ABC, Generic[A]):
         goal_deg = {axis.name: self._reachable_deg(axis, target_deg[axis.name]) for axis in moving}
         try:
             self._start(goal_deg, check_not_stopped)
-            now_s = self._clock.monotonic()
             allowed_s = max(
                 motion.deadline_s(axis.limits, start_deg[axis.name], goal_deg[axis.name]) for axis in moving
             )
-            watches = [
-                (axis, motion.move_watch(axis, goal_deg[axis.name], now_s, allowed_s)) for axis in moving
-            ]
-            self._wait(watches, check_not_stopped)
-            for axis in moving:
-                self._check_end(axis, goal_deg[axis.name])
+            self._watch(goal_deg, dict.fromkeys(goal_deg, allowed_s), check_not_stopped)
         except DriverError as error:
             raise self._stopped_after(error) from error
 
@@ -299,21 +289,29 @@ class WatchedStage(ABC, Generic[A]):
             )
         return state.position_deg
 
-    def _wait(self, watches: list[tuple[A, motion.MoveWatch]], check_not_stopped: StopCheck) -> None:
-        """Watch moving axes until the last one has arrived."""
+    def _watch(
+        self,
+        goal_deg: Mapping[str, float | None],
+        allowed_s: Mapping[str, float],
+        check_not_stopped: StopCheck,
+    ) -> None:
+        """Watch moving axes until the last one has arrived; then look whether they stayed. None: a homing."""
+        now_s = self._clock.monotonic()
+        watches = [
+            MoveWatch(self._axes[name], goal, now_s=now_s, allowed_s=allowed_s[name])
+            for name, goal in goal_deg.items()
+        ]
         while watches:
             self._clock.sleep(motion.POLL_S)
-            moving = []
-            for axis, watch in watches:
-                check_not_stopped()
-                state = self._read_state(axis, homing=watch.target_deg is None)
-                self._raise_problem(axis, state)
-                if not self._has_arrived(watch, state):
-                    moving.append((axis, watch))
-            watches = moving
+            watches = [watch for watch in watches if not self._has_arrived(watch, check_not_stopped)]
+        for name, goal in goal_deg.items():
+            self._check_end(self._axes[name], goal)
 
-    def _has_arrived(self, watch: motion.MoveWatch, state: AxisState) -> bool:
-        """Pass a state to the watch; a failed move leaves the position in doubt."""
+    def _has_arrived(self, watch: MoveWatch[A], check_not_stopped: StopCheck) -> bool:
+        """Read the state of an axis and pass it to its watch; a failed move leaves the position in doubt."""
+        check_not_stopped()
+        state = self._read_state(watch.axis, homing=watch.target_deg is None)
+        self._raise_problem(watch.axis, state)
         try:
             return watch.update(self._clock.monotonic(), state.position_deg, busy=state.busy)
         except (MoveFailed, MoveTimeout) as error:
@@ -414,10 +412,30 @@ def read_back_otherwise(where: str, what: str, wanted: object, got: object) -> D
     )
 
 
-class OneLineStage(WatchedStage[A]):
-    """A stage whose axes share one line."""
+class OneLineStage(WatchedStage[A], Generic[A, L]):
+    """A stage whose axes share one line.
+
+    Open it with ``open``; the constructor takes a port that is open already. Axes stand in the order of the station
+    file.
+    """
 
     BAUDRATE: ClassVar[int]
+
+    def __init__(
+        self, port: Port, axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        super().__init__(axes, clock=clock, where=port.name)
+        with closed_on_error(port):
+            self._line = self._share(self._connected(port, wire_log))
+            self._set_up()
+
+    @abstractmethod
+    def _connected(self, port: Port, wire_log: WireLog | None) -> L:
+        """Return the line of the controller on an open port."""
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Compare the serial numbers, bring the axes to rest, and set what the station file states."""
 
     @classmethod
     def open(
@@ -446,7 +464,11 @@ class OneLineStage(WatchedStage[A]):
 
 
 class LinePerAxisStage(WatchedStage[A], Generic[A, L]):
-    """A stage each of whose axes has a controller on a line of its own. Its axes have a ``port``."""
+    """A stage each of whose axes has a controller on a line of its own. Its axes have a ``port``.
+
+    Open it with ``open``; the constructor takes the open port of each axis's controller. Axes stand in the order of
+    the station file.
+    """
 
     _lines: Mapping[str, L]
     PORT: ClassVar[Mapping[str, Any]]

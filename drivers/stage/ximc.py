@@ -42,7 +42,7 @@ class XimcController(Link):
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
-        super().__init__(port, clock=clock, resynchronise=self._resynchronise, wire_log=wire_log)
+        super().__init__(port, clock=clock, wire_log=wire_log)
         self.mark_out_of_step()
         self.serial = self.read_serial()
         self._check_units()
@@ -181,9 +181,7 @@ class XimcAxis(Axis):
 class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     """A stage of one to three Standa axes. Implements ``drivers.stage.Stage``.
 
-    Open it with ``XimcStage.open``; the constructor takes the open port of each axis's controller, in the order of
-    ``axes``, which is that of the station file. Limits, speed or acceleration beyond the controller's raise
-    `OutsideLimits`.
+    Limits, speed or acceleration beyond the controller's raise `OutsideLimits`.
     """
 
     PORT: ClassVar = {"baudrate": 115200, "stopbits": 2}

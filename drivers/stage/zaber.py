@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
 from drivers.link import Link, ReplyReader, repeat
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, zaber_protocol
 from drivers.stage.motion import Axis
 from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable, reads_otherwise
@@ -38,13 +38,11 @@ class ZaberChain(Link):
     ) -> None:
         self._devices = sorted(set(devices))
         self._ids = itertools.cycle(range(100))
-        super().__init__(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            unsolicited=lambda line: zaber_protocol.is_unsolicited(line, port.name),
-            wire_log=wire_log,
-        )
+        super().__init__(port, clock=clock, wire_log=wire_log)
+
+    def take_unsolicited(self, line: bytes) -> bool:
+        """Take an alert or an information line."""
+        return zaber_protocol.is_unsolicited(line, self.name)
 
     def command(self, device: int, axis: int, words: str) -> Reply:
         """Send a command, such as ``move abs 50000``, once; return the reply that accepts it.
@@ -220,46 +218,40 @@ def _travel(axis: ZaberAxis) -> tuple[int, int]:
     return min(ends), max(ends)
 
 
-__all__ = ["ZaberAxis", "ZaberStage"]
-
-
-class ZaberStage(OneLineStage[ZaberAxis]):
+class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     """A stage of one to three Zaber axes. Implements ``drivers.stage.Stage``.
 
-    Open it with ``ZaberStage.open``; the constructor takes a port that is open already. Axes stand in the order of the
-    station file. Limits beyond the controller's travel, or other scales, raise `OutsideLimits`.
+    Limits beyond the controller's travel, or other scales, raise `OutsideLimits`.
     """
 
     BAUDRATE = 115200
 
-    def __init__(
-        self, port: Port, axes: Sequence[ZaberAxis], *, clock: Clock, wire_log: WireLog | None = None
-    ) -> None:
-        super().__init__(axes, clock=clock, where=port.name)
-        with closed_on_error(port):
-            devices = [axis.device for axis in axes]
-            self._chain = self._share(ZaberChain(port, devices, clock=clock, wire_log=wire_log))
-            self.identify()
-            self._bring_to_rest()
-            for axis in axes:
-                check_scale(self._chain, axis)
-            for axis in axes:
-                program(self._chain, axis)
-            self._encoders = {axis.name for axis in axes if self._has_encoder(axis)}
+    def _connected(self, port: Port, wire_log: WireLog | None) -> ZaberChain:
+        devices = [axis.device for axis in self._axes.values()]
+        return ZaberChain(port, devices, clock=self._clock, wire_log=wire_log)
+
+    def _set_up(self) -> None:
+        self.identify()
+        self._bring_to_rest()
+        for axis in self._axes.values():
+            check_scale(self._line, axis)
+        for axis in self._axes.values():
+            program(self._line, axis)
+        self._encoders = {name for name, axis in self._axes.items() if self._has_encoder(axis)}
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""
         found = []
         for axis in self._axes.values():
-            serial = self._chain.query(axis.device, 0, "get system.serial").data
+            serial = self._line.query(axis.device, 0, "get system.serial").data
             self._require_serial(
                 axis,
                 serial,
                 f"device {axis.device} has {serial}",
                 remedy="Check the port, the order of the chain, and the serial in the station file.",
             )
-            model = self._chain.query(axis.device, 0, "get deviceid").data
-            firmware = self._chain.query(axis.device, 0, "get version").data
+            model = self._line.query(axis.device, 0, "get deviceid").data
+            firmware = self._line.query(axis.device, 0, "get version").data
             found.append(AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware))
         return tuple(found)
 
@@ -285,10 +277,10 @@ class ZaberStage(OneLineStage[ZaberAxis]):
             raise no_reference(axis, f"the axis has no reference: {flags_in_words}")
         self._refuse_faults(axis, flags)
         if flags:
-            self._chain.query(axis.device, axis.axis, "warnings clear")
+            self._line.query(axis.device, axis.axis, "warnings clear")
 
     def _clear_faults(self, axis: ZaberAxis) -> None:
-        self._chain.query(axis.device, axis.axis, "warnings clear")
+        self._line.query(axis.device, axis.axis, "warnings clear")
         self._refuse_faults(axis, self._flags(axis))
 
     def _refuse_faults(self, axis: ZaberAxis, flags: Sequence[str]) -> None:
@@ -297,15 +289,15 @@ class ZaberStage(OneLineStage[ZaberAxis]):
                 raise not_movable(axis, zaber_protocol.describe_flag(flag))
 
     def _begin_move(self, axis: ZaberAxis, angle_deg: float) -> None:
-        self._chain.command(axis.device, axis.axis, f"move abs {axis.to_counts(angle_deg)}")
+        self._line.command(axis.device, axis.axis, f"move abs {axis.to_counts(angle_deg)}")
 
     def _begin_homing(self, axis: ZaberAxis) -> None:
-        self._chain.command(axis.device, axis.axis, "home")
+        self._line.command(axis.device, axis.axis, "home")
 
     def _read_state(self, axis: ZaberAxis, *, homing: bool = False) -> AxisState:
         """Read position, busy state and the most urgent flag from one reply."""
-        reply = self._chain.query(axis.device, axis.axis, "get pos")
-        position_deg = axis.to_angle_deg(self._chain.parse_integer(reply.data))
+        reply = self._line.query(axis.device, axis.axis, "get pos")
+        position_deg = axis.to_angle_deg(self._line.parse_integer(reply.data))
         problem = _problem(reply.flag, homing=homing)
         return AxisState(position_deg, reply.busy, problem, reply.flag in zaber_protocol.INTERRUPTED)
 
@@ -323,19 +315,19 @@ class ZaberStage(OneLineStage[ZaberAxis]):
         return state
 
     def _send_stop(self) -> None:
-        self._chain.stop_all()
+        self._line.stop_all()
 
     def _read_encoder(self, axis: ZaberAxis) -> AxisState | None:
         if axis.name not in self._encoders:
             return None
-        reply = self._chain.query(axis.device, axis.axis, "get encoder.pos")
-        return AxisState(axis.to_angle_deg(self._chain.parse_integer(reply.data)), reply.busy)
+        reply = self._line.query(axis.device, axis.axis, "get encoder.pos")
+        return AxisState(axis.to_angle_deg(self._line.parse_integer(reply.data)), reply.busy)
 
     def _has_encoder(self, axis: ZaberAxis) -> bool:
-        return self._chain.query_setting(axis.device, axis.axis, "encoder.pos") is not None
+        return self._line.query_setting(axis.device, axis.axis, "encoder.pos") is not None
 
     def _flags(self, axis: ZaberAxis) -> tuple[str, ...]:
-        return self._chain.query_flags(axis.device, axis.axis)
+        return self._line.query_flags(axis.device, axis.axis)
 
 
 def _problem(flag: str, *, homing: bool) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from drivers.file_lock import FOLDER_VARIABLE
+from drivers.link import Link
 
 
 class ScriptedPort:
@@ -32,6 +33,22 @@ class ScriptedPort:
 
     def close(self) -> None:
         self.closed = True
+
+
+class CountedLink(Link):
+    """Counts how often it was to be brought back into step; keeps unsolicited lines, which begin with ``!``."""
+
+    def __init__(self, port, clock, **more) -> None:
+        super().__init__(port, clock=clock, **more)
+        self.resynchronised = 0
+        self.heard: list[bytes] = []
+
+    def _resynchronise(self) -> None:
+        self.resynchronised += 1
+
+    def take_unsolicited(self, line: bytes) -> bool:
+        self.heard += [line] if line.startswith(b"!") else []
+        return line.startswith(b"!")
 
 
 class TurnedClock:

@@ -6,7 +6,8 @@ from drivers import lateness
 from drivers.clock import SystemClock
 from drivers.errors import ReplyTimeout
 from drivers.lateness import Deadline, Lateness, follow_clock, follow_no_clock
-from drivers.link import TRIES, TRIES_WHEN_LATE, Link, repeat
+from drivers.link import TRIES, TRIES_WHEN_LATE, repeat
+from tests.unit.drivers.conftest import CountedLink
 
 
 class Time:
@@ -94,7 +95,7 @@ class SilentPort:
 
 
 def _ask_silent_port():
-    link = Link(SilentPort(), clock=SystemClock(), resynchronise=lambda: None)
+    link = CountedLink(SilentPort(), SystemClock())
     with pytest.raises(ReplyTimeout) as caught:
         link.exchange(b"?\n", lambda reader: reader.read_line(), deadline_s=0.01)
     return caught.value

@@ -8,19 +8,10 @@ import threading
 import pytest
 
 from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
-from drivers.link import LONGEST_LINE, Link, ReplyReader
+from drivers.link import LONGEST_LINE, ReplyReader
 from drivers.stage.zaber import ZaberChain
 from drivers.wire_log import WireLogFile
-
-
-class Resync:
-    """Counts how often a link asked to be brought back into step."""
-
-    def __init__(self) -> None:
-        self.times = 0
-
-    def __call__(self) -> None:
-        self.times += 1
+from tests.unit.drivers.conftest import CountedLink
 
 
 class Log:
@@ -35,28 +26,23 @@ def line(reader: ReplyReader) -> bytes:
     return reader.read_line()
 
 
-def make(port, clock, **more) -> tuple[Link, Resync]:
-    resync = Resync()
-    return Link(port, clock=clock, resynchronise=resync, **more), resync
-
-
 def test_a_timeout_brings_the_line_into_step_before_the_next_request(scripted, clock) -> None:
-    link, resync = make(scripted([(b"a\n", b""), (b"b\n", b"2\n")]), clock)
+    link = CountedLink(scripted([(b"a\n", b""), (b"b\n", b"2\n")]), clock)
     with pytest.raises(ReplyTimeout, match="scripted: no complete reply within 1 s"):
         link.exchange(b"a\n", line, deadline_s=1.0)
-    assert resync.times == 0
+    assert link.resynchronised == 0
     assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"
-    assert resync.times == 1
+    assert link.resynchronised == 1
 
 
 def test_a_cut_reply_is_a_timeout_that_shows_what_came(scripted, clock) -> None:
-    link, _ = make(scripted([(b"a\n", b"12")]), clock)
+    link = CountedLink(scripted([(b"a\n", b"12")]), clock)
     with pytest.raises(ReplyTimeout, match="only b'12' came"):
         link.exchange(b"a\n", line, deadline_s=1.0)
 
 
 def test_whatever_ends_an_exchange_early_leaves_the_line_out_of_step(scripted, clock) -> None:
-    link, resync = make(scripted([(b"a\n", b"1\n"), (b"b\n", b"2\n")]), clock)
+    link = CountedLink(scripted([(b"a\n", b"1\n"), (b"b\n", b"2\n")]), clock)
 
     def interrupted(reader: ReplyReader) -> None:
         raise KeyboardInterrupt
@@ -64,39 +50,32 @@ def test_whatever_ends_an_exchange_early_leaves_the_line_out_of_step(scripted, c
     with pytest.raises(KeyboardInterrupt):
         link.exchange(b"a\n", interrupted, deadline_s=1.0)
     link.exchange(b"b\n", line, deadline_s=1.0)
-    assert resync.times == 1
+    assert link.resynchronised == 1
 
 
 def test_an_urgent_exchange_does_not_wait_for_the_line_and_does_not_heal_it(scripted, clock) -> None:
-    link, resync = make(scripted([(b"a\n", b""), (b"stop\n", b"ok\n"), (b"b\n", b"2\n")]), clock)
+    link = CountedLink(scripted([(b"a\n", b""), (b"stop\n", b"ok\n"), (b"b\n", b"2\n")]), clock)
     with pytest.raises(ReplyTimeout):
         link.exchange(b"a\n", line, deadline_s=1.0)
     with link.urgently():
         link.exchange(b"stop\n", line, deadline_s=1.0)
-    assert resync.times == 0
+    assert link.resynchronised == 0
     link.exchange(b"b\n", line, deadline_s=1.0)
-    assert resync.times == 1
+    assert link.resynchronised == 1
 
 
 def test_unsolicited_lines_go_to_their_handler_wherever_they_come(scripted, clock) -> None:
-    heard = []
-
-    def alarm(text: bytes) -> bool:
-        if text.startswith(b"!"):
-            heard.append(text)
-        return text.startswith(b"!")
-
     port = scripted([(b"a\n", b"!1\n1\n"), (b"b\n", b"2\n")])
-    link, resync = make(port, clock, unsolicited=alarm)
+    link = CountedLink(port, clock)
     assert link.exchange(b"a\n", line, deadline_s=1.0) == b"1\n"
     port.ready = b"!2\n"
     assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"
-    assert heard == [b"!1\n", b"!2\n"]
-    assert resync.times == 0
+    assert link.heard == [b"!1\n", b"!2\n"]
+    assert link.resynchronised == 0
 
 
 def test_a_line_without_end_is_refused(scripted, clock) -> None:
-    link, _ = make(scripted([(b"a\n", b"x" * (LONGEST_LINE + 1))]), clock)
+    link = CountedLink(scripted([(b"a\n", b"x" * (LONGEST_LINE + 1))]), clock)
     with pytest.raises(ReplyGarbled, match="a line of more than 4096 bytes"):
         link.exchange(b"a\n", line, deadline_s=1.0)
 
@@ -108,7 +87,7 @@ def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
         def read(self, timeout_s: float) -> bytes:
             return b"x"
 
-    link, _ = make(Babbler(), clock)
+    link = CountedLink(Babbler(), clock)
     link.longest_drain_s = 0.01
     with pytest.raises(ReplyGarbled, match="sends without pause"):
         link.drain()
@@ -116,7 +95,7 @@ def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
 
 def test_every_byte_is_logged_with_its_time_and_direction(scripted, clock) -> None:
     log = Log()
-    link, _ = make(scripted([(b"a\n", b"1\n")]), clock, wire_log=log)
+    link = CountedLink(scripted([(b"a\n", b"1\n")]), clock, wire_log=log)
     clock.sleep(2.5)
     link.exchange(b"a\n", line, deadline_s=1.0)
     assert log.lines == [(2.5, "scripted", ">", b"a\n"), (2.5, "scripted", "<", b"1\n")]
@@ -223,11 +202,12 @@ def test_a_stop_ends_within_its_deadlines_on_a_line_without_end(clock, says, mon
 def test_a_line_too_long_is_thrown_away_with_its_refusal(scripted, clock) -> None:
     port = scripted([(b"a\n", b"x" * (LONGEST_LINE + 1)), (b"sync\n", b"in step\n"), (b"b\n", b"good\n")])
 
-    def resynchronise() -> None:
-        with link.urgently():
-            link.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1)
+    class SyncLink(CountedLink):
+        def _resynchronise(self) -> None:
+            with self.urgently():
+                self.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1)
 
-    link = Link(port, clock=clock, resynchronise=resynchronise)
+    link = SyncLink(port, clock)
     with pytest.raises(ReplyGarbled):
         link.exchange(b"a\n", ReplyReader.read_line, deadline_s=0.1)
     assert link.unread == b""

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits, ReplyGarbled
 from drivers.link import Reading, read_position_until_agreed, read_until_agreed
 from drivers.stage import AxisLimits
+from drivers.stage.esp import EspAxis
 from drivers.stage.motion import MoveWatch, check_targets, deadline_s, longest_move_s, travel_time_s
 
 PAN = AxisLimits(-15.0, 15.0, speed_deg_s=10.0, acceleration_deg_s2=20.0)
@@ -17,7 +18,8 @@ LIMITS = {"pan": PAN, "tilt": TILT}
 
 
 def watch(target_deg: float | None = 5.0) -> MoveWatch:
-    return MoveWatch("pan", target_deg, tolerance_deg=0.001, now_s=0.0, allowed_s=4.0, patience_s=1.0)
+    axis = EspAxis(name="pan", number=1, limits=PAN, tolerance_deg=0.001)
+    return MoveWatch(axis, target_deg, now_s=0.0, allowed_s=4.0)
 
 
 @given(st.floats(1e-3, 1e3), st.floats(0.1, 100.0), st.floats(0.1, 1000.0))
@@ -77,9 +79,9 @@ def test_a_move_that_stops_short_has_failed() -> None:
 def test_an_axis_that_is_busy_without_progress_has_failed() -> None:
     move = watch()
     move.update(0.1, 2.0, busy=True)
-    move.update(1.0, 2.0, busy=True)
-    with pytest.raises(MoveFailed, match=r"busy without progress for 1 s, at 2\.0000 deg"):
-        move.update(1.2, 2.0, busy=True)
+    move.update(1.6, 2.0, busy=True)
+    with pytest.raises(MoveFailed, match=r"busy without progress for 1\.5 s, at 2\.0000 deg"):
+        move.update(1.7, 2.0, busy=True)
 
 
 def test_an_axis_that_creeps_for_ever_meets_its_deadline() -> None:

@@ -7,16 +7,17 @@ from collections.abc import Callable
 import pytest
 
 from drivers.errors import ReplyGarbled, ReplyTimeout
-from drivers.link import RESYNCHRONISE_TRIES, TRIES, Link, repeat
+from drivers.link import RESYNCHRONISE_TRIES, TRIES, repeat
+from tests.unit.drivers.conftest import CountedLink
 
 
-class Line(Link):
+class Line(CountedLink):
     """A line whose old bytes are given, one drain after the other; keeps what happens to it."""
 
     name = "port"
 
     def __init__(self, *old: bytes) -> None:
-        super().__init__(None, clock=None, resynchronise=None)
+        super().__init__(None, None)
         self.old = list(old)
         self.events: list[str] = []
 
