@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -40,8 +39,7 @@ from drivers.camera.metavision_settings import (
 )
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
-from drivers.camera.recording import RecordingOutcome, check_duration, recording_facts
-from drivers.camera.usb_permission import check_link
+from drivers.camera.recording import RecordingOutcome, UsbCameraDriver, recording_facts
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
@@ -49,9 +47,7 @@ from drivers.errors import (
     CameraSettingRefused,
     RecordingFailed,
     RecordingFileError,
-    WrongDevice,
 )
-from drivers.file_lock import CameraLock, event_camera_name
 from drivers.lateness import own_lateness
 
 
@@ -83,9 +79,6 @@ def _clear(error: BaseException | None, outside: BaseException | None) -> None:
         waiting += [one.__cause__, one.__context__]
 
 
-SILENCE_S: Final = 5.0
-"""Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""
-
 _POLL_S: Final = 0.001
 
 _RECONNECT: Final = "Check the camera's cable and power, then resume the run."
@@ -94,22 +87,16 @@ _LARGEST_STEP_US: Final = 1_000_000
 """Between two buffers of one stream lie milliseconds. A longer step means that the sensor's clock was restarted."""
 
 
-class MetavisionEvk4:
+class MetavisionEvk4(UsbCameraDriver):
     """An ``EventCamera`` behind ``metavision_hal``; ``serial`` None accepts any camera.
 
-    ``device`` is an open HAL device: a camera, or a RAW file opened as one. ``close`` releases the lock that reserves
-    the camera for this process.
+    ``device`` is an open HAL device: a camera, or a RAW file opened as one.
     """
 
-    def __init__(
-        self, device: Any, hal: Any, *, serial: str | None, clock: Clock, lock: CameraLock | None = None
-    ) -> None:
+    def __init__(self, device: Any, hal: Any, *, serial: str | None, clock: Clock) -> None:
+        super().__init__(serial=serial, clock=clock)
         self._device = device
         self._hal = hal
-        self._serial = serial
-        self._clock = clock
-        self._lock = lock
-        self._stop_asked = threading.Event()
         self._factory: Mapping[str, int] = {}
 
     @classmethod
@@ -121,36 +108,21 @@ class MetavisionEvk4:
         of this bench has locked it (with a serial number given, the camera has not been touched); `WrongDevice` if
         another camera answers; `CameraSettingRefused` if the camera does not send EVT3, or is connected by USB 2.
         """
-        hal = vendor_software()
-        lock = CameraLock(event_camera_name(serial)) if serial else None
-        camera = cls(None, hal, serial=serial, clock=clock, lock=lock)
-        try:
-            camera._device = cls._opened(hal, serial)
-            identity = camera.identify()
-            camera._check_encoding()
-            check_link(identity.link_mbit_s, camera._where)
-            camera._factory = factory_biases(camera._device, identity.sensor, where=camera._where)
-            if lock is None:
-                camera._lock = CameraLock(event_camera_name(identity.serial))
-        except BaseException:
-            camera.close()
-            raise
-        return camera
+        return cls(None, vendor_software(), serial=serial, clock=clock).open_device()
 
-    @staticmethod
-    def _opened(hal: Any, serial: str | None) -> Any:
+    def _opened(self) -> Any:
         """Open the HAL's device in the format EVT3. Raises CameraNotFound."""
-        config = hal.DeviceConfig()
+        config = self._hal.DeviceConfig()
         config.set_format("EVT3")
         reason = ""
         device = None
         try:
             with listening():
-                device = hal.DeviceDiscovery.open(serial or "", config)
+                device = self._hal.DeviceDiscovery.open(self._serial or "", config)
         except RuntimeError as error:
             reason = f" ({reason_of(error)})"
         if device is None:
-            raise not_opened(serial, reason)
+            raise not_opened(self._serial, reason)
         return device
 
     @lets_go(holds=True)
@@ -177,13 +149,7 @@ class MetavisionEvk4:
             )
         except RuntimeError as error:
             raise self._lost(error) from error
-        if self._serial is not None and identity.serial != self._serial:
-            raise WrongDevice(
-                f"This is camera {identity.serial}, not {self._serial}.",
-                where=self._where,
-                remedy="Correct the serial number in the station file, or plug in the right camera.",
-            )
-        return identity
+        return self._require_serial(identity)
 
     @lets_go(holds=True)
     def apply(self, settings: CameraSettings) -> CameraSettings:
@@ -210,9 +176,8 @@ class MetavisionEvk4:
 
         A file that covers less time than was streamed is kept, as is what was recorded before the camera was lost.
         """
-        check_duration(duration_s, where=self._where)
+        self._begin(duration_s)
         check_new(path)
-        self._stop_asked.clear()
         identity = self.identify()
         biases, filters = read_biases(self._device, where=self._where), self.filters()
         complete = self._run(path, duration_s)
@@ -232,10 +197,6 @@ class MetavisionEvk4:
             temperature_c=self.temperature_c(),
             illumination_lux=read_monitoring(self._device, "get_illumination"),
         )
-
-    def stop(self) -> None:
-        """End a recording at its next buffer. Callable from any thread."""
-        self._stop_asked.set()
 
     def close(self) -> None:
         """See `EventCamera.close`."""
@@ -277,7 +238,7 @@ class MetavisionEvk4:
         decoder = self._facility("get_i_events_stream_decoder", "decoder")
         wanted_us = math.ceil(duration_s * 1e6)
         covered_us, last_us = 0, -1
-        deadline = self._clock.monotonic() + SILENCE_S
+        deadline = self._clock.monotonic() + self.SILENCE_S
         while covered_us < wanted_us:
             ready = stream.poll_buffer()
             if self._stop_asked.is_set() or ready < 0:
@@ -285,7 +246,7 @@ class MetavisionEvk4:
             if ready == 0:
                 if self._clock.monotonic() > deadline:
                     raise CameraLost(
-                        f"The camera has sent nothing for {SILENCE_S:g} s.",
+                        f"The camera has sent nothing for {self.SILENCE_S:g} s.",
                         where=self._where,
                         remedy=_RECONNECT,
                     )
@@ -296,7 +257,7 @@ class MetavisionEvk4:
             step_us = now_us - last_us
             if last_us >= 0 and 0 < step_us < _LARGEST_STEP_US:
                 covered_us += step_us
-                deadline = self._clock.monotonic() + SILENCE_S
+                deadline = self._clock.monotonic() + self.SILENCE_S
             last_us = now_us
             self._clock.sleep(0.0)
         return True
@@ -326,7 +287,8 @@ class MetavisionEvk4:
             )
         return facility
 
-    def _check_encoding(self) -> None:
+    def _check_opened(self, identity: CameraIdentity) -> None:
+        """Refuse a camera that does not send EVT3; keep the biases that it was opened with."""
         encoding = str(
             self._facility("get_i_hw_identification", "identification").get_current_data_encoding_format()
         )
@@ -336,6 +298,7 @@ class MetavisionEvk4:
                 where=self._where,
                 remedy="Update the camera's firmware, or use a camera that sends EVT3.",
             )
+        self._factory = factory_biases(self._device, identity.sensor, where=self._where)
 
     def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
         kept = f" What was recorded before is in {path}." if path else ""

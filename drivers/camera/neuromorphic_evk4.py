@@ -9,7 +9,6 @@ rate limiter stays off, and it sets biases but cannot read them back.
 from __future__ import annotations
 
 import importlib
-import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import datetime
@@ -23,21 +22,15 @@ from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import (
     BIASES,
-    StopConditions,
+    UsbCameraDriver,
     check_bias,
-    check_duration,
-    record_words,
     recording_facts,
     refuse_roi,
     refuse_unknown_biases,
 )
-from drivers.camera.usb_permission import check_link, only_camera_kind, only_camera_mbit_s
+from drivers.camera.usb_permission import only_camera_kind, only_camera_mbit_s
 from drivers.clock import Clock
-from drivers.errors import CameraError, CameraLost, CameraNotFound, CameraSoftwareMissing, WrongDevice
-from drivers.file_lock import CameraLock, event_camera_name
-
-SILENCE_S: Final = 5.0
-"""Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""
+from drivers.errors import CameraError, CameraLost, CameraNotFound, CameraSoftwareMissing
 
 POLL_S: Final = 0.02
 """Longest wait for bytes, s; other threads run meanwhile."""
@@ -65,11 +58,10 @@ def discover() -> tuple[FoundCamera, ...]:
     )
 
 
-class NeuromorphicEvk4:
+class NeuromorphicEvk4(UsbCameraDriver):
     """An ``EventCamera`` behind ``neuromorphic_drivers``; ``serial`` None accepts any camera.
 
-    ``device`` is open and provides raw bytes; ``utc_now`` is for the header of a recording. ``close`` releases the lock
-    that reserves the camera for this process.
+    ``device`` is open and provides raw bytes; ``utc_now`` is for the header of a recording.
     """
 
     def __init__(
@@ -80,15 +72,11 @@ class NeuromorphicEvk4:
         serial: str | None,
         clock: Clock,
         utc_now: Callable[[], datetime],
-        lock: CameraLock | None = None,
     ) -> None:
-        self._lock = lock
+        super().__init__(serial=serial, clock=clock)
         self._device = device
         self._package = package
-        self._serial = serial
-        self._clock = clock
         self._utc_now = utc_now
-        self._stop_asked = threading.Event()
         self._has_measured = False
 
     @classmethod
@@ -101,26 +89,14 @@ class NeuromorphicEvk4:
         of this bench has locked it (with a serial number given, the camera has not been touched); `WrongDevice` if
         another camera answers; `CameraSettingRefused` if the camera is connected by USB 2.
         """
-        package = _package()
-        lock = CameraLock(event_camera_name(serial)) if serial else None
-        camera = cls(None, package, serial=serial, clock=clock, utc_now=utc_now, lock=lock)
-        try:
-            camera._device = cls._opened(package, serial)
-            identity = camera.identify()
-            check_link(identity.link_mbit_s, camera._where)
-            if lock is None:
-                camera._lock = CameraLock(event_camera_name(identity.serial))
-        except BaseException:
-            camera.close()
-            raise
-        return camera
+        return cls(None, _package(), serial=serial, clock=clock, utc_now=utc_now).open_device()
 
-    @staticmethod
-    def _opened(package: Any, serial: str | None) -> Any:
+    def _opened(self) -> Any:
         """Open the package's device with its trigger input off. Raises CameraNotFound."""
-        configuration = package.prophesee_evk4.Configuration(enable_external_trigger=False)
+        serial = self._serial
+        configuration = self._package.prophesee_evk4.Configuration(enable_external_trigger=False)
         try:
-            return package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
+            return self._package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
         except RuntimeError as error:
             seen = ""
             with suppress(CameraError):
@@ -150,14 +126,8 @@ class NeuromorphicEvk4:
         if self._has_measured and not measured:
             raise self._lost("it does not answer")
         self._has_measured = measured
-        if self._serial is not None and serial != self._serial:
-            raise WrongDevice(
-                f"This is camera {serial}, not {self._serial}.",
-                where=self._where,
-                remedy="Correct the serial number in the station file, or plug in the right camera.",
-            )
         maker, model = only_camera_kind() or _UNKNOWN_KIND
-        return CameraIdentity(
+        identity = CameraIdentity(
             maker=maker,
             model=model,
             sensor="IMX636",
@@ -167,6 +137,7 @@ class NeuromorphicEvk4:
             height=int(size.height),
             link_mbit_s=only_camera_mbit_s(),
         )
+        return self._require_serial(identity)
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set all biases (factory values where none is named) and the trigger input; the rate limiter stays off.
@@ -215,18 +186,11 @@ class NeuromorphicEvk4:
         Packets that the computer lost are in ``gaps``. The ``biases`` are empty, because the package cannot read them
         back. However the recording ends, what was recorded before is kept.
         """
-        check_duration(duration_s, where=self._where)
-        self._stop_asked.clear()
+        self._begin(duration_s)
         camera = self.identify()
         stream = PacketStream(self._device, self._lost)
-        recorded = record_words(
-            stream,
-            path,
-            render_header(camera, self._utc_now()),
-            (camera.width, camera.height),
-            duration_s,
-            StopConditions(self._clock, self._stop_asked, SILENCE_S, self._where),
-        )
+        header, size = render_header(camera, self._utc_now()), (camera.width, camera.height)
+        recorded = self._record_words(stream, path, header, size, duration_s)
         return recording_facts(
             camera,
             recorded,
@@ -236,10 +200,6 @@ class NeuromorphicEvk4:
             illumination_lux=self._measured("illuminance"),
             losses=stream.losses,
         )
-
-    def stop(self) -> None:
-        """End a recording at its next packet. Callable from any thread."""
-        self._stop_asked.set()
 
     def close(self) -> None:
         """See `EventCamera.close`."""

@@ -8,7 +8,6 @@ hold the effect of the settings with which they were recorded.
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,22 +16,21 @@ from typing import Final
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_file import RawFile
-from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
+from drivers.camera.recording import EventCameraDriver, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
 _PIECE_WORDS: Final = 1024
-_SILENCE_S: Final = 10.0
 
 
-class RecordedCamera:
+class RecordedCamera(EventCameraDriver):
     """An ``EventCamera`` that plays RAW files in the order given; ``serial`` None accepts any in their headers."""
 
+    SILENCE_S = 10.0
+
     def __init__(self, files: list[RawFile], *, serial: str | None, clock: Clock) -> None:
+        super().__init__(serial=serial, clock=clock)
         self._files = files
-        self._serial = serial
-        self._clock = clock
-        self._stop_asked = threading.Event()
         self._played = 0
         self._player = _Player(files[0]) if len(files) == 1 else None
 
@@ -105,17 +103,11 @@ class RecordedCamera:
         It is not ``complete`` if it is shorter than wanted. Raises `RecordingFailed` if all has been played, the file
         cannot be made or written, or the words are malformed.
         """
-        check_duration(duration_s, where=self._where)
-        self._stop_asked.clear()
+        self._begin(duration_s)
         source = self._next_source()
-        recorded = record_words(
-            source,
-            path,
-            source.file.raw_header.text,
-            (source.file.width, source.file.height),
-            math.inf if self._player is None else duration_s,
-            StopConditions(self._clock, self._stop_asked, _SILENCE_S, self._where),
-        )
+        header = source.file.raw_header
+        play_s = math.inf if self._player is None else duration_s
+        recorded = self._record_words(source, path, header.text, (header.width, header.height), play_s)
         self._played += 1
         complete = recorded.statistics.duration_s >= duration_s and not self._stop_asked.is_set()
         return recording_facts(
@@ -126,10 +118,6 @@ class RecordedCamera:
             temperature_c=None,
             illumination_lux=None,
         )
-
-    def stop(self) -> None:
-        """See `EventCamera.stop`."""
-        self._stop_asked.set()
 
     def close(self) -> None:
         """Do nothing: no file stays open."""

@@ -1,26 +1,36 @@
 """Record from a camera whose driver hands on the camera's own words: words, file, facts.
 
 The recording ends when the sensor's clock (not the computer's) has covered the duration. However it ends, its file is
-complete up to that point and readable. No camera is known here: each driver provides a ``WordSource``.
+complete up to that point and readable. No camera is known here: its driver provides a ``WordSource``.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, ClassVar, Final, Protocol, Self
 
 import numpy as np
 
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics
 from drivers.camera.raw_writer import RawWriter
+from drivers.camera.usb_permission import check_link
 from drivers.clock import Clock
-from drivers.errors import CameraError, CameraLost, CameraSettingRefused, DriverError, RecordingFailed
+from drivers.errors import (
+    CameraError,
+    CameraLost,
+    CameraSettingRefused,
+    DriverError,
+    RecordingFailed,
+    WrongDevice,
+)
+from drivers.file_lock import CameraLock, event_camera_name
 
 _CLOCK_AT_ZERO: Final = b"\x00\x80\x00\x60"
 """TIME_HIGH and TIME_LOW: the shortest valid stream."""
@@ -43,16 +53,6 @@ class WordSource(Protocol):
 
 
 @dataclass(frozen=True)
-class StopConditions:
-    """What may end a recording before its time."""
-
-    clock: Clock  # Its ``sleep`` is called in every round of the recording, and may interrupt it
-    stop_asked: threading.Event  # Set by another thread to end the recording early
-    silence_s: float  # How long the sensor's clock may stand still before the camera counts as lost, s
-    where: str
-
-
-@dataclass(frozen=True)
 class RecordingOutcome:
     """The result of a recording."""
 
@@ -64,16 +64,6 @@ class RecordingOutcome:
 def compile_decoder() -> None:
     """Compile the loop that counts words, so that the first recording does not wait for the compiler."""
     Evt3Decoder(1, 1).tally(np.frombuffer(_CLOCK_AT_ZERO, "<u2"))
-
-
-def check_duration(duration_s: float, *, where: str) -> None:
-    """Raise `RecordingFailed` if a duration is not positive and finite."""
-    if not (math.isfinite(duration_s) and duration_s > 0):
-        raise RecordingFailed(
-            f"A recording of {duration_s} s is not possible.",
-            where=where,
-            remedy="Request a finite duration above 0 s.",
-        )
 
 
 def refuse_roi(settings: CameraSettings, where: str) -> None:
@@ -110,63 +100,138 @@ def check_bias(name: str, value: int, lowest: int, highest: int, where: str) -> 
         )
 
 
-def record_words(
-    source: WordSource,
-    path: Path,
-    header: bytes,
-    size: tuple[int, int],
-    duration_s: float,
-    stop_on: StopConditions,
-) -> RecordingOutcome:
-    """Write a source's words into a new file until the sensor's clock has covered the duration (inf: all words).
+class EventCameraDriver(ABC):
+    """What the drivers of event cameras share; ``serial`` None accepts any camera."""
 
-    ``header`` holds the first bytes, ``size`` columns and rows of the sensor, px, ``stop_on`` what may end the
-    recording before. Raises `RecordingFailed` if the file cannot be made or written, or the words are malformed,
-    `CameraLost` if the camera goes away or falls silent; what was recorded before is kept.
-    """
-    decoder = Evt3Decoder(*size, where=stop_on.where)
-    with RawWriter(path, header) as file:
-        try:
-            source.start()
-            complete = _write_words(source, file, decoder, duration_s, stop_on)
-        except BaseException as error:
-            # The first error is the one to report. Stopping is not interruptible here, and short.
-            with suppress(DriverError):
-                source.stop(hurry=True)
-            if isinstance(error, DriverError) and not isinstance(error, RecordingFailed):
-                raise incomplete_recording_error(error, path) from error
-            raise
-        source.stop(hurry=False)
-    return RecordingOutcome(decoder.statistics(), file.bytes_written, complete)
+    SILENCE_S: ClassVar[float]
+    """How long the sensor's clock may stand still before the camera counts as lost, s."""
+    OTHER_CAMERA_REMEDY: ClassVar[str]
 
+    def __init__(self, *, serial: str | None, clock: Clock) -> None:
+        self._serial = serial
+        self._clock = clock
+        self._stop_asked = threading.Event()
 
-def _write_words(
-    source: WordSource, file: RawWriter, decoder: Evt3Decoder, duration_s: float, stop_on: StopConditions
-) -> bool:
-    """Write until the duration is covered (True), or until stopped or at the end of the stream (False)."""
-    wanted_us = duration_s * 1e6
-    covered_us = -1
-    deadline = 0.0
-    while decoder.covered_us < wanted_us:
-        if stop_on.stop_asked.is_set():
-            return False
-        if decoder.covered_us > covered_us:
-            covered_us = decoder.covered_us
-            deadline = stop_on.clock.monotonic() + stop_on.silence_s
-        elif stop_on.clock.monotonic() > deadline:
-            raise CameraLost(
-                f"The sensor's clock has stood still for {stop_on.silence_s:g} s.",
-                where=stop_on.where,
-                remedy="Check the camera's cable and power (or its simulator), then resume the run.",
+    @property
+    @abstractmethod
+    def _where(self) -> str:
+        """Name of the camera in messages."""
+
+    def stop(self) -> None:
+        """End a recording at the next words that come. Callable from any thread."""
+        self._stop_asked.set()
+
+    def _require_serial(self, identity: CameraIdentity) -> CameraIdentity:
+        """Return the identity; raise WrongDevice if another camera was asked for when this one was opened."""
+        if self._serial is not None and identity.serial != self._serial:
+            raise WrongDevice(
+                f"This is camera {identity.serial}, not {self._serial}.",
+                where=self._where,
+                remedy=self.OTHER_CAMERA_REMEDY,
             )
-        stop_on.clock.sleep(0.0)
-        words = source.next_words()
-        if words == b"":
-            return False
-        if words is not None:
-            file.write(words)
-            decoder.tally(np.frombuffer(words, "<u2"))
-    return True
+        return identity
+
+    def _begin(self, duration_s: float) -> None:
+        """Begin a recording; raise `RecordingFailed` if its duration is not positive and finite."""
+        if not (math.isfinite(duration_s) and duration_s > 0):
+            raise RecordingFailed(
+                f"A recording of {duration_s} s is not possible.",
+                where=self._where,
+                remedy="Request a finite duration above 0 s.",
+            )
+        self._stop_asked.clear()
+
+    def _record_words(
+        self, source: WordSource, path: Path, header: bytes, size: tuple[int, int], duration_s: float
+    ) -> RecordingOutcome:
+        """Write a source's words into a new file until the sensor's clock has covered the duration (inf: all words).
+
+        ``header`` holds the first bytes, ``size`` columns and rows of the sensor, px. Raises `RecordingFailed` if the
+        file cannot be made or written, or the words are malformed, `CameraLost` if the camera goes away or falls
+        silent; what was recorded before is kept.
+        """
+        decoder = Evt3Decoder(*size, where=self._where)
+        with RawWriter(path, header) as file:
+            try:
+                source.start()
+                complete = self._write_words(source, file, decoder, duration_s)
+            except BaseException as error:
+                # The first error is the one to report. Stopping is not interruptible here, and short.
+                with suppress(DriverError):
+                    source.stop(hurry=True)
+                if isinstance(error, DriverError) and not isinstance(error, RecordingFailed):
+                    raise incomplete_recording_error(error, path) from error
+                raise
+            source.stop(hurry=False)
+        return RecordingOutcome(decoder.statistics(), file.bytes_written, complete)
+
+    def _write_words(
+        self, source: WordSource, file: RawWriter, decoder: Evt3Decoder, duration_s: float
+    ) -> bool:
+        """Write until the duration is covered (True), or until stopped or at the end of the stream (False)."""
+        wanted_us = duration_s * 1e6
+        covered_us = -1
+        deadline = 0.0
+        while decoder.covered_us < wanted_us:
+            if self._stop_asked.is_set():
+                return False
+            if decoder.covered_us > covered_us:
+                covered_us = decoder.covered_us
+                deadline = self._clock.monotonic() + self.SILENCE_S
+            elif self._clock.monotonic() > deadline:
+                raise CameraLost(
+                    f"The sensor's clock has stood still for {self.SILENCE_S:g} s.",
+                    where=self._where,
+                    remedy="Check the camera's cable and power (or its simulator), then resume the run.",
+                )
+            self._clock.sleep(0.0)
+            words = source.next_words()
+            if words == b"":
+                return False
+            if words is not None:
+                file.write(words)
+                decoder.tally(np.frombuffer(words, "<u2"))
+        return True
+
+
+class UsbCameraDriver(EventCameraDriver):
+    """A camera on USB behind other people's software, reserved for this process until it is closed."""
+
+    SILENCE_S = 5.0  # A sensor that streams sends its clock every 16 us.
+    OTHER_CAMERA_REMEDY = "Correct the serial number in the station file, or plug in the right camera."
+    _device: Any
+    _lock: CameraLock | None = None
+
+    @abstractmethod
+    def identify(self) -> CameraIdentity:
+        """See `EventCamera.identify`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """See `EventCamera.close`."""
+
+    @abstractmethod
+    def _opened(self) -> Any:
+        """Return the open device of that software. Raises CameraNotFound."""
+
+    def _check_opened(self, identity: CameraIdentity) -> None:
+        """Refuse a camera that cannot be used; most can."""
+
+    def open_device(self) -> Self:
+        """Open the camera; one whose number is known is locked before it is touched. An error leaves it closed."""
+        if self._serial:
+            self._lock = CameraLock(event_camera_name(self._serial))
+        try:
+            self._device = self._opened()
+            identity = self.identify()
+            self._check_opened(identity)
+            check_link(identity.link_mbit_s, self._where)
+            if self._lock is None:
+                self._lock = CameraLock(event_camera_name(identity.serial))
+        except BaseException:
+            self.close()
+            raise
+        return self
 
 
 def incomplete_recording_error(error: DriverError, path: Path) -> CameraError:

@@ -18,15 +18,13 @@ from drivers.camera.evk4_line import COMPUTING_S, Evk4Line
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import (
     BIASES,
-    StopConditions,
-    check_duration,
-    record_words,
+    EventCameraDriver,
     recording_facts,
     refuse_roi,
     refuse_unknown_biases,
 )
 from drivers.clock import Clock
-from drivers.errors import CameraSettingRefused, DeviceRefused, ReplyGarbled, WrongDevice
+from drivers.errors import CameraSettingRefused, DeviceRefused, ReplyGarbled
 
 SILENCE_S: Final = 4.0
 """Longest silence, s. A camera that computes for longer reports so twice a second; one that has died closes the
@@ -36,18 +34,19 @@ STOP_S: Final = 5.0
 """Longest wait for the stream to stop after something else has failed, s."""
 
 
-class SimulatedEvk4Camera:
+class SimulatedEvk4Camera(EventCameraDriver):
     """An ``EventCamera`` on a socket; ``serial`` None accepts any camera, ``utc_now`` is for a recording's header."""
+
+    SILENCE_S = COMPUTING_S
+    OTHER_CAMERA_REMEDY = "Correct the address or the serial number in the station file."
 
     def __init__(
         self, line: Evk4Line, *, serial: str | None, clock: Clock, utc_now: Callable[[], datetime]
     ) -> None:
+        super().__init__(serial=serial, clock=clock)
         self._line = line
-        self._serial = serial
-        self._clock = clock
         self._utc_now = utc_now
         self._in_use = threading.RLock()
-        self._stop_asked = threading.Event()
 
     @classmethod
     def open(
@@ -91,13 +90,7 @@ class SimulatedEvk4Camera:
             width=int(self._number(answer, "width")),
             height=int(self._number(answer, "height")),
         )
-        if self._serial is not None and identity.serial != self._serial:
-            raise WrongDevice(
-                f"This is camera {identity.serial}, not {self._serial}.",
-                where=self._where,
-                remedy="Correct the address or the serial number in the station file.",
-            )
-        return identity
+        return self._require_serial(identity)
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set biases and trigger input, read them back, and switch all filters off; see `EventCamera.apply`."""
@@ -142,18 +135,13 @@ class SimulatedEvk4Camera:
         return self._record(path, duration_s, preview=True)
 
     def _record(self, path: Path, duration_s: float, *, preview: bool) -> RecordingFacts:
-        check_duration(duration_s, where=self._where)
         with self._in_use:
-            self._stop_asked.clear()
+            self._begin(duration_s)
             identity = self.identify()
             biases, filters, monitor = self._biases(), self.filters(), self._ask("monitor")
-            recorded = record_words(
-                _Stream(self._line, preview=preview),
-                path,
-                render_header(identity, self._utc_now()),
-                (identity.width, identity.height),
-                duration_s,
-                StopConditions(self._clock, self._stop_asked, COMPUTING_S, self._where),
+            header, size = render_header(identity, self._utc_now()), (identity.width, identity.height)
+            recorded = self._record_words(
+                _Stream(self._line, preview=preview), path, header, size, duration_s
             )
         return recording_facts(
             identity,
@@ -163,10 +151,6 @@ class SimulatedEvk4Camera:
             temperature_c=self._number(monitor, "temperature_c"),
             illumination_lux=self._number(monitor, "illumination_lux"),
         )
-
-    def stop(self) -> None:
-        """End a recording at the next words that come. Callable from any thread."""
-        self._stop_asked.set()
 
     def close(self) -> None:
         """Close the connection, which also ends the stream."""

@@ -55,10 +55,10 @@ def encode(events: Events) -> bytes:
     out[:4] = np.frombuffer(np.uint32(n << 2 | style).tobytes(), np.uint8)
     at = _put_times(out, _HEAD_BYTES, t)
     if style != _STYLE_A:
-        at = _put_rows(out, at, events.y)
+        at = _put_runs(out, at, events.y, _ROW_COUNT_BITS)
     if style == _STYLE_C:
         at = _put_columns(out, at, events.x)
-        at = _put_polarities(out, at, events.p)
+        at = _put_runs(out, at, events.p, _POLARITY_COUNT_BITS)
     else:
         at = _put_packed(out, at, events.x, events.y, events.p, style)
     return out[:at].tobytes()
@@ -78,12 +78,12 @@ def decode(chunk: bytes) -> Events:
     if style & _STYLE_A:
         at = _get_packed(data, at, events.x, events.y, events.p, _STYLE_A)
     else:
-        at = _get_rows(data, at, events.y)
+        at = _get_runs(data, at, events.y, _ROW_COUNT_BITS)
         if style == _STYLE_B:
             at = _get_packed(data, at, events.x, events.y, events.p, _STYLE_B)
         else:
             at = _get_columns(data, at, events.x)
-            at = _get_polarities(data, at, events.p)
+            at = _get_runs(data, at, events.p, _POLARITY_COUNT_BITS)
     if at < 0:
         raise ValueError(f"a chunk of {len(chunk)} bytes does not hold the {n} events that it states")
     return events
@@ -92,6 +92,8 @@ def decode(chunk: bytes) -> Events:
 _STYLE_A: Final = 2
 _STYLE_B: Final = 1
 _STYLE_C: Final = 0
+_ROW_COUNT_BITS: Final = 5  # of 16
+_POLARITY_COUNT_BITS: Final = 7  # of 8
 _BAD: Final = -1
 
 
@@ -153,13 +155,19 @@ def _put_times(out: Any, at: int, t: Any) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _put_rows(out: Any, at: int, y: Any) -> int:
+def _put_runs(out: Any, at: int, values: Any, count_bits: int) -> int:
+    """Write runs of equal values: value << count_bits | count; the largest count is followed by the true one."""
+    most = (1 << count_bits) - 1
     i = 0
-    while i < len(y):
-        count = _run_length(y, i)
-        row: Any = np.int64(y[i])
-        at = _put_16(out, at, row << 5 | min(count, 31))
-        if count >= 31:
+    while i < len(values):
+        count = _run_length(values, i)
+        unit: Any = np.int64(values[i]) << count_bits | min(count, most)
+        out[at] = unit & 0xFF
+        at += 1
+        if count_bits == _ROW_COUNT_BITS:
+            out[at] = unit >> 8
+            at += 1
+        if count >= most:
             at = _put_16(out, at, count)
         i += count
     return at
@@ -176,19 +184,6 @@ def _put_columns(out: Any, at: int, x: Any) -> int:
             mask |= 1 << (5 - (np.int64(x[i]) - base))
             i += 1
         at = _put_16(out, at, base << 5 | mask)
-    return at
-
-
-@njit(cache=True, nogil=True)
-def _put_polarities(out: Any, at: int, p: Any) -> int:
-    i = 0
-    while i < len(p):
-        count = _run_length(p, i)
-        out[at] = p[i] << 7 | min(count, 127)
-        at += 1
-        if count >= 127:
-            at = _put_16(out, at, count)
-        i += count
     return at
 
 
@@ -253,22 +248,25 @@ def _get_times(data: Any, at: int, first: int, t: Any) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _get_rows(data: Any, at: int, y: Any) -> int:
+def _get_runs(data: Any, at: int, values: Any, count_bits: int) -> int:
+    """Read what `_put_runs` writes."""
+    most = (1 << count_bits) - 1
+    unit_bytes = 2 if count_bits == _ROW_COUNT_BITS else 1
     i = 0
-    while at >= 0 and i < len(y):
-        if at + 2 > len(data):
+    while at >= 0 and i < len(values):
+        if at + unit_bytes > len(data):
             return _BAD
-        value = _get(data, at, 2)
-        at += 2
-        count = value & 31
-        if count == 31:
+        unit = _get(data, at, unit_bytes)
+        at += unit_bytes
+        count = unit & most
+        if count == most:
             if at + 2 > len(data):
                 return _BAD
             count = _get(data, at, 2)
             at += 2
-        if count == 0 or i + count > len(y):
+        if count == 0 or i + count > len(values):
             return _BAD
-        y[i : i + count] = value >> 5
+        values[i : i + count] = unit >> count_bits
         i += count
     return at
 
@@ -289,27 +287,6 @@ def _get_columns(data: Any, at: int, x: Any) -> int:
                     return _BAD
                 x[i] = (value >> 5) + k
                 i += 1
-    return at
-
-
-@njit(cache=True, nogil=True)
-def _get_polarities(data: Any, at: int, p: Any) -> int:
-    i = 0
-    while at >= 0 and i < len(p):
-        if at >= len(data):
-            return _BAD
-        value = data[at]
-        count: Any = np.int64(value & 127)
-        at += 1
-        if count == 127:
-            if at + 2 > len(data):
-                return _BAD
-            count = _get(data, at, 2)
-            at += 2
-        if count == 0 or i + count > len(p):
-            return _BAD
-        p[i : i + count] = value >> 7
-        i += count
     return at
 
 
