@@ -11,7 +11,6 @@ from drivers.camera import CameraSettings, FoundCamera
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4, discover
 from drivers.camera.raw_file import RawFile
 from drivers.errors import (
-    CameraBusy,
     CameraError,
     CameraLost,
     CameraNotFound,
@@ -122,30 +121,6 @@ def test_another_camera_is_refused_and_given_back(device, clock):
     assert device.closed
 
 
-def test_a_second_opener_is_refused_before_the_camera_is_touched(package, camera, clock):
-    package.open = lambda *_, **__: pytest.fail("it was opened")
-    with pytest.raises(CameraBusy, match="Another program holds it"):
-        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
-
-
-def test_a_camera_that_was_let_go_or_could_not_be_opened_can_be_opened_again(package, camera, clock):
-    camera.close()
-    package.trouble = "Device busy"
-    with pytest.raises(CameraNotFound):
-        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
-    package.trouble = ""
-    NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW).close()
-    NeuromorphicEvk4.open(clock=clock, utc_now=lambda: NOW).close()
-
-
-@pytest.mark.usefixtures("package")
-def test_a_camera_taken_as_the_first_found_is_held_by_its_number_too(clock):
-    first = NeuromorphicEvk4.open(clock=clock, utc_now=lambda: NOW)
-    with pytest.raises(CameraBusy):
-        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
-    first.close()
-
-
 def test_the_trigger_input_is_off_until_settings_switch_it_on(device, camera):
     assert not device.configuration.enable_external_trigger
     camera.apply(CameraSettings(trigger_in=True))
@@ -238,13 +213,6 @@ def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
     with pytest.raises(CameraLost, match=r"NoDevice.*pose\.raw"):
         camera.record(path, 1.0)
     assert RawFile.open(path).scan().events == 2
-
-
-def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
-    device.packets = dict.fromkeys(range(5, 10_000), b"")
-    clock.sleep = lambda _: setattr(clock, "now_s", clock.now_s + 0.02)
-    with pytest.raises(CameraLost, match="clock has stood still for 5 s"):
-        camera.record(tmp_path / "pose.raw", 1.0)
 
 
 def test_an_interrupt_leaves_a_readable_file(device, camera, clock, tmp_path):

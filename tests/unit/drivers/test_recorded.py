@@ -10,9 +10,7 @@ from drivers.clock import SystemClock
 from drivers.errors import (
     CameraNotFound,
     CameraSettingRefused,
-    NotARecording,
     RecordingFailed,
-    RecordingFileError,
     WrongDevice,
 )
 
@@ -148,29 +146,8 @@ def test_an_empty_folder_is_told(play, tmp_path):
         play(tmp_path)
 
 
-def test_what_is_no_recording_is_told(play, tmp_path):
-    (tmp_path / "some.raw").write_text("hello")
-    with pytest.raises(NotARecording, match="text file"):
-        play(tmp_path)
-    with pytest.raises(RecordingFileError, match="no such file"):
-        play(tmp_path / "none.raw")
-
-
-def test_a_file_that_vanishes_is_told(play, folder, tmp_path):
-    camera = play(folder)
-    (folder / "pose-001.raw").unlink()
-    with pytest.raises(RecordingFileError, match="no such file"):
-        camera.record(tmp_path / "a.raw", 0.01)
-
-
 def test_biases_cannot_be_set_any_more(play, folder):
     camera = play(folder)
     assert camera.apply(CameraSettings({"bias_fo": 0})).biases == {}
     with pytest.raises(CameraSettingRefused, match="bias_fo of a recording"):
         camera.apply(CameraSettings({"bias_fo": 3}))
-
-
-def test_malformed_words_fail_the_recording(play, tmp_path):
-    write(tmp_path / "bad.raw", [*stream(5), 0x9000, *stream(5)])
-    with pytest.raises(RecordingFailed, match="0x9000"):
-        play(tmp_path / "bad.raw").record(tmp_path / "a.raw", 0.02)
