@@ -150,10 +150,8 @@ class NeuromorphicEvk4(UsbCameraDriver):
         refuse_unknown_biases(settings, BIASES, self._where)
         evk4 = self._package.prophesee_evk4
         try:
-            bounds = self._device.biases_bounds()
-            for name, value in biases.items():
-                bound = getattr(bounds, name.removeprefix("bias_"))
-                check_bias(name, value, bound.minimum, bound.maximum, self._where)
+            for name, (lowest, highest) in self.bias_ranges().items():
+                check_bias(name, biases[name], lowest, highest, self._where)
             values = {name.removeprefix("bias_"): value for name, value in biases.items()}
             self._device.update_configuration(
                 evk4.Configuration(

@@ -87,14 +87,9 @@ class DynamixelStage(OneLineStage[DynamixelAxis, DynamixelBus]):
     def _has_reference(self) -> bool:
         return all(self._line.read_state(axis.id).torque for axis in self._axes.values())
 
-    def faults(self) -> Sequence[str]:
-        """See `Stage.faults`."""
-        said = []
-        for name, axis in self._axes.items():
-            state = self._line.read_state(axis.id)
-            said += [f"{name}: {fault}" for fault in state.faults]
-            said += [] if state.torque else [f"{name}: the torque is off"]
-        return said
+    def _faults_of(self, axis: DynamixelAxis) -> list[str]:
+        state = self._line.read_state(axis.id)
+        return state.faults + ([] if state.torque else ["the torque is off"])
 
     # ------------------------------------------------------------ on the wire
 

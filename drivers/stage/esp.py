@@ -159,8 +159,10 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Returns the errors since the last call, and the motors that are off."""
-        found = [str(error) for error in self._read_errors()]
-        return found + [f"{name}: motor off" for name, axis in self._axes.items() if not self._motor_on(axis)]
+        return [*map(str, self._read_errors()), *super().faults()]
+
+    def _faults_of(self, axis: EspAxis) -> list[str]:
+        return [] if self._motor_on(axis) else ["motor off"]
 
     # ------------------------------------------------------------ on the wire
 

@@ -118,12 +118,13 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Returns what the controller said unasked, and the faults that it reports."""
-        found = self._line.take_notices()
-        if (faults := self._description.faults) is not None:
-            for axis in self._axes.values():
-                fine, answer = self._line.switch(faults, self._of(axis))
-                found += [] if fine else [f"{axis.name}: {answer}"]
-        return found
+        return [*self._line.take_notices(), *super().faults()]
+
+    def _faults_of(self, axis: TextAxis) -> list[str]:
+        if self._description.faults is None:
+            return []
+        fine, answer = self._line.switch(self._description.faults, self._of(axis))
+        return [] if fine else [answer]
 
     # ------------------------------------------------------------ on the wire
 

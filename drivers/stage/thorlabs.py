@@ -78,13 +78,14 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     def _has_reference(self) -> bool:
         return all(controller.read_status().homed for controller in self._lines.values())
 
-    def faults(self) -> Sequence[str]:
-        """See `Stage.faults`."""
-        return [
-            f"{name}: {fault}"
-            for name, controller in self._lines.items()
-            for fault in _faults(controller.read_status(), enabled=controller.is_enabled())
-        ]
+    def _faults_of(self, axis: ThorlabsAxis) -> list[str]:
+        controller = self._lines[axis.name]
+        status, enabled = controller.read_status(), controller.is_enabled()
+        return (
+            status.faults
+            + ([] if status.homed else ["no reference"])
+            + ([] if enabled else ["its channel is switched off"])
+        )
 
     # ------------------------------------------------------------ on the wire
 
@@ -212,11 +213,3 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
                 remedy="Change speed_deg_s and acceleration_deg_s2 in the station file.",
             )
         controller.set_speed(ramp, speed)
-
-
-def _faults(status: Status, *, enabled: bool) -> list[str]:
-    return (
-        status.faults
-        + ([] if status.homed else ["no reference"])
-        + ([] if enabled else ["its channel is switched off"])
-    )

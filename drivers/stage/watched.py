@@ -98,9 +98,13 @@ class WatchedStage(ABC, Generic[A]):
         """Whether this driver has homed the controller in its present lifetime."""
         return self._homed_in is not None and self._homed_in == self._lifetime()
 
-    @abstractmethod
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`."""
+        return [f"{name}: {fault}" for name, axis in self._axes.items() for fault in self._faults_of(axis)]
+
+    def _faults_of(self, axis: A) -> list[str]:  # noqa: ARG002 - a family may tell those of all axes at once
+        """Ask for the faults of one axis."""
+        return []
 
     @abstractmethod
     def _check_ready(self, axis: A) -> None:

@@ -9,7 +9,6 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar, TypeVar
 
 from drivers.clock import Clock
@@ -171,11 +170,12 @@ class XimcAxis(Axis):
     steps_per_deg: float  # Full steps per degree; negative when the counter falls as the angle grows
     # Encoder counts per degree, with sign; None without an encoder.
     encoder_counts_per_deg: float | None = None
+    division: int = 1  # Microsteps per full step; the driver asks the controller
 
     @property
     def scale(self) -> float:
-        """Full steps per degree; the controller divides them."""
-        return self.steps_per_deg
+        """Microsteps per degree."""
+        return self.steps_per_deg * self.division
 
 
 class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
@@ -188,6 +188,9 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     CONTROLLER = XimcController
 
     def _set_up(self) -> None:
+        self._axes = {
+            name: replace(axis, division=self._lines[name].division) for name, axis in self._axes.items()
+        }
         self._bring_to_rest()
         for axis in self._axes.values():
             self._program_speed(axis)
@@ -207,13 +210,9 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     def _has_reference(self) -> bool:
         return all(controller.read_status().homed for controller in self._lines.values())
 
-    def faults(self) -> Sequence[str]:
-        """See `Stage.faults`."""
-        return [
-            f"{name}: {fault}"
-            for name, controller in self._lines.items()
-            for fault in _faults(controller.read_status())
-        ]
+    def _faults_of(self, axis: XimcAxis) -> list[str]:
+        status = self._lines[axis.name].read_status()
+        return status.faults + ([] if status.homed else ["no reference"])
 
     # ------------------------------------------------------------ on the wire
 
@@ -234,11 +233,8 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         if status.faults:
             raise not_movable(axis, ", ".join(status.faults))
 
-    def _reachable_deg(self, axis: XimcAxis, angle_deg: float) -> float:
-        return self._angle_deg(axis, self._count(axis, angle_deg))
-
     def _begin_move(self, axis: XimcAxis, angle_deg: float) -> None:
-        self._lines[axis.name].move(self._count(axis, angle_deg))
+        self._lines[axis.name].move(axis.to_counts(angle_deg))
 
     def _begin_homing(self, axis: XimcAxis) -> None:
         self._lines[axis.name].command("home")
@@ -247,7 +243,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         """Read position, busy state and problems from one reply."""
         controller = self._lines[axis.name]
         status = controller.read_status()
-        position_deg = self._angle_deg(axis, controller.to_microsteps(status.steps, status.microsteps))
+        position_deg = axis.to_angle_deg(controller.to_microsteps(status.steps, status.microsteps))
         if status.homed and status.running and status.command not in _OWN_COMMANDS and not status.faults:
             problem = f"interrupted by another command ({status.command})"
             return AxisState(position_deg, status.running, problem, position_kept=True)
@@ -272,16 +268,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         status = self._lines[axis.name].read_status()
         return AxisState(axis.zero_deg + status.encoder / axis.encoder_counts_per_deg, status.running)
 
-    # ------------------------------------------------------------ scale and settings
-
-    def _count(self, axis: XimcAxis, angle_deg: float) -> int:
-        """Return the microsteps nearest to an angle."""
-        division = self._lines[axis.name].division
-        return round((angle_deg - axis.zero_deg) * axis.steps_per_deg * division)
-
-    def _angle_deg(self, axis: XimcAxis, count: float) -> float:
-        division = self._lines[axis.name].division
-        return axis.zero_deg + count / (axis.steps_per_deg * division)
+    # ------------------------------------------------------------ settings
 
     def _program_speed(self, axis: XimcAxis) -> None:
         """Set speed and acceleration where they differ, and read them back."""
@@ -311,14 +298,12 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         present = controller.read_settings(EdgeSettings)
         if not present.border_flags & ximc_protocol.BORDERS_COUNTED:
             return
-        ends = sorted(self._count(axis, end) for end in (axis.limits.lowest_deg, axis.limits.highest_deg))
+        ends = sorted(map(axis.to_counts, (axis.limits.lowest_deg, axis.limits.highest_deg)))
         borders = (
             controller.to_microsteps(present.left_steps, present.left_microsteps),
             controller.to_microsteps(present.right_steps, present.right_microsteps),
         )
-        motion.check_travel(
-            axis.name, (ends[0], ends[1]), borders, "microsteps", to_deg=partial(self._angle_deg, axis)
-        )
+        motion.check_travel(axis.name, (ends[0], ends[1]), borders, "microsteps", to_deg=axis.to_angle_deg)
         (left, left_micro), (right, right_micro) = map(controller.to_steps, ends)
         wanted = replace(
             present,
@@ -337,10 +322,6 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
             controller.set(wanted.WRITE, wanted.pack())
         if (got := controller.read_settings(type(wanted))) != wanted:
             raise read_back_otherwise(axis.name, what, wanted, got)
-
-
-def _faults(status: Status) -> list[str]:
-    return status.faults + ([] if status.homed else ["no reference"])
 
 
 def _problem(status: Status, *, homing: bool) -> str:

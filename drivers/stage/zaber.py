@@ -162,62 +162,6 @@ class ZaberAxis(Axis):
         return self.microsteps_per_deg
 
 
-def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """Check that scale and limits agree with the controller's microsteps a turn and travel."""
-    turn = _setting(chain, axis, "limit.cycle.dist")
-    expected = abs(axis.microsteps_per_deg) * 360.0
-    if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
-        raise OutsideLimits(
-            f"the scale in the station file gives {expected:.0f} microsteps a turn, the controller has {turn}.",
-            where=axis.name,
-            remedy="Correct microsteps_per_deg in the station file.",
-        )
-    present = _setting(chain, axis, "limit.min"), _setting(chain, axis, "limit.max")
-    motion.check_travel(axis.name, _travel(axis), present, "microsteps", to_deg=axis.to_angle_deg)
-
-
-def program(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """Set limits, speed and acceleration where they differ, and read them back.
-
-    Only settings that differ are sent, because the controller keeps them in non-volatile memory. Speed or acceleration
-    below the controller's unit is refused: its acceleration 0 would mean full speed at once.
-    """
-    lowest, highest = _travel(axis)
-    scale = abs(axis.microsteps_per_deg)
-    wanted = {
-        "limit.min": lowest,
-        "limit.max": highest,
-        "maxspeed": math.floor(axis.limits.speed_deg_s * scale * SPEED_UNITS),
-        "accel": math.floor(axis.limits.acceleration_deg_s2 * scale * ACCELERATION_UNITS),
-    }
-    if not (wanted["maxspeed"] and wanted["accel"]):
-        raise OutsideLimits(
-            f"{axis.limits.speed_deg_s:g} deg/s or {axis.limits.acceleration_deg_s2:g} deg/s^2 is below the"
-            " controller's smallest step.",
-            where=axis.name,
-            remedy="Raise speed_deg_s or acceleration_deg_s2 in the station file.",
-        )
-    for name, value in wanted.items():
-        if _setting(chain, axis, name) == value:
-            continue
-        chain.query(axis.device, axis.axis, f"set {name} {value}")
-        got = chain.query_integer(axis.device, axis.axis, f"get {name}")
-        if got != value:
-            remedy = (
-                "Change speed, acceleration or limits in the station file to what the controller supports."
-            )
-            raise reads_otherwise(axis, name, value, got, remedy)
-
-
-def _setting(chain: ZaberChain, axis: ZaberAxis, name: str) -> int | None:
-    return chain.query_setting(axis.device, axis.axis, name)
-
-
-def _travel(axis: ZaberAxis) -> tuple[int, int]:
-    ends = (axis.to_counts(axis.limits.lowest_deg), axis.to_counts(axis.limits.highest_deg))
-    return min(ends), max(ends)
-
-
 class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     """A stage of one to three Zaber axes. Implements ``drivers.stage.Stage``.
 
@@ -234,9 +178,9 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         self.identify()
         self._bring_to_rest()
         for axis in self._axes.values():
-            check_scale(self._line, axis)
+            self._check_scale(axis)
         for axis in self._axes.values():
-            program(self._line, axis)
+            self._program(axis)
         self._encoders = {name for name, axis in self._axes.items() if self._has_encoder(axis)}
 
     def identify(self) -> Sequence[AxisIdentity]:
@@ -258,13 +202,11 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     def _has_reference(self) -> bool:
         return not any(zaber_protocol.UNREFERENCED & set(self._flags(axis)) for axis in self._axes.values())
 
-    def faults(self) -> Sequence[str]:
-        """See `Stage.faults`. Warning flags that report a past event are left out."""
+    def _faults_of(self, axis: ZaberAxis) -> list[str]:
+        """Return the warning flags in words; those that report a past event are left out."""
+        flags = self._flags(axis)
         return [
-            f"{name}: {zaber_protocol.describe_flag(flag)}"
-            for name, axis in self._axes.items()
-            for flag in self._flags(axis)
-            if not zaber_protocol.is_informational(flag)
+            zaber_protocol.describe_flag(one) for one in flags if not zaber_protocol.is_informational(one)
         ]
 
     # ------------------------------------------------------------ on the wire
@@ -324,10 +266,63 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         return AxisState(axis.to_angle_deg(self._line.parse_integer(reply.data)), reply.busy)
 
     def _has_encoder(self, axis: ZaberAxis) -> bool:
-        return self._line.query_setting(axis.device, axis.axis, "encoder.pos") is not None
+        return self._setting(axis, "encoder.pos") is not None
 
     def _flags(self, axis: ZaberAxis) -> tuple[str, ...]:
         return self._line.query_flags(axis.device, axis.axis)
+
+    # ------------------------------------------------------------ settings
+
+    def _check_scale(self, axis: ZaberAxis) -> None:
+        """Check that scale and limits agree with the controller's microsteps a turn and travel."""
+        turn = self._setting(axis, "limit.cycle.dist")
+        expected = abs(axis.microsteps_per_deg) * 360.0
+        if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
+            raise OutsideLimits(
+                f"the scale in the station file gives {expected:.0f} microsteps a turn, the controller has {turn}.",
+                where=axis.name,
+                remedy="Correct microsteps_per_deg in the station file.",
+            )
+        present = self._setting(axis, "limit.min"), self._setting(axis, "limit.max")
+        motion.check_travel(axis.name, _travel(axis), present, "microsteps", to_deg=axis.to_angle_deg)
+
+    def _program(self, axis: ZaberAxis) -> None:
+        """Set limits, speed and acceleration where they differ, and read them back.
+
+        Only settings that differ are sent, because the controller keeps them in non-volatile memory. Speed or
+        acceleration below the controller's unit is refused: its acceleration 0 would mean full speed at once.
+        """
+        lowest, highest = _travel(axis)
+        scale = abs(axis.microsteps_per_deg)
+        wanted = {
+            "limit.min": lowest,
+            "limit.max": highest,
+            "maxspeed": math.floor(axis.limits.speed_deg_s * scale * SPEED_UNITS),
+            "accel": math.floor(axis.limits.acceleration_deg_s2 * scale * ACCELERATION_UNITS),
+        }
+        if not (wanted["maxspeed"] and wanted["accel"]):
+            raise OutsideLimits(
+                f"{axis.limits.speed_deg_s:g} deg/s or {axis.limits.acceleration_deg_s2:g} deg/s^2 is below the"
+                " controller's smallest step.",
+                where=axis.name,
+                remedy="Raise speed_deg_s or acceleration_deg_s2 in the station file.",
+            )
+        for name, value in wanted.items():
+            if self._setting(axis, name) == value:
+                continue
+            self._line.query(axis.device, axis.axis, f"set {name} {value}")
+            got = self._line.query_integer(axis.device, axis.axis, f"get {name}")
+            if got != value:
+                remedy = "Change speed, acceleration or limits in the station file to what the controller supports."
+                raise reads_otherwise(axis, name, value, got, remedy)
+
+    def _setting(self, axis: ZaberAxis, name: str) -> int | None:
+        return self._line.query_setting(axis.device, axis.axis, name)
+
+
+def _travel(axis: ZaberAxis) -> tuple[int, int]:
+    ends = (axis.to_counts(axis.limits.lowest_deg), axis.to_counts(axis.limits.highest_deg))
+    return min(ends), max(ends)
 
 
 def _problem(flag: str, *, homing: bool) -> str:

@@ -3,14 +3,11 @@
 from collections.abc import Sequence as List
 
 import pytest
-from flat import flatten
+from flat import faults_of, read, steps_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sequences.errors import DocumentFaults
 from sequences.flatten import MOST_STEPS, unfold
-from sequences.reader import check_document
-from sequences.schema import Sequence
 from sequences.script import (
     Flicker,
     Gates,
@@ -22,29 +19,13 @@ from sequences.script import (
     Step,
 )
 
-HEAD = "format: starbench/sequence/1\nname: test\n"
-
-
-def read(text: str):
-    return check_document((HEAD + text).encode(), "s.yaml", Sequence)
-
-
-def steps(text: str) -> tuple[Step, ...]:
-    return flatten(read(text))
-
 
 def poses(script: List[Step]) -> list[tuple[int, str, dict[str, float]]]:
     return [(s.pose.index, s.pose.name, s.pose.angles_deg) for s in script if isinstance(s, RecordStep)]
 
 
-def faults(text: str) -> list[str]:
-    with pytest.raises(DocumentFaults) as caught:
-        steps(text)
-    return [str(fault) for fault in caught.value.faults]
-
-
 def test_bare_words_stand_for_steps_with_their_defaults():
-    light, move, settle, record, solve, report = steps(
+    light, move, settle, record, solve, report = steps_of(
         "steps: [light, {move: {pan_deg: 1}}, settle, record, solve, report]\n"
     )
     assert light == LightStep(1, "s.yaml:3:9", ("steps", 0, "light"), Flicker("square", 60, 50, 100))
@@ -63,7 +44,7 @@ def test_bare_words_stand_for_steps_with_their_defaults():
 
 
 def test_a_step_takes_from_the_defaults_what_it_does_not_say_itself():
-    light, _, record, off, _ = steps(
+    light, _, record, off, _ = steps_of(
         "defaults:\n"
         "  light: {frequency_hz: 80, duty_percent: 30}\n"
         "  record: {window_ms: 50, attempts: 5, gates: {min_stars: 7, require_triggers: no}}\n"
@@ -83,7 +64,7 @@ def test_a_step_takes_from_the_defaults_what_it_does_not_say_itself():
 def test_limits_depend_on_the_waveform_and_the_sequence_always_wins():
     sine, square, given = (
         step.gates
-        for step in steps(
+        for step in steps_of(
             "steps:\n"
             "  - light: {waveform: sine}\n"
             "  - move: {pan_deg: 0}\n"
@@ -103,7 +84,7 @@ def test_limits_depend_on_the_waveform_and_the_sequence_always_wins():
 
 
 def test_an_axis_a_pose_does_not_name_stands_at_zero_wherever_the_camera_was_before():
-    script = steps("steps: [{move: {pan_deg: 5, roll_deg: 3}}, record, {move: {tilt_deg: 1}}, record]\n")
+    script = steps_of("steps: [{move: {pan_deg: 5, roll_deg: 3}}, record, {move: {tilt_deg: 1}}, record]\n")
     assert [angles for _, _, angles in poses(script)] == [
         {"pan": 5, "tilt": 0, "roll": 3},
         {"pan": 0, "tilt": 1, "roll": 0},
@@ -114,7 +95,7 @@ def test_an_axis_a_pose_does_not_name_stands_at_zero_wherever_the_camera_was_bef
     ("order", "pans"), [("serpentine", [-1, 0, 1, 1, 0, -1]), ("rows", [-1, 0, 1, -1, 0, 1])]
 )
 def test_a_grid_goes_along_pan_first(order, pans):
-    script = steps(
+    script = steps_of(
         "steps:\n  - repeat:\n"
         f"      poses: {{pan_deg: {{first: -1, last: 1, count: 3}}, tilt_deg: [2, 4], order: {order}}}\n"
         "      steps: [move, record]\n"
@@ -125,7 +106,7 @@ def test_a_grid_goes_along_pan_first(order, pans):
 
 
 def test_a_span_of_one_is_its_middle_and_a_long_one_ends_exactly():
-    script = steps(
+    script = steps_of(
         "steps:\n  - repeat: {poses: {pan_deg: {first: 1, last: 3, count: 1}}, steps: [move, record]}\n"
         "  - repeat: {poses: {pan_deg: {first: -0.1, last: 0.2, count: 4}}, steps: [move, record]}\n"
     )
@@ -135,7 +116,7 @@ def test_a_span_of_one_is_its_middle_and_a_long_one_ends_exactly():
 
 
 def test_recording_twice_at_one_place_gives_two_poses_with_names_of_their_own():
-    script = steps("steps: [{move: {name: here, pan_deg: 1}}, {repeat: {times: 3, steps: [record]}}]\n")
+    script = steps_of("steps: [{move: {name: here, pan_deg: 1}}, {repeat: {times: 3, steps: [record]}}]\n")
     assert poses(script) == [
         (1, "here", {"pan": 1}),
         (2, "here (2)", {"pan": 1}),
@@ -144,13 +125,13 @@ def test_recording_twice_at_one_place_gives_two_poses_with_names_of_their_own():
 
 
 def test_a_move_at_which_nothing_is_recorded_takes_no_number():
-    script = steps("steps: [{move: {pan_deg: 1}}, {move: {pan_deg: 2}}, record, {move: {pan_deg: 0}}]\n")
+    script = steps_of("steps: [{move: {pan_deg: 1}}, {move: {pan_deg: 2}}, record, {move: {pan_deg: 0}}]\n")
     assert [step.pose.index for step in script if isinstance(step, MoveStep)] == [0, 1, 0]
     assert script[2].pose == script[1].pose
 
 
 def test_repeats_nest_and_the_inner_pose_wins():
-    script = steps(
+    script = steps_of(
         "poses: {a: [{pan_deg: 1}, {pan_deg: 2}], b: [{pan_deg: 9}]}\n"
         "steps:\n  - repeat:\n      poses: a\n      steps:\n"
         "        - repeat: {times: 2, steps: [move, record]}\n"
@@ -160,7 +141,7 @@ def test_repeats_nest_and_the_inner_pose_wins():
 
 
 def test_all_that_cannot_unfold_is_reported_at_once():
-    said = faults(
+    said = faults_of(
         "poses:\n  three: [{pan_deg: 1}]\n"
         "steps:\n  - record\n  - move\n  - repeat: {poses: tree, steps: [move]}\n"
         "  - repeat: {times: 2, steps: [{move: {name: x}}]}\n"
@@ -184,12 +165,12 @@ def test_all_that_cannot_unfold_is_reported_at_once():
 )
 def test_a_script_that_unfolds_without_end_is_stopped(steps_text):
     assert len(unfold(read(f"steps: [{steps_text}]\n"))[1]) == 1
-    assert len(faults(f"steps: [{steps_text}]\n")) == 1
+    assert len(faults_of(f"steps: [{steps_text}]\n")) == 1
 
 
 def test_a_grid_that_unfolds_without_end_is_stopped():
     axis = "{first: 0, last: 1, count: 10000}"
-    (fault,) = faults(
+    (fault,) = faults_of(
         f"steps: [{{repeat: {{poses: {{pan_deg: {axis}, tilt_deg: {axis}, roll_deg: {axis}}}, steps: [move]}}}}]\n"
     )
     assert f"this grid has 1000000000000 poses; at most {MOST_STEPS} are allowed" in fault
@@ -248,5 +229,5 @@ def test_numbers_names_and_poses_hold_together_in_any_script(text):
 
 
 def test_a_question_that_nobody_answers_ends_the_run_unless_the_sequence_says_otherwise():
-    (prompt,) = steps("steps: [{prompt: {text: 'Is the lens cap off?'}}]\n")
+    (prompt,) = steps_of("steps: [{prompt: {text: 'Is the lens cap off?'}}]\n")
     assert prompt.default == "abort"

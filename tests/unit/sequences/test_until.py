@@ -1,37 +1,16 @@
 """The step `until`: its settings, the rounds that it unfolds into, and the faults of a wrong setting."""
 
 import pytest
-from flat import flatten
+from flat import faults_of, steps_of
 
-from sequences.errors import DocumentFaults
-from sequences.flatten import POSES_FAILED, unfold
-from sequences.reader import check_document
-from sequences.schema import Sequence
+from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, LightStep, MoveStep, RecordStep, SettleStep
-
-HEAD = "format: starbench/sequence/1\nname: test\n"
-
-
-def read(text):
-    return check_document((HEAD + text).encode(), "s.yaml", Sequence)
-
-
-def steps(text):
-    return flatten(read(text))
-
-
-def faults(text):
-    try:
-        return [str(fault) for fault in unfold(read(text))[1]]
-    except DocumentFaults as error:
-        return [str(fault) for fault in error.faults]
-
 
 UNTIL = "steps:\n  - light\n  - until: {expanded_fx_px: 2, at_most: 4, start: [{pan_deg: -6}, {pan_deg: 6, tilt_deg: 1}]%s}\n  - light: off\n"
 
 
 def test_it_unfolds_into_its_start_and_rounds_for_every_accepted_and_failed_pose():
-    script = steps(UNTIL % "")
+    script = steps_of(UNTIL % "")
     rounds = 4 + POSES_FAILED - 1
     kinds = [type(step) for step in script]
     start = [MoveStep, SettleStep, RecordStep] * 2
@@ -53,7 +32,7 @@ def test_it_unfolds_into_its_start_and_rounds_for_every_accepted_and_failed_pose
 
 
 def test_its_poses_have_numbers_and_names_but_no_angles():
-    recorded = [step.pose for step in steps(UNTIL % "") if isinstance(step, RecordStep)]
+    recorded = [step.pose for step in steps_of(UNTIL % "") if isinstance(step, RecordStep)]
     assert [pose.index for pose in recorded] == list(range(1, len(recorded) + 1))
     assert [pose.name for pose in recorded[:4]] == ["pan -6 tilt 0", "pan 6 tilt 1", "chosen 1", "chosen 2"]
     assert [pose.chosen_in_run for pose in recorded[:4]] == [False, False, True, True]
@@ -70,12 +49,12 @@ def test_its_poses_have_numbers_and_names_but_no_angles():
     ],
 )
 def test_a_failed_pose_is_skipped_unless_the_document_says_otherwise(defaults, own, expected):
-    records = [step for step in steps(defaults + UNTIL % own) if isinstance(step, RecordStep)]
+    records = [step for step in steps_of(defaults + UNTIL % own) if isinstance(step, RecordStep)]
     assert {step.on_failure for step in records} == {expected}
 
 
 def test_its_calibrations_use_the_defaults_of_solve():
-    script = steps("defaults: {solve: {model: planar, distortion: [k1]}}\n" + UNTIL % "")
+    script = steps_of("defaults: {solve: {model: planar, distortion: [k1]}}\n" + UNTIL % "")
     choice = next(step for step in script if isinstance(step, ChooseStep))
     assert (choice.solve.model, choice.solve.distortion) == ("planar", ("k1",))
 
@@ -99,11 +78,11 @@ def test_its_calibrations_use_the_defaults_of_solve():
     ],
 )
 def test_what_is_wrong_with_it(given, message):
-    (fault,) = faults(f"steps:\n  - light\n  - until: {given}\n")
+    (fault,) = faults_of(f"steps:\n  - light\n  - until: {given}\n")
     assert message in fault
     assert fault.startswith("s.yaml:5:")
 
 
 def test_a_record_after_it_needs_a_move():
-    (fault,) = faults(UNTIL.replace("  - light: off\n", "  - record\n") % "")
+    (fault,) = faults_of(UNTIL.replace("  - light: off\n", "  - record\n") % "")
     assert "a record before any move" in fault
