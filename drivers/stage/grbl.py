@@ -16,13 +16,7 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
-from drivers.stage.grbl_controller import (
-    ALARMS,
-    BLOCKING_STATES,
-    GrblController,
-    StatusReport,
-    machine_positions,
-)
+from drivers.stage.grbl_controller import ALARMS, BLOCKING_STATES, GrblController, StatusReport
 from drivers.stage.motion import Axis
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, not_movable
 from drivers.wire_log import WireLog
@@ -194,7 +188,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             self._line.reset()
 
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
-        return axis.zero_deg + machine_positions(report, [self._places[axis.name]], self._where)[0]
+        return axis.zero_deg + report.position(self._places[axis.name], self._where)
 
     def _problem(self, state: str, *, homing: bool) -> str:
         """Return why a move in this state will not end at its target; empty when it may."""

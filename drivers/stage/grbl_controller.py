@@ -8,7 +8,7 @@ https://github.com/gnea/grbl/tree/master/doc/markdown.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -85,6 +85,16 @@ class StatusReport:
         """Whether any axis moves."""
         return (self.state, self.substate) in _MOVING
 
+    def position(self, place: int, where: str) -> float:
+        """Return the machine position, in the board's unit, of the axis at a place: 0 for X, 1 for Y ..."""
+        if place >= len(self.machine_position):
+            raise ReplyGarbled(
+                f"the board reports {len(self.machine_position)} axes only.",
+                where=where,
+                remedy="Check the axis letters in the station file.",
+            )
+        return self.machine_position[place]
+
 
 def parse_report(line: bytes, where: str = "") -> StatusReport | None:
     r"""Parse a status report; None for another line. Without machine position or known state it is garbled.
@@ -103,26 +113,6 @@ def parse_report(line: bytes, where: str = "") -> StatusReport | None:
             remedy="Set $10=1, so that the board reports machine positions.",
         )
     return StatusReport(match[1].decode(), int(match[2] or 0), tuple(map(float, place[1].split(","))))
-
-
-def parse_setting(line: bytes) -> tuple[int, float] | None:
-    r"""Parse one line of the answer to ``$$``: number and value of the setting; None for any other line.
-
-    >>> parse_setting(b"$100=800.000\r\n")
-    (100, 800.0)
-    """
-    match = _SETTING.fullmatch(line)
-    return (int(match[1]), float(match[2])) if match else None
-
-
-def parse_build_info(line: bytes) -> tuple[str, str] | None:
-    r"""Parse the first line of the answer to ``$I``: the firmware's version, and the board's name; None for others.
-
-    >>> parse_build_info(b"[VER:1.1h.20190830:gimbal-7]\r\n")
-    ('1.1h.20190830', 'gimbal-7')
-    """
-    match = _BUILD.fullmatch(line)
-    return (match[1].decode("latin-1"), match[2].decode("latin-1")) if match else None
 
 
 def parse_response(line: bytes) -> int | None:
@@ -145,27 +135,6 @@ def parse_alarm(line: bytes) -> int | None:
     """
     match = re.fullmatch(rb"ALARM:(\d{1,2})\r\n", line)
     return int(match[1]) if match else None
-
-
-def is_welcome(line: bytes) -> bool:
-    """Return whether a line is the welcome message, which the firmware sends when it has started."""
-    return line.startswith(b"Grbl ")
-
-
-def is_informational(line: bytes) -> bool:
-    """Return whether a line needs no action: an empty line, a message, or the echo of a start-up line."""
-    return line == b"\r\n" or line.startswith((b"[MSG:", b">"))
-
-
-def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
-    """Return the machine positions, in the board's unit, of axes at places in the report: 0 for X, 1 for Y ..."""
-    if max(places) >= len(report.machine_position):
-        raise ReplyGarbled(
-            f"the board reports {len(report.machine_position)} axes only.",
-            where=where,
-            remedy="Check the axis letters in the station file.",
-        )
-    return tuple(report.machine_position[place] for place in places)
 
 
 _MARKER_S = 0.5
@@ -289,14 +258,14 @@ class GrblController(Link):
 
     def query_settings(self) -> dict[int, float]:
         """Ask for all settings: values by number, in the board's units."""
-        found = [parse_setting(line) for line in self.query("$$")]
-        return dict(setting for setting in found if setting is not None)
+        found = map(_SETTING.fullmatch, self.query("$$"))
+        return {int(setting[1]): float(setting[2]) for setting in found if setting}
 
     def query_build_info(self) -> tuple[str, str]:
-        """Ask for the build information."""
-        for line in self.query("$I"):
-            if (build := parse_build_info(line)) is not None:
-                return build
+        """Ask for the firmware's version, and the board's name."""
+        for build in map(_BUILD.fullmatch, self.query("$I")):
+            if build:
+                return build[1].decode("latin-1"), build[2].decode("latin-1")
         raise self.garbled_reply("the answer to $I has no version.", "Check that the firmware is GRBL 1.1.")
 
     # ------------------------------------------------------------ inside
@@ -362,7 +331,7 @@ class GrblController(Link):
 
     def take_unsolicited(self, line: bytes) -> bool:
         """Take a push message: note restarts and alarms."""
-        if is_welcome(line):
+        if line.startswith(b"Grbl "):  # the welcome message of a firmware that has started
             self.restarts += 1
             self.needs_reset = False
             return True
@@ -370,7 +339,8 @@ class GrblController(Link):
         if alarm is not None:
             self.alarms.append(alarm)
             self.needs_reset |= alarm in _HALTING_ALARMS
-        return alarm is not None or is_informational(line)
+        is_message = line == b"\r\n" or line.startswith((b"[MSG:", b">"))  # ">": echo of a start-up line
+        return alarm is not None or is_message
 
     def _wait_for_boot(self) -> None:
         try:

@@ -18,7 +18,7 @@ from typing import Final, Self, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
-from drivers.link import Link, ReplyReader, read_until_agreed, repeat
+from drivers.link import TRIES, Link, read_until_agreed, repeat
 from drivers.serial_port import Port
 from drivers.stage.watched import read_back_otherwise
 from drivers.wire_log import WireLog
@@ -290,9 +290,7 @@ class ThorlabsController(Link):
 
     def read_position(self) -> int:
         """Ask once for the position, counts; who needs it sure asks again."""
-        return int(
-            POSITION_LAYOUT.unpack(self._query(REQUEST_POSITION, POSITION_LAYOUT))[1],
-        )
+        return int(POSITION_LAYOUT.unpack(self._query(REQUEST_POSITION, POSITION_LAYOUT))[1])
 
     def read_speed(self) -> tuple[int, int]:
         """Ask for acceleration and speed, in the controller's units."""
@@ -311,15 +309,11 @@ class ThorlabsController(Link):
 
     def is_enabled(self) -> bool:
         """Ask whether the channel is switched on."""
-
-        def ask() -> int:
-            def read_reply(reader: ReplyReader) -> int:
-                return parameter_of(reader.read_line(), REQUEST_ENABLED, self.name)
-
-            request = self._sign_of_life + short(REQUEST_ENABLED, CHANNEL)
-            return repeat(lambda: self.exchange(request, read_reply))
-
-        return self._read_twice(ask, "the state of the channel") == ON
+        state = self._read_twice(
+            lambda: self._ask(REQUEST_ENABLED, lambda reply: parameter_of(reply, REQUEST_ENABLED, self.name)),
+            "the state of the channel",
+        )
+        return state == ON
 
     def enable(self) -> None:
         """Switch the channel on: the motor holds its position."""
@@ -374,16 +368,15 @@ class ThorlabsController(Link):
     def _read_twice(self, read: Callable[[], T], what: str) -> T:
         return read_until_agreed(read, what=what, where=self.name)
 
-    def _query(self, message: int, layout: struct.Struct) -> bytes:
-        """Send a query, repeat it when no valid reply comes, and return the data of the reply."""
-        return repeat(lambda: self._query_once(message, layout))
+    def _query(self, message: int, layout: struct.Struct, *, tries: int = TRIES) -> bytes:
+        """Send a query and return the data of the reply; see `_ask`."""
+        return self._ask(message, lambda reply: data_of(reply, message, layout, self.name), tries=tries)
 
-    def _query_once(self, message: int, layout: struct.Struct) -> bytes:
-        def read_reply(reader: ReplyReader) -> bytes:
-            return data_of(reader.read_line(), message, layout, self.name)
-
+    def _ask(self, message: int, parse: Callable[[bytes], T], *, tries: int = TRIES) -> T:
+        """Send a query, ``tries`` times in all until its reply is valid; return what ``parse`` makes of the reply."""
         channel = 0 if message == REQUEST_INFORMATION else CHANNEL
-        return self.exchange(self._sign_of_life + short(message, channel), read_reply)
+        request = self._sign_of_life + short(message, channel)
+        return repeat(lambda: self.exchange(request, lambda reader: parse(reader.read_line())), tries=tries)
 
     def _resynchronise(self) -> None:
         """Silence what another program has switched on; then get the identity, alone on the line."""
@@ -394,7 +387,7 @@ class ThorlabsController(Link):
             self.drain()
 
         self.prove_in_step(
-            lambda: self._query_once(REQUEST_INFORMATION, INFORMATION_LAYOUT),
+            lambda: self._query(REQUEST_INFORMATION, INFORMATION_LAYOUT, tries=1),
             marker_s=_MARKER_S,
             clear_device=clear_device,
             once_if_silent=True,

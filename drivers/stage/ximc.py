@@ -9,11 +9,11 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
-from drivers.link import Link, ReplyReader, repeat
+from drivers.link import TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, ximc_protocol
 from drivers.stage.motion import Axis
@@ -49,24 +49,21 @@ class XimcController(Link):
 
     def read_serial(self) -> str:
         """Ask for the serial number."""
-        layout = ximc_protocol.SERIAL_LAYOUT
-        return str(layout.unpack(self._query("gser", layout))[0])
+        return str(self._query("gser", ximc_protocol.SERIAL_LAYOUT)[0])
 
     def read_identity(self) -> tuple[str, str, str]:
         """Ask for maker, model and firmware."""
-        layout = ximc_protocol.INFORMATION_LAYOUT
-        maker, _, model, *_ = layout.unpack(self._query("geti", layout))
-        version = ximc_protocol.VERSION_LAYOUT
-        major, minor, release = version.unpack(self._query("gfwv", version))
+        maker, _, model, *_ = self._query("geti", ximc_protocol.INFORMATION_LAYOUT)
+        major, minor, release = self._query("gfwv", ximc_protocol.VERSION_LAYOUT)
         return _text(maker), _text(model), f"{major}.{minor}.{release}"
 
     def read_status(self) -> Status:
         """Ask for the state of the axis."""
-        return Status.unpack(self._query("gets", Status.LAYOUT))
+        return Status(*self._query("gets", Status.LAYOUT))
 
     def read_settings(self, kind: type[S]) -> S:
         """Ask for settings, which are in the controller's units."""
-        return kind.unpack(self._query(kind.READ, kind.LAYOUT))
+        return kind(*self._query(kind.READ, kind.LAYOUT))
 
     def set(self, command: str, data: bytes) -> None:
         """Send a setting, data without CRC; repeat it when its echo does not come, which does no harm."""
@@ -102,16 +99,14 @@ class XimcController(Link):
 
     def _check_units(self) -> None:
         """Raise DeviceRefused unless positions are steps of a stepper motor."""
-        layout = ximc_protocol.ENGINE_TYPE_LAYOUT
-        engine_type, _ = layout.unpack(self._query("gent", layout))
+        engine_type, _ = self._query("gent", ximc_protocol.ENGINE_TYPE_LAYOUT)
         if engine_type != ximc_protocol.STEPPER:
             raise DeviceRefused(
                 f"the controller drives no stepper motor (engine type {engine_type}), so its units differ.",
                 where=self.name,
                 remedy="Use a stage with a stepper motor; this driver supports no other.",
             )
-        layout = ximc_protocol.FEEDBACK_LAYOUT
-        _, feedback, *_ = layout.unpack(self._query("gfbs", layout))
+        _, feedback, *_ = self._query("gfbs", ximc_protocol.FEEDBACK_LAYOUT)
         if feedback in ximc_protocol.BY_ENCODER:
             raise DeviceRefused(
                 f"the controller counts by its encoder (feedback type {feedback}), and its speeds are in rpm.",
@@ -120,8 +115,7 @@ class XimcController(Link):
             )
 
     def _query_division(self) -> int:
-        engine = ximc_protocol.ENGINE_LAYOUT.unpack(self._query("geng", ximc_protocol.ENGINE_LAYOUT))
-        mode: int = engine[ximc_protocol.MICROSTEP_MODE]
+        mode: int = self._query("geng", ximc_protocol.ENGINE_LAYOUT)[ximc_protocol.MICROSTEP_MODE]
         if not 1 <= mode <= 9:
             raise ReplyGarbled(
                 f"unknown step division mode {mode}.",
@@ -130,16 +124,15 @@ class XimcController(Link):
             )
         return 1 << (mode - 1)
 
-    def _query(self, command: str, layout: struct.Struct) -> bytes:
-        """Send a query, repeat it when no valid reply comes, and return the data of the reply."""
-        return repeat(lambda: self._query_once(command, layout))
+    def _query(self, command: str, layout: struct.Struct, *, tries: int = TRIES) -> tuple[Any, ...]:
+        """Send a query, ``tries`` times in all until its reply is valid; return the values in its data."""
 
-    def _query_once(self, command: str, layout: struct.Struct) -> bytes:
         def read_reply(reader: ReplyReader) -> bytes:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
             return ximc_protocol.check_data(command, reader.read_exactly(layout.size + 2), self.name)
 
-        return self.exchange(ximc_protocol.request(command), read_reply)
+        request = ximc_protocol.request(command)
+        return layout.unpack(repeat(lambda: self.exchange(request, read_reply), tries=tries))
 
     def _resynchronise(self) -> None:
         """Complete by zeros what the controller waits for; then get its serial number, alone on the line."""
@@ -149,7 +142,7 @@ class XimcController(Link):
             self.drain()
 
         self.prove_in_step(
-            lambda: self._query_once("gser", ximc_protocol.SERIAL_LAYOUT),
+            lambda: self._query("gser", ximc_protocol.SERIAL_LAYOUT, tries=1),
             marker_s=_MARKER_S,
             clear_device=clear_device,
         )

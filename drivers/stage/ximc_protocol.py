@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from drivers.errors import DeviceRefused, ReplyGarbled
 
@@ -124,11 +124,6 @@ class Status:
     encoder: int  # Position, in encoder counts
     flags: int  # State flags; see ``IS_HOMED`` and ``STATE_FLAGS``
 
-    @classmethod
-    def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of ``gets``, without CRC."""
-        return cls(*cls.LAYOUT.unpack(data))
-
     @property
     def running(self) -> bool:
         """Whether a motion command is being carried out."""
@@ -162,11 +157,6 @@ class Settings:
     READ: ClassVar[str]
     WRITE: ClassVar[str]
     """Commands that ask for them, and that set them."""
-
-    @classmethod
-    def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of a reply, without CRC."""
-        return cls(*cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
         """Pack the data of a request, without CRC."""
