@@ -6,7 +6,7 @@ import struct
 import threading
 from datetime import UTC, datetime
 
-import numpy as np
+from camera_words import words_of
 
 WHO = {
     "maker": "Prophesee",
@@ -21,14 +21,6 @@ WHO = {
 
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
-
-
-def words_of(step):
-    """2 ms of the sensor's clock: clock words, one event in its middle."""
-    t = 5_000_000 + 2000 * step
-    words = [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, step % 720, 0x2800 | step % 1280]
-    t += 1999
-    return np.array([*words, 0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF], "<u2").tobytes()
 
 
 class Peer:

@@ -6,6 +6,7 @@ import threading
 from contextlib import suppress
 
 import pytest
+from camera_words import words_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +14,7 @@ from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.clock import SystemClock
 from drivers.errors import DeviceRefused, DriverError, ReplyGarbled, ReplyTimeout
 from tests.hil.evk4_client.clocks import HurryingClock, SteppedClock
-from tests.hil.evk4_client.peer import NOW, WHO, frame, words_of
+from tests.hil.evk4_client.peer import NOW, WHO, frame
 
 
 def test_an_answer_that_is_long_in_computing_is_waited_for(peer, connect):

@@ -4,11 +4,11 @@ import json
 import socket
 
 import pytest
+from camera_words import words_of
 
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraError, CameraLost, RecordingFailed
 from tests.hil.evk4_client.clocks import HurryingClock, SteppedClock
-from tests.hil.evk4_client.peer import words_of
 
 
 def test_the_file_is_a_header_and_the_cameras_own_words(connect, tmp_path):

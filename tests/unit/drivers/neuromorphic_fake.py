@@ -3,17 +3,10 @@
 import dataclasses
 from types import SimpleNamespace
 
-import numpy as np
+from camera_words import words_of
 
 SERIAL = "00051234"
 BIASES = ("pr", "fo", "hpf", "diff_on", "diff", "diff_off", "inv", "refr")
-
-
-def words_of(step):
-    t = 9_000_000 + 2000 * step
-    words = [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, step % 720, 0x2800 | step % 1280]
-    t += 1999
-    return np.array([*words, 0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF], "<u2").tobytes()
 
 
 @dataclasses.dataclass

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from camera_words import words_of
 
 from drivers.camera import CameraSettings, FoundCamera
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4, discover
@@ -18,7 +19,7 @@ from drivers.errors import (
     CameraSoftwareMissing,
     WrongDevice,
 )
-from tests.unit.drivers.neuromorphic_fake import SERIAL, Biases, Configuration, Device, words_of
+from tests.unit.drivers.neuromorphic_fake import SERIAL, Biases, Configuration, Device
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
 

@@ -9,20 +9,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
 
-import numpy as np
 import pytest
+from camera_words import words_of
 
 SERIAL = "00051234"
+RISING = 0xA001
+"""A word: an edge at the trigger input."""
 
 
 HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% serial_number 00051234\n% end\n"
-
-
-def words_of(step):
-    t = 9_000_000 + 2000 * step
-    words = [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, step % 720, 0x2800 | step % 1280, 0xA001]
-    t += 1999
-    return np.array([*words, 0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF], "<u2").tobytes()
 
 
 class Channel(enum.Enum):
@@ -269,7 +264,7 @@ class Stream:
 
     def get_latest_raw_data(self):
         self.hook.get(self.step, lambda: None)()
-        data = words_of(self.step)
+        data = words_of(self.step, RISING)
         self.step += 1
         if self.log is not None and self.step <= self.log_takes:
             self.log.write(data)

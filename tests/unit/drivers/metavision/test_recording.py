@@ -4,13 +4,14 @@ import gc
 import weakref
 
 import pytest
+from camera_words import words_of
 
 from drivers.camera import CameraSettings
 from drivers.camera import metavision as metavision_driver
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraLost, RecordingFailed
-from tests.unit.drivers.metavision.fake_hal import HEADER, SERIAL, Device, words_of
+from tests.unit.drivers.metavision.fake_hal import HEADER, RISING, SERIAL, Device
 
 
 def test_a_camera_without_optional_facilities_works(device, camera, tmp_path):
@@ -48,7 +49,7 @@ def test_a_recording_holds_all_buffers_and_covers_the_time(device, camera, tmp_p
     recording = RawFile.open(path)
     scan = recording.scan()
     assert path.read_bytes() == HEADER + b"".join(
-        words_of(k) for k in range(device.facilities["events_stream"].step)
+        words_of(k, RISING) for k in range(device.facilities["events_stream"].step)
     )
     assert 0.033 <= facts.duration_s < 0.038
     assert (facts.events, facts.triggers, facts.bytes) == (scan.events, scan.triggers, path.stat().st_size)
