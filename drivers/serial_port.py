@@ -28,45 +28,37 @@ from drivers.port_address import PORT_REMEDY, refused_port
 try:
     import fcntl
     import termios
-except ImportError:  # Windows opens every serial port exclusively by itself.
 
-    def lock_exclusively(descriptor: int) -> None:
-        """Do nothing: the system has locked the port at opening."""
+    _TERMIOS_ERROR: type[Exception] = termios.error
+    _LOCKS_PORTS = True
+except ImportError:  # Windows opens every serial port exclusively by itself, and has no setting of hanging up
+    _TERMIOS_ERROR, _LOCKS_PORTS = OSError, False
 
-    def unlock(descriptor: int) -> None:
-        """Do nothing: the system unlocks the port at closing."""
-
-    def disable_hang_up_on_close(descriptor: int) -> None:
-        """Do nothing: the system has no such setting."""
-
-else:
-
-    def lock_exclusively(descriptor: int) -> None:
-        """Lock an open port, or raise `BlockingIOError`. Locking the same descriptor again does no harm."""
-        file_lock.lock(descriptor)
-        # A device that is no terminal has no TIOCEXCL; the flock still holds.
-        with contextlib.suppress(OSError):
-            fcntl.ioctl(descriptor, termios.TIOCEXCL)
-
-    def unlock(descriptor: int) -> None:
-        """Release the kernel's exclusive lock, which belongs to the terminal and not to the descriptor."""
-        with contextlib.suppress(OSError):
-            fcntl.ioctl(descriptor, termios.TIOCNXCL)
-
-    def disable_hang_up_on_close(descriptor: int) -> None:
-        """Clear HUPCL: closing then leaves DTR as it is, so a board that resets on DTR does not reset."""
-        attributes = termios.tcgetattr(descriptor)
-        if attributes[2] & termios.HUPCL:
-            attributes[2] &= ~termios.HUPCL
-            termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+_LOST = (serial.SerialException, OSError, _TERMIOS_ERROR)
 
 
-try:
-    from termios import error as _termios_error
-except ImportError:  # Windows
-    _termios_error = OSError  # type: ignore[misc, assignment]
+def lock_exclusively(descriptor: int) -> None:
+    """Lock an open port, or raise `BlockingIOError`. Locking the same descriptor again does no harm."""
+    file_lock.lock(descriptor)
+    # A device that is no terminal has no TIOCEXCL; the flock still holds.
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
-_LOST = (serial.SerialException, OSError, _termios_error)
+
+def unlock(descriptor: int) -> None:
+    """Release the kernel's exclusive lock, which belongs to the terminal and not to the descriptor."""
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCNXCL)
+
+
+def disable_hang_up_on_close(descriptor: int) -> None:
+    """Clear HUPCL: closing then leaves DTR as it is, so a board that resets on DTR does not reset."""
+    attributes = termios.tcgetattr(descriptor)
+    if attributes[2] & termios.HUPCL:
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+
+
 _NO_SERIAL_PORT = (ValueError, NotImplementedError)
 """Exceptions of pyserial for settings that a port, or a system, does not have."""
 SYSTEM = os.name
@@ -209,8 +201,8 @@ def _open(address: str, baudrate: int, stopbits: int, rtscts: bool) -> Any:
 
 
 def _descriptor(port: Any) -> int | None:
-    """Return the file descriptor of a local port; None where there is none (sockets, Windows)."""
-    return getattr(port, "fd", None)
+    """Return the file descriptor of a local port; None where there is none to lock (sockets, Windows)."""
+    return getattr(port, "fd", None) if _LOCKS_PORTS else None
 
 
 def _holder_of(address: str) -> str:

@@ -188,7 +188,7 @@ class NeuromorphicEvk4(UsbCameraDriver):
         camera = self.identify()
         stream = PacketStream(self._device, self._lost)
         header, size = render_header(camera, self._utc_now()), (camera.width, camera.height)
-        recorded = self._record_words(stream, path, header, size, duration_s)
+        recorded = self.record_words(stream, path, header, size, duration_s)
         return recording_facts(
             camera,
             recorded,

@@ -107,7 +107,7 @@ class RecordedCamera(EventCameraDriver):
         source = self._next_source()
         header = source.file.raw_header
         play_s = math.inf if self._player is None else duration_s
-        recorded = self._record_words(source, path, header.text, (header.width, header.height), play_s)
+        recorded = self.record_words(source, path, header.text, (header.width, header.height), play_s)
         self._played += 1
         complete = recorded.statistics.duration_s >= duration_s and not self._stop_asked.is_set()
         return recording_facts(

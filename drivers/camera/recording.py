@@ -141,7 +141,7 @@ class EventCameraDriver(ABC):
             )
         self._stop_asked.clear()
 
-    def _record_words(
+    def record_words(
         self, source: WordSource, path: Path, header: bytes, size: tuple[int, int], duration_s: float
     ) -> RecordingOutcome:
         """Write a source's words into a new file until the sensor's clock has covered the duration (inf: all words).

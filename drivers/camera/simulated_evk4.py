@@ -140,9 +140,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
             identity = self.identify()
             biases, filters, monitor = self._biases(), self.filters(), self._ask("monitor")
             header, size = render_header(identity, self._utc_now()), (identity.width, identity.height)
-            recorded = self._record_words(
-                _Stream(self._line, preview=preview), path, header, size, duration_s
-            )
+            recorded = self.record_words(_Stream(self._line, preview=preview), path, header, size, duration_s)
         return recording_facts(
             identity,
             recorded,
