@@ -17,13 +17,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ClassVar, ParamSpec, Protocol, Self, TypeVar
 
 import serial
 
 from drivers import file_lock
+from drivers.clock import Clock
 from drivers.errors import PortBusy, PortDenied, PortError, PortLost, PortNotFound
 from drivers.port_address import PORT_REMEDY, refused_port
+from drivers.wire_log import WireLog
 
 try:
     import fcntl
@@ -249,3 +251,32 @@ def closed_on_error(*ports: Port) -> Iterator[None]:
         for port in ports:
             port.close()
         raise
+
+
+class OnOnePort:
+    """A device on one port. Open it with ``open``; its constructor takes a port that is open already."""
+
+    BAUDRATE: ClassVar[int]
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        *arguments: Any,
+        baudrate: int | None = None,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+        **more: Any,
+    ) -> Self:
+        """Open the port and the device on it. `SerialPort` raises the errors of opening.
+
+        ``baudrate`` None stands for the device's own; the other arguments are those of the constructor.
+        """
+        construct: Any = cls
+        opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
+        device: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
+        return device
+
+    @classmethod
+    def _baudrate(cls, *_arguments: Any) -> int:
+        return cls.BAUDRATE

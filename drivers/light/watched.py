@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Final, Self, TypeVar
+from typing import ClassVar, Final, TypeVar
 
-from drivers.clock import Clock
 from drivers.errors import LightFault, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link, read_until_agreed
-from drivers.serial_port import SerialPort
-from drivers.wire_log import WireLog
+from drivers.serial_port import OnOnePort
 
 FULL_SCALE_V: Final = 5.0
 """Value of ``high_v`` that stands for the full level of a light whose levels are percent, in volts."""
@@ -23,13 +21,12 @@ FULL_SCALE_V: Final = 5.0
 T = TypeVar("T")
 
 
-class WatchedLight(ABC):
+class WatchedLight(OnOnePort, ABC):
     """A light behind a controller. Implements ``drivers.light.Light``.
 
-    Open it with ``open``; the constructor takes a port that is open already. Opening switches nothing.
+    Opening checks who answers. It sets and switches nothing.
     """
 
-    BAUDRATE: ClassVar[int]
     OUTPUT: ClassVar[str] = "light"
     """What is switched, in messages."""
     LAMP: ClassVar[str] = "light"
@@ -43,26 +40,6 @@ class WatchedLight(ABC):
 
     def __init__(self) -> None:
         self._switched_on = False
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        *arguments: Any,
-        baudrate: int | None = None,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-        **more: Any,
-    ) -> Self:
-        """Open the port and check who answers. Sets and switches nothing.
-
-        ``drivers.serial_port.SerialPort`` raises the errors of opening; ``baudrate`` None stands for the family's own;
-        the other arguments are those of the family's constructor.
-        """
-        construct: Any = cls
-        opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
-        light: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
-        return light
 
     # ------------------------------------------------------------ what a family implements
 
@@ -132,10 +109,6 @@ class WatchedLight(ABC):
     def close(self) -> None:
         """See `Light.close`."""
         self._line.close()
-
-    @classmethod
-    def _baudrate(cls, *_arguments: Any) -> int:
-        return cls.BAUDRATE
 
     def _stays_dark(self) -> tuple[str, str]:
         reads, remedy = self.STAYS_DARK

@@ -82,7 +82,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         self._line.take_notices()
 
     @classmethod
-    def _baudrate(cls, description: StageDescription) -> int:
+    def _baudrate(cls, _axes: Sequence[TextAxis], description: StageDescription) -> int:
         return description.line.baudrate
 
     def identify(self) -> Sequence[AxisIdentity]:

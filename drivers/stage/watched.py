@@ -24,7 +24,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.link import Link, Reading, read_position_until_agreed
-from drivers.serial_port import Port, SerialPort, closed_on_error
+from drivers.serial_port import OnOnePort, Port, SerialPort, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.motion import A, Axis, MoveWatch
 from drivers.wire_log import WireLog
@@ -416,14 +416,11 @@ def read_back_otherwise(where: str, what: str, wanted: object, got: object) -> D
     )
 
 
-class OneLineStage(WatchedStage[A], Generic[A, L]):
-    """A stage whose axes share one line.
+class OneLineStage(OnOnePort, WatchedStage[A], Generic[A, L]):
+    """A stage whose axes share one line. Axes stand in the order of the station file.
 
-    Open it with ``open``; the constructor takes a port that is open already. Axes stand in the order of the station
-    file.
+    Opening checks who answers, and sets limits, speed and acceleration. It moves nothing.
     """
-
-    BAUDRATE: ClassVar[int]
 
     def __init__(
         self, port: Port, axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None
@@ -440,31 +437,6 @@ class OneLineStage(WatchedStage[A], Generic[A, L]):
     @abstractmethod
     def _set_up(self) -> None:
         """Compare the serial numbers, bring the axes to rest, and set what the station file states."""
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        axes: Sequence[A],
-        *arguments: Any,
-        baudrate: int | None = None,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-        **more: Any,
-    ) -> Self:
-        """Open the port, check who answers, and set limits, speed and acceleration. Moves nothing.
-
-        ``drivers.serial_port.SerialPort`` raises the errors of opening; ``baudrate`` None stands for the family's own;
-        the other arguments are those of the family's constructor.
-        """
-        opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
-        construct: Any = cls
-        stage: Self = construct(opened, axes, *arguments, clock=clock, wire_log=wire_log, **more)
-        return stage
-
-    @classmethod
-    def _baudrate(cls, *_arguments: Any) -> int:
-        return cls.BAUDRATE
 
 
 class LinePerAxisStage(WatchedStage[A], Generic[A, L]):

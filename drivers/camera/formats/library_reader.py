@@ -67,7 +67,8 @@ def main(kind: str, path: Path) -> None:
     except CameraSoftwareMissing as error:
         _write({"kind": "missing", "error": error.what, "remedy": error.remedy})
     except RecordingCorrupt as error:
-        _write({"kind": "corrupt", "error": error.what, "remedy": error.remedy, "offset": error.offset})
+        what = error.what.removesuffix(f" (byte {error.offset}).")  # the reader of this names the place again
+        _write({"kind": "corrupt", "error": what, "remedy": error.remedy, "offset": error.offset})
     except DriverError as error:
         _write({"kind": "other", "error": error.what, "remedy": error.remedy})
     except MemoryError:

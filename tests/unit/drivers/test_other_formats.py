@@ -11,7 +11,7 @@ from imported import import_events
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingFileError
+from drivers.errors import RecordingCorrupt, RecordingFileError
 
 ORIGIN_US = 1_700_000_000_000_000
 EVT2_HEAD = b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n"
@@ -247,6 +247,13 @@ def test_an_encoding_that_cannot_be_read_is_named(tmp_path):
     path = bag(tmp_path / "a.bag", 1, some_events(5), "libcaer_cmp")
     with pytest.raises(RecordingFileError, match="encoded as 'libcaer_cmp'; evt3 and mono"):
         import_events(path)
+
+
+def test_malformed_words_in_a_bag_are_told_with_their_place_once(tmp_path):
+    path = bag(tmp_path / "a.bag", 1, some_events(5), "evt3")
+    with pytest.raises(RecordingCorrupt, match=r"640 x 480 px \(byte 4\)\. Record") as caught:
+        import_events(path)
+    assert caught.value.offset == 4
 
 
 # ------------------------------------------------------------ hostile files
