@@ -221,6 +221,7 @@ class Link(ABC):
         self._wire_log = wire_log
         self._buffer = bytearray()
         self._in_step = True
+        """Whether the next reply belongs to the next request, as far as is known."""
         self._urgent = False
         self._urgent_reply_s: float | None = None
 
@@ -244,11 +245,6 @@ class Link(ABC):
     def unread(self) -> bytes:
         """Bytes that have arrived and that nobody has taken yet."""
         return bytes(self._buffer)
-
-    @property
-    def in_step(self) -> bool:
-        """Whether the next reply belongs to the next request, as far as is known."""
-        return self._in_step
 
     def exchange(
         self,

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
-from drivers.link import TRIES, Link, ReplyReader, repeat
+from drivers.link import TRIES, Link, ReplyReader, do_nothing, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -200,7 +200,7 @@ class TextLine(Link):
         PortLost
             The port is gone.
         """
-        self.exchange(self._encode(command), _read_nothing, deadline_s=0.0)
+        self.exchange(self._encode(command), do_nothing, deadline_s=0.0)
 
     def send_urgent(self, command: str) -> None:
         """Send a command that has no reply at once, without resynchronising: for stopping and switching off.
@@ -268,10 +268,6 @@ class TextLine(Link):
 
 def _is_finite_number(text: str) -> bool:
     return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
-
-
-def _read_nothing(_reader: ReplyReader) -> None:
-    """Read nothing: a command has no reply."""
 
 
 _LONGEST_QUEUE = 40

@@ -83,10 +83,6 @@ class DescribedLine(Link):
                 line = self.take_line()
         return False
 
-    def give_up_waiting(self) -> None:
-        """Let an outstanding late reply be thrown away before the next request."""
-        self.mark_out_of_step()
-
     def take_notices(self) -> list[str]:
         """Return what the device said without being asked since the last call."""
         found, self._notices = self._notices, []

@@ -343,7 +343,7 @@ class DynamixelBus(Link):
         left = []
         usual_s, self.reply_s = self.reply_s, _FIRST_STOP_S
         try:
-            for servo in () if self.in_step else self._servos:
+            for servo in () if self._in_step else self._servos:
                 with suppress(ReplyError, DeviceRefused), self.urgently():
                     self._stop(servo, confirmed=False)
             for servo in self._servos:

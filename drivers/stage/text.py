@@ -212,7 +212,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         if self._awaited:
             self._awaited = []
             self._homed_in = None
-            self._line.give_up_waiting()
+            self._line.mark_out_of_step()  # an outstanding late reply is thrown away before the next request
         tries = 1
         for _ in range(_STOPS_IN_SILENCE):
             try:

@@ -181,7 +181,9 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
             self._check_scale(axis)
         for axis in self._axes.values():
             self._program(axis)
-        self._encoders = {name for name, axis in self._axes.items() if self._has_encoder(axis)}
+        self._encoders = {
+            name for name, axis in self._axes.items() if self._setting(axis, "encoder.pos") is not None
+        }
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""
@@ -264,9 +266,6 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
             return None
         reply = self._line.query(axis.device, axis.axis, "get encoder.pos")
         return AxisState(axis.to_angle_deg(self._line.parse_integer(reply.data)), reply.busy)
-
-    def _has_encoder(self, axis: ZaberAxis) -> bool:
-        return self._setting(axis, "encoder.pos") is not None
 
     def _flags(self, axis: ZaberAxis) -> tuple[str, ...]:
         return self._line.query_flags(axis.device, axis.axis)
