@@ -19,7 +19,7 @@ Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/da
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +36,6 @@ from drivers.camera.event_arrays import (
     Triggers,
     as_events,
     as_triggers,
-    empty_events,
     join_triggers,
     require_one_length,
     require_ratio,
@@ -165,23 +164,15 @@ def _attributes(recording: RawFile) -> Mapping[str, str]:
 
 
 def _in_chunks(recording: RawFile, triggers: list[Triggers], *, size: int = CHUNK_EVENTS) -> Iterator[Events]:
-    """Yield events in pieces of ``size`` (the last may be shorter), views of the same arrays; append the triggers."""
-    whole = empty_events(size)
-    filled = 0
-    for events, edges in recording.pieces():
-        triggers.append(edges)
-        done = 0
-        while done < len(events.t):
-            take = min(size - filled, len(events.t) - done)
-            to, of = slice(filled, filled + take), slice(done, done + take)
-            whole.t[to], whole.x[to] = events.t[of], events.x[of]
-            whole.y[to], whole.p[to] = events.y[of], events.p[of]
-            filled, done = filled + take, done + take
-            if filled == size:
-                yield whole
-                filled = 0
-    if filled:
-        yield whole.part(0, filled)
+    """Yield events in pieces of ``size`` (the last may be shorter); append the triggers."""
+
+    def pieces() -> Iterator[Events]:
+        for events, edges in recording.pieces():
+            triggers.append(edges)
+            yield events
+
+    for chunk in _even(pieces(), size):
+        yield Events(*chunk)
 
 
 def _ecf_dataset(group: Any) -> Any:
@@ -251,6 +242,7 @@ def _new_hdf5(path: Path) -> Iterator[Any]:
 _AGAIN: Final = "Export it again from the RAW recording."
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
 PIECE_EVENTS: Final = 500_000
+_Columns = tuple[NDArray[Any], ...]
 
 _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError, NotImplementedError),
@@ -356,8 +348,9 @@ def _from_hdf5(file: Any) -> EventSource:
     triggers = as_triggers({name: _edges(column, f"triggers/{name}") for name, column in edges.items()})
 
     def pieces() -> Iterator[Events]:
-        for part in zip(*(_even(rows(column)) for column in columns.values()), strict=True):
-            yield as_events(*part)
+        even = (_even(((part,) for part in rows(column)), PIECE_EVENTS) for column in columns.values())
+        for parts in zip(*even, strict=True):
+            yield as_events(*(part for (part,) in parts))
 
     return EventSource(len(columns["t"]), triggers, int(sides["width"]), int(sides["height"]), header, pieces)
 
@@ -404,21 +397,25 @@ def _edges(column: Any, name: str) -> NDArray[Any]:
     return whole(column, MOST_TRIGGERS * column.dtype.itemsize)
 
 
-def _even(parts: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Put arrays of any lengths into pieces of one length; the last may be shorter."""
-    kept: list[NDArray[Any]] = []
+def _even(pieces: Iterable[_Columns], size: int) -> Iterator[_Columns]:
+    """Put columns of any length into pieces of one length; the last may be shorter."""
+    kept: list[_Columns] = []
     have = 0
-    for part in parts:
-        kept.append(part)
-        have += len(part)
-        if have >= PIECE_EVENTS:
-            joined = np.concatenate(kept)
-            for begin in range(0, have - PIECE_EVENTS + 1, PIECE_EVENTS):
-                yield joined[begin : begin + PIECE_EVENTS]
-            rest = joined[have - have % PIECE_EVENTS :]
-            kept, have = [rest], len(rest)
+    for piece in pieces:
+        kept.append(piece)
+        have += len(piece[0])
+        if have >= size:
+            joined = _joined(kept)
+            for begin in range(0, have - size + 1, size):
+                yield tuple(column[begin : begin + size] for column in joined)
+            kept = [tuple(column[have - have % size :] for column in joined)]
+            have %= size
     if have:
-        yield np.concatenate(kept)
+        yield _joined(kept)
+
+
+def _joined(pieces: list[_Columns]) -> _Columns:
+    return tuple(np.concatenate(parts) for parts in zip(*pieces, strict=True))
 
 
 def _checked(pieces: Iterator[Events], of: EventSource) -> Iterator[Events]:
