@@ -102,9 +102,9 @@ class WatchedStage(ABC, Generic[A]):
         """See `Stage.faults`."""
         return [f"{name}: {fault}" for name, axis in self._axes.items() for fault in self._faults_of(axis)]
 
-    def _faults_of(self, axis: A) -> list[str]:  # noqa: ARG002 - a family may tell those of all axes at once
-        """Ask for the faults of one axis."""
-        return []
+    def _faults_of(self, axis: A) -> list[str]:
+        """Ask for the faults of one axis; a family that asks for those of all axes at once has its own ``faults``."""
+        raise NotImplementedError(axis.name)
 
     @abstractmethod
     def _check_ready(self, axis: A) -> None:
