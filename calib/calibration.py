@@ -10,12 +10,11 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import InputMismatch
-from calib.model.boresight import Boresight, RotationErrors
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.model.result_parts import Amplitude, BudgetRow, GimbalEstimate, Witness
+from calib.model.result_parts import Amplitude, Boresight, BudgetRow, GimbalEstimate, RotationErrors, Witness
 from calib.model.type_b_terms import TypeBTerm
 
 ModelName = Literal[
@@ -326,11 +325,11 @@ class Calibration:
             "candidates": [],  # of earlier versions: models that were compared
             "notes": list(self.notes),
             "remarks": list(self.remarks),
-            **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),
+            **({"gimbal": asdict(self.gimbal)} if self.gimbal else {}),
             **({"boresight": self.boresight.to_dict()} if self.boresight else {}),
-            "budget_rows": [row.to_dict() for row in self.budget_rows],
+            "budget_rows": [asdict(row) for row in self.budget_rows],
             "not_included": list(self.not_included),
-            "witnesses": [one.to_dict() for one in self.witnesses],
-            "amplitudes": [one.to_dict() for one in self.amplitudes],
+            "witnesses": [asdict(one) for one in self.witnesses],
+            "amplitudes": [asdict(one) for one in self.amplitudes],
             "coverage_factors": dict(self.coverage_factors),
         }

@@ -32,14 +32,16 @@ from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
 from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
 from calib.uncertainty.covariance import (
+    MIN_VIEWS,
+    CrossValidation,
     Uncertainty,
     covariance_at_optimum,
     enlarged,
+    leave_one_out,
     propagate_passport,
     rotation_covariance,
     views_of_poses,
 )
-from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
 from calib.uncertainty.projection_uncertainty import worst_point
 from calib.view import View
 
@@ -258,8 +260,14 @@ def _doubts(fitted: Fit) -> tuple[str, ...]:
 
 
 def _notes(fitted: Fit) -> tuple[str, ...]:
-    """Return the notes for the reader of the result."""
-    notes = _weakness(fitted)
+    """Return the notes for the reader of the result: a focal length poorly determined, and views that disagree."""
+    notes, sigma, camera = [], fitted.uncertainty.sigma, fitted.parameters.camera
+    relative = {"fx": sigma["fx"] / camera.fx, "fy": sigma["fy"] / camera.fy}
+    name = max(relative, key=lambda focal: relative[focal])
+    if not relative[name] < _WEAK_FOCAL_SIGMA:
+        why = explain_weak_geometry(fitted.views, fitted.parameters)
+        text = f"Weak geometry: {name} is known only to ±{200 * relative[name]:.1f} % (k = 2). {why}".strip()
+        notes.append(f"{text} Add views turned about other axes, with the stars elsewhere in the image.")
     if fitted.uncertainty.inconsistent:
         notes.append(
             f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
@@ -267,18 +275,6 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
             "such errors."
         )
     return tuple(notes)
-
-
-def _weakness(fitted: Fit) -> list[str]:
-    """Return a note if a focal length is poorly determined, with the reason."""
-    sigma, camera = fitted.uncertainty.sigma, fitted.parameters.camera
-    relative = {"fx": sigma["fx"] / camera.fx, "fy": sigma["fy"] / camera.fy}
-    name = max(relative, key=lambda focal: relative[focal])
-    if relative[name] < _WEAK_FOCAL_SIGMA:
-        return []
-    why = explain_weak_geometry(fitted.views, fitted.parameters)
-    text = f"Weak geometry: {name} is known only to ±{200 * relative[name]:.1f} % (k = 2). {why}".strip()
-    return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
 
 
 def _rms(lengths: Array) -> float:

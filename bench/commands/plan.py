@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -170,7 +171,7 @@ def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
         "worst_corner_px": forecast.limited[WORST_CORNER],
         "worst_px": forecast.projection_map.worst_px,
         "stars": list(forecast.stars),
-        "budget_rows": [row.to_dict() for row in forecast.budget_rows],
+        "budget_rows": [asdict(row) for row in forecast.budget_rows],
         "remarks": list(found.remarks),
     }
 

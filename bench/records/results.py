@@ -76,7 +76,7 @@ class GimbalEstimateData(TypedDict):
 
 
 class BoresightData(TypedDict):
-    """The rotation from the stage's flange to the camera (`calib.model.boresight.Boresight`)."""
+    """The rotation from the stage's flange to the camera (`calib.model.result_parts.Boresight`)."""
 
     camera_from_flange: Sequence[Sequence[float]]  # (3, 3)
     vector_deg: Sequence[float]  # The same as a rotation vector

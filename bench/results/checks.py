@@ -17,11 +17,11 @@ from bench.views.expected_grid import engine_angles_deg
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.model.gimbal_readings import AXES
+from calib.studies.camera_check import split_half
 from calib.studies.gimbal_faults import GimbalFault
 from calib.studies.gimbal_model import PairRatios
 from calib.studies.hand_eye import check_hand_eye
 from calib.studies.parallax import Parallax, PupilWalk, pupil_walk
-from calib.studies.split_half import split_half
 from calib.view import View
 
 _NOT_INDEPENDENT = (

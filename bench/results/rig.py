@@ -31,7 +31,8 @@ from bench.results.offline_options import OfflineOptions
 from bench.results.view_sources import RECORDINGS, ViewSource, view_sources
 from calib.model.rotation import exp_map, log_map
 from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
-from calib.studies.rig import Rig, stated_cameras, through_collimator, with_boards
+from calib.studies.rig import Rig, stated_cameras, through_collimator
+from calib.studies.rig_boards import with_boards
 from calib.view import View
 from drivers.camera.raw_file import RawFile
 

@@ -21,10 +21,9 @@ from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.records.storage import read_json
 from bench.report.pose_plot import camera_of
 from calib.calibration import Calibration, ViewSummary
-from calib.model.boresight import Boresight
 from calib.model.camera import CameraModel
 from calib.model.collimator import CENTRE, Collimator
-from calib.model.result_parts import BudgetRow, GimbalEstimate
+from calib.model.result_parts import Boresight, BudgetRow, GimbalEstimate
 from calib.view import View
 
 if TYPE_CHECKING:

@@ -15,15 +15,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.loss import Loss, lengths
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.arrays import median
+from calib.arrays import Array, Ints, median
 from calib.errors import InputMismatch
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
@@ -132,7 +129,7 @@ class Observations:
     # covariance (Aitken, 1936).
     whitening: Array
     slices: tuple[slice, ...]
-    view: NDArray[np.int64]  # (N,) int64 index of the view of each row
+    view: Ints  # (N,) int64 index of the view of each row
 
     @classmethod
     def from_views(cls, views: Sequence[View]) -> Observations:
@@ -146,7 +143,7 @@ class Observations:
         )
 
     @cached_property
-    def stars(self) -> NDArray[np.int64]:
+    def stars(self) -> Ints:
         """(n,) int64 number of stars of each view."""
         return np.array([rows.stop - rows.start for rows in self.slices], np.int64)
 
@@ -166,7 +163,7 @@ class Observations:
         return np.ascontiguousarray(self.whitening.transpose(1, 2, 0))
 
     @cached_property
-    def _places(self) -> NDArray[np.int64]:
+    def _places(self) -> Ints:
         """(N,) int64 place of each row in its view."""
         return np.concatenate([np.arange(count) for count in self.stars])
 
@@ -176,7 +173,7 @@ class Observations:
         found[self.view, :, :, self._places] = values.transpose(2, 0, 1)
         return found.reshape(len(found), len(values), -1)
 
-    def part(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
+    def part(self, rows: Sequence[Ints]) -> Observations:
         """Return observations of one view for each entry of `rows`: its row indices, (N_i,) int64."""
         every = np.concatenate(rows)
         kept = self.target[every], self.points_px[every], self.whitening[every]
@@ -208,7 +205,7 @@ def _whitening(covariances: Array) -> Array:
     return found
 
 
-def _stacked(counts: Sequence[int]) -> tuple[tuple[slice, ...], NDArray[np.int64]]:
+def _stacked(counts: Sequence[int]) -> tuple[tuple[slice, ...], Ints]:
     """Return the rows of views with the given numbers of stars, and the view of each row."""
     ends = np.cumsum(counts)
     slices = tuple(slice(int(end - n), int(end)) for n, end in zip(counts, ends, strict=True))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Refinement, refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.closed_forms import (
@@ -24,8 +24,6 @@ from calib.model.collimator import Collimator
 from calib.model.passport import Passport
 from calib.model.rotation import exp_map
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Focal lengths tried last, as shares of the diagonal of the image: from a wide-angle lens to a telephoto lens.
 _FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)

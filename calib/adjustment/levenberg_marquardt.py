@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.adjustment.bundle import ViewEquations
 from calib.adjustment.loss import Loss
-
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 #: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12

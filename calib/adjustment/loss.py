@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import InputMismatch
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.gimbal import Gimbal
 from calib.model.rotation import exp_map, log_map
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -73,9 +71,7 @@ def poses_of(rotations: Array) -> tuple[int, ...]:
     A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule.
     """
     flat = np.asarray(rotations).reshape(len(rotations), 9)
-    # The chord between two rotations turned by an angle t: |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
-    chord = np.sqrt(8.0) * np.sin(np.deg2rad(SAME_POSE_DEG) / 2.0)
-    same = np.linalg.norm(flat[:, None] - flat[None], axis=2) < chord
+    same = np.linalg.norm(flat[:, None] - flat[None], axis=2) < _chord(SAME_POSE_DEG)
     firsts: list[int] = []
     found = []
     for i, near in enumerate(same):
@@ -84,6 +80,11 @@ def poses_of(rotations: Array) -> tuple[int, ...]:
             firsts.append(i)
         found.append(pose)
     return tuple(found)
+
+
+def _chord(turned_deg: float) -> float:
+    """Return the chord between rotations turned by an angle t: |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm."""
+    return float(np.sqrt(8.0) * np.sin(np.deg2rad(turned_deg) / 2.0))
 
 
 def members(poses: Sequence[int]) -> list[list[int]]:
@@ -99,13 +100,9 @@ _NARROW_DEG = 5.0
 
 
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:
-    """Refuse views that all show the same pose, within half a degree: only noise would determine the focal length.
-
-    The chord between two rotations turned by an angle t is |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
-    """
+    """Refuse views that all show the same pose, within half a degree: only noise would determine the focal length."""
     away = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
-    chord = np.sqrt(8.0) * np.sin(np.deg2rad(_SAME_POSE_DEG) / 2.0)
-    if np.linalg.norm(away, axis=1).max() < chord:
+    if np.linalg.norm(away, axis=1).max() < _chord(_SAME_POSE_DEG):
         raise DegenerateViews(
             f"All {len(parameters.rotations)} views show the same pose.",
             remedy="Turn the camera by some degrees between views.",

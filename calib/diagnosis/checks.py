@@ -1,4 +1,10 @@
-"""All checks of wrong data: `check_views` before an adjustment of them, `check_adjustment` after it."""
+"""All checks of wrong data: `check_views` before an adjustment of them, `check_adjustment` after it.
+
+The unit of the target positions and the image size are stated beside the points. A wrong unit scales the collimator's
+radius, and nothing else: the camera is the same, and no residual changes. So views alone decide only when the numbers
+are implausible. A known radius decides. An image size is wrong if points lie outside of it, or if it is too large for
+the points and the principal point.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +14,13 @@ import numpy as np
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array
 from calib.diagnosis.gross_stars import noise_px
 from calib.diagnosis.shifted_views import find_other_origins, find_shifted_ids
-from calib.diagnosis.stated_numbers import check_image_size, check_target_units, require_points_inside
+from calib.errors import InputMismatch
+from calib.model.camera import CameraModel
+from calib.model.closed_forms import linear_solution
+from calib.model.homography import neighbours_of, view_homography
 from calib.view import View
 
 #: Points closer than this are the same numbers, px.
@@ -98,3 +108,151 @@ def _alike(views: Sequence[View]) -> Iterator[tuple[View, View]]:
         near = np.where(common, squares, 0.0).sum(axis=1) <= _NEAR_PX**2 * count
         for j in np.flatnonzero(enough & near).tolist():
             yield views[i], views[i + 1 + j]
+
+
+Size = tuple[int, int]
+
+#: Millimetres in units that are taken for millimetres by mistake.
+_UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
+#: Pitches and radii outside of these ranges are implausible, mm.
+PLAUSIBLE_PITCH_MM = (0.05, 500.0)
+PLAUSIBLE_R_MM = (5.0, 50_000.0)
+#: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
+_TOLERANCE = 1.5
+
+
+def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:
+    """Return a sentence if the unit of the target positions is implausible; empty if not, which is no proof of it.
+
+    ``known_r_mm`` is from a passport, a certificate or a data sheet, and is compared with a closed form; without it,
+    only implausible numbers count.
+    Raises InputMismatch: If the positions contradict the known radius, and another unit explains that.
+    """
+    why, unit = _doubt_of_unit(views, known_r_mm)
+    if unit and known_r_mm is not None:
+        # Without this refusal, the adjustment would end in an obscure one.
+        raise InputMismatch(
+            f"{why} The target positions look like {unit}.",
+            where="target positions",
+            remedy="Give them in mm.",
+        )
+    if unit:
+        return f"{why} The target positions look like {unit}; give them in mm."
+    return f"{why} Check that the target positions are in mm." if why else ""
+
+
+def _doubt_of_unit(views: Sequence[View], known_r_mm: float | None) -> tuple[str, str]:
+    """Return what is implausible, a sentence, and the unit that would explain it; both may be empty."""
+    r_mm = None if known_r_mm is None else closed_form_radius(views)
+    if r_mm is not None and known_r_mm is not None and (unit := _unit(known_r_mm / r_mm)):
+        return f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known.", unit
+    pitch = min(neighbours_of(view).spacing for view in views)
+    if not PLAUSIBLE_PITCH_MM[0] <= pitch <= PLAUSIBLE_PITCH_MM[1]:
+        why = f"Neighbouring stars of the target are {pitch:.3g} mm apart, which is implausible."
+        return why, "metres" if pitch < 1.0 else "micrometres"
+    if r_mm is not None and not PLAUSIBLE_R_MM[0] <= r_mm <= PLAUSIBLE_R_MM[1]:
+        why = f"The views give a collimator radius of {r_mm:.3g} mm, which is implausible."
+        return why, "metres" if r_mm < 1.0 else "micrometres" if r_mm > 1e5 else ""
+    return "", ""
+
+
+def closed_form_radius(views: Sequence[View]) -> float | None:
+    """Return the collimator's radius, mm (arXiv:2512.16092, eq. 5); None if it is not real, as of one view."""
+    h = np.array([view_homography(view) for view in views])
+    for free in (True, False):
+        solution = linear_solution(h, views[0].image_size, free_principal_point=free)
+        if solution is not None:
+            return solution.collimator.r
+    return None
+
+
+def _unit(ratio: float) -> str:
+    """Return the unit whose length in mm is within a factor of a ratio; empty if none is."""
+    near = {name: abs(np.log(ratio / length)) for name, length in _UNITS.items()}
+    name = min(near, key=lambda unit: near[unit])
+    return name if near[name] < np.log(_TOLERANCE) else ""
+
+
+#: Sizes of event cameras and of common frame cameras, px.
+KNOWN_SIZES: tuple[Size, ...] = (
+    (1280, 720), (640, 480), (346, 260), (320, 320), (304, 240), (240, 180), (128, 128), (320, 240),
+    (480, 320), (640, 512), (768, 640), (816, 612), (752, 480), (800, 600), (1024, 768), (1280, 800),
+    (1280, 960), (1280, 1024), (1440, 1080), (1600, 1200), (1632, 1224), (1920, 1080), (1920, 1200),
+    (2048, 1536), (2448, 2048), (2592, 1944), (4096, 3000),
+)  # fmt: skip
+#: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
+#: half for points whose origin is the corner.
+_OUTSIDE_PX = 1.0
+#: A principal point this share of the width or height away from the middle is implausible.
+_FAR_FROM_MIDDLE = 0.15
+#: A size explains the views if its middle is within this share of the principal point ...
+_NEAR_MIDDLE = 0.1
+#: ... and if the outermost points come this close to its border, as a share of it.
+_NEAR_BORDER = 0.1
+
+
+def require_points_inside(views: Sequence[View]) -> None:
+    """Refuse views with points outside of their image size; names the first one, and a known size that holds all."""
+    for view in views:
+        limit = np.array(view.image_size) - 1.0 + _OUTSIDE_PX
+        outside = ((view.points_px < -_OUTSIDE_PX) | (view.points_px > limit)).any(axis=1)
+        if not outside.any():
+            continue
+        beyond = np.maximum(view.points_px - limit, -_OUTSIDE_PX - view.points_px).max(axis=1)
+        x, y = view.points_px[int(beyond.argmax())]
+        size = _holding(_reached(views), views)
+        hint = f" The points fit into {size[0]} x {size[1]}." if size else ""
+        raise InputMismatch(
+            f"{np.count_nonzero(outside)} of {len(view)} stars lie outside of the stated image size "
+            f"{view.image_size[0]} x {view.image_size[1]}, the outermost at ({x:.1f}, {y:.1f}).{hint}",
+            where=f"view {view.name}",
+            remedy="Give the image size of the camera, width first.",
+        )
+
+
+def check_image_size(views: Sequence[View], camera: CameraModel, sigma_px: tuple[float, float]) -> str:
+    """Return a sentence if the principal point contradicts the stated image size; empty if not, or if nothing decides.
+
+    Own rule: the principal point is farther from the middle than 15 % of the width or height, by more than 4 sigma. A
+    known size explains this if its middle is near the principal point, and the outermost points are near its border.
+    ``sigma_px`` is that of cx and cy.
+    """
+    size = np.array(views[0].image_size, float)
+    point = np.array([camera.cx, camera.cy])
+    away = np.abs(point - (size - 1) / 2)
+    if not (away - 4.0 * np.array(sigma_px) > _FAR_FROM_MIDDLE * size).any():
+        return ""
+    reached = _reached(views)
+    explained = [
+        one
+        for one in KNOWN_SIZES
+        if (np.array(one) <= size).all()
+        and (reached <= np.array(one) - 1.0 + _OUTSIDE_PX).all()
+        and (np.array(one) - reached < _NEAR_BORDER * np.array(one)).all()
+        and (np.abs(point - (np.array(one) - 1) / 2) < _NEAR_MIDDLE * np.array(one)).all()
+    ]
+    plausible = min(explained, key=lambda one: one[0] * one[1], default=None)
+    text = (
+        f"The principal point lies {np.hypot(*away):.0f} px from the middle of the stated image size "
+        f"{views[0].image_size[0]} x {views[0].image_size[1]}, and no point lies beyond x = {reached[0]:.0f} and "
+        f"y = {reached[1]:.0f}."
+    )
+    if plausible:
+        return f"{text} The image size is probably {plausible[0]} x {plausible[1]}."
+    return f"{text} Check the image size, and whether the points come from a part of the image."
+
+
+def _reached(views: Sequence[View]) -> Array:
+    """Return the largest x and the largest y of all points, (2,) px."""
+    return np.asarray(np.max([view.points_px.max(axis=0) for view in views], axis=0))
+
+
+def _holding(reached: Array, views: Sequence[View]) -> Size | None:
+    """Return the smallest known size that holds all points closely; None if there is none."""
+    if min(view.points_px.min() for view in views) < -_OUTSIDE_PX:
+        return None
+    holding = [one for one in KNOWN_SIZES if (reached <= np.array(one) - 1.0 + _OUTSIDE_PX).all()]
+    smallest = min(holding, key=lambda one: one[0] * one[1], default=None)
+    if smallest is None or not (np.array(smallest) - reached < 2.0 * _NEAR_BORDER * np.array(smallest)).all():
+        return None
+    return smallest

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.joint.posterior import Posterior
-from calib.model.boresight import Boresight
 from calib.model.camera import CameraModel
 from calib.model.gimbal import MOUNTING, Gimbal
+from calib.model.result_parts import Boresight
 from calib.model.rotation import skew
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from calib.joint.equations import Bench, State
 from calib.joint.marginal import Problem
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
-from calib.model.boresight import RotationErrors
+from calib.model.result_parts import RotationErrors
 
 Array = NDArray[np.float64]
 

@@ -6,17 +6,12 @@ they are found here too (`gross_errors`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from calib.arrays import Array, Bools, median
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
+from calib.model.local_consistency import Nearest, contradicts_neighbours, nearest_stars
 from calib.view import View
-
-if TYPE_CHECKING:
-    from calib.model.local_consistency import Nearest
-
 
 MIN_STARS = 4
 _REWEIGHTING_ROUNDS = 15
@@ -85,8 +80,6 @@ def rough_homography(view: View) -> Array:
 
 def neighbours_of(view: View) -> Nearest:
     """Return the neighbours of the at least 2 stars of a view, which are found once."""
-    from calib.model.local_consistency import nearest_stars
-
     return view.remembered("neighbours", lambda of: nearest_stars(of.target_mm))
 
 
@@ -111,8 +104,6 @@ def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
 
 def _wrong_about(h: Array, view: View) -> Bools:
     """Return which stars contradict their neighbours after subtraction of a homography, (N,) bool."""
-    from calib.model.local_consistency import contradicts_neighbours
-
     with np.errstate(divide="ignore", invalid="ignore"):
         mapped = apply_homography(h, view.target_mm)
     if not np.isfinite(mapped).all():

@@ -70,13 +70,8 @@ class Nearest:
         return np.stack([*terms, x * x, x * y, y * y] if quadratic else terms, axis=2)
 
 
-def nearest_stars(target: Array) -> Nearest:
-    """Return the neighbours of each star from (N, 2) positions on the target, any unit; N >= 2."""
-    return _nearest(target, _NEIGHBOURS)
-
-
-def _nearest(target: Array, most: int) -> Nearest:
-    """Return at most so many neighbours of each star."""
+def nearest_stars(target: Array, most: int = _NEIGHBOURS) -> Nearest:
+    """Return at most so many neighbours of each star from (N, 2) positions on the target, any unit; N >= 2."""
     from scipy.spatial import KDTree
 
     target, count = np.ascontiguousarray(target, np.float64), min(most, len(target) - 1)
@@ -146,7 +141,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
 
 def local_spacing(target: Array) -> float:
     """Return the typical distance of a star from the nearest one, the pitch of a lattice, for N >= 2."""
-    return _nearest(target, 1).spacing
+    return nearest_stars(target, 1).spacing
 
 
 def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> Bools:

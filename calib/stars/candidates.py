@@ -1,4 +1,9 @@
-"""Possible stars, to about a pixel, with places on the target: by the tag, a part of it, or the pose; untested."""
+"""Possible stars, to about a pixel, with places on the target: by the tag, a part of it, or the pose; untested.
+
+If the tag cannot be read whole, stars are found on a relative grid: its origin is any star, and it is turned by any
+number of quarter turns. The visible part of the tag labels them, or an expected pose. The module refuses to label stars
+if more than one labelling agrees with the print.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +15,137 @@ from calib.arrays import AnyArray, Array, Array32, Bools, Ints
 from calib.errors import StarsUnnamed, TargetNotFound
 from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
-from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
-from calib.stars.labelling import StarLabels, label_by_pose, label_by_tag
-from calib.stars.lattice import find_lattice
+from calib.stars.grid_map import predict_locally
+from calib.stars.growth import GrowthStart, StarGrid, find_lattice, grow_star_grid, start_at_tag
 from calib.stars.tag import find_tag
+from calib.stars.template import values_at
 from calib.target import StarTarget
+
+#: Largest share of the visible modules of a tag that may be wrong.
+MAX_WRONG_MODULES = 0.08
+#: Least share of the modules inside the tag's border that must be visible.
+MIN_INNER_SHARE = 1 / 3
+#: Least difference between the best labelling and any other, in the share of right modules.
+MIN_MARGIN = 0.15
+#: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
+MAX_OFF_NODE, MAX_SCATTER = 0.3, 0.35
+_QUARTER_TURNS = [
+    np.array(m) for m in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])
+]
+
+
+class StarLabels(NamedTuple):
+    """Labels of stars as a map of nodes: node of the target = turn @ relative node + shift."""
+
+    turn: Ints  # (2, 2) int64, rotation by quarter turns
+    shift: Ints  # (2,) int64, columns and rows
+
+    def apply(self, nodes: Ints) -> Ints:
+        """Return the (N, 2) nodes of the target, columns and rows, of nodes of the relative grid."""
+        return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
+
+
+def label_by_pose(grown: StarGrid, expected: Array, *, name: str) -> StarLabels:
+    """Label stars, found on a relative grid, by the positions at which a pose lets them be expected.
+
+    Own rule: the quarter turn with the least scatter about a common shift, and the whole nodes next to the median
+    shift. ``expected`` is from [column row 1] of the target's grid to [u v 1] px, right to a third of a pitch.
+    Raises StarsUnnamed: If the stars do not lie on the expected grid, or lie half-way between two labellings.
+    """
+    nodes = grown.nodes()
+    there = apply_homography(np.asarray(np.linalg.inv(expected), np.float64), grown.places())
+    fits = []
+    for turn in _QUARTER_TURNS:
+        off = there - nodes @ turn.T
+        middle = np.median(off, axis=0)
+        fits.append((float(np.sqrt(np.mean(np.sum((off - middle) ** 2, axis=1)))), middle, turn))
+    scatter, middle, turn = min(fits, key=lambda f: f[0])
+    shift = np.round(middle)
+    if scatter > MAX_SCATTER or np.abs(middle - shift).max() > MAX_OFF_NODE:
+        raise StarsUnnamed(
+            f"The image shows {len(nodes)} stars but no tag, and the expected pose does not identify the stars: they "
+            f"lie {np.abs(middle - shift).max():.2f} squares from its nodes and scatter by {scatter:.2f} squares.",
+            where=f"view {name}",
+            remedy="Turn the camera so that the tag is in view, or give the pose to a third of a square.",
+        )
+    return StarLabels(turn, shift.astype(np.int64))
+
+
+def label_by_tag(
+    image: Array32, grown: StarGrid, sign: float, target: StarTarget, *, name: str
+) -> StarLabels:
+    """Label stars, found on a relative grid, by the part of the tag that is in view.
+
+    Every gap in the grid of stars that may hold the tag is compared with the print, module by module, in all four
+    orientations. Own rule: the labelling with the largest share of right modules, if it exceeds all others by
+    `MIN_MARGIN`. The image is smoothed; the sign is +1 if white is bright, -1 if it is dark.
+    Raises StarsUnnamed: If too little of the tag is visible, it is another tag, or two labellings agree with it.
+    """
+    nodes = grown.nodes()
+    h = fit_homography(nodes.astype(float), grown.places())
+    white, black = _white_and_black(image, grown, h, sign)
+    centre = np.array(target.tag_centre_mm) / target.pitch_mm
+    found: list[tuple[float, StarLabels]] = []
+    for middle in _gaps(nodes, target):
+        modules = _modules(image, grown, h, middle, target)
+        if modules is None:
+            continue
+        white_here = np.where(np.isfinite(modules), sign * modules > (white + black) / 2.0, False)
+        for quarter, turn in enumerate(_QUARTER_TURNS):
+            right = np.rot90(white_here, -quarter) == (target.layout.tag_modules > 0)
+            share = float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
+            shift = np.round(centre - turn @ middle).astype(np.int64)
+            found.append((share, StarLabels(turn, shift)))
+    found.sort(key=lambda f: -f[0])
+    if not found or found[0][0] < 1.0 - MAX_WRONG_MODULES:
+        what = "no readable part of the tag."
+    elif len(found) > 1 and found[1][0] > found[0][0] - MIN_MARGIN:
+        what = "the visible part of the tag agrees with more than one labelling."
+    else:
+        return found[0][1]
+    raise StarsUnnamed(
+        f"The image shows {len(nodes)} stars, but {what}",
+        where=f"view {name}",
+        remedy="Turn the camera so that more of the tag is in view, or give the expected pose.",
+    )
+
+
+def _gaps(nodes: Ints, target: StarTarget) -> Array:
+    """Return the (M, 2) centres, pitches, of gaps as large as the tag's, by a summed-area table (Crow, 1984)."""
+    side = target.tag_squares + 1
+    low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
+    taken = np.zeros(high - low + 1, np.int64)
+    taken[nodes[:, 0] - low[0], nodes[:, 1] - low[1]] = 1
+    total = np.pad(taken.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    inside = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    return np.argwhere(inside == 0) + low + (side - 1) / 2.0
+
+
+def _white_and_black(image: Array32, grown: StarGrid, h: Array, sign: float) -> tuple[float, float]:
+    """Return white's and black's brightness times the sign: quantiles 0.8 and 0.2 on circles around the stars (own)."""
+    around = np.array([[np.cos(a), np.sin(a)] for a in np.arange(64) * np.pi / 32]) * 0.4
+    at = apply_homography(h, (grown.nodes()[:, None, :] + around[None]).reshape(-1, 2))
+    values = sign * values_at(image, *at.T)
+    values = values[np.isfinite(values)]
+    return float(np.quantile(values, 0.8)), float(np.quantile(values, 0.2))
+
+
+def _modules(image: Array32, grown: StarGrid, h: Array, middle: Array, target: StarTarget) -> Array | None:
+    """Return the brightness of the modules of a tag with its centre at a place, (M, M), nan outside of the image.
+
+    None if a smaller share than `MIN_INNER_SHARE` of those inside the border lies in the image.
+    """
+    across = target.tag_modules
+    steps = ((np.arange(across) + 0.5) / across - 0.5) * target.tag_squares
+    on_grid = middle + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    inner = np.zeros((across, across), bool)
+    inner[1:-1, 1:-1] = True
+    roughly = np.isfinite(values_at(image, *apply_homography(h, on_grid[inner.ravel()]).T))
+    if np.count_nonzero(roughly) < MIN_INNER_SHARE * roughly.size:
+        return None
+    at = predict_locally(h, grown.nodes().astype(float), grown.places(), on_grid)
+    return values_at(image, *at.T).reshape(inner.shape).astype(float)
+
 
 #: Least number of stars of a view.
 MIN_STARS = 12

@@ -275,13 +275,7 @@ class SymmetryFit(NamedTuple):
 
     def select(self, mask: Bools) -> SymmetryFit:
         """Return the fits of some stars by an (N,) mask, in the same order."""
-        return SymmetryFit(
-            self.centres[mask],
-            self.information[mask],
-            self.mean_square[mask],
-            self.light_slope[mask],
-            self.converged[mask],
-        )
+        return SymmetryFit._make(part[mask] for part in self)
 
 
 def smooth(image: Array32, sigma_px: float) -> Array32:
@@ -298,17 +292,11 @@ def symmetry_samples(pitch_px: float) -> Array:
     return np.column_stack([u[upper], v[upper]])
 
 
-class _Steps(NamedTuple):
-    """Gauss-Newton steps of N stars."""
-
-    regular: Bools  # (N,) bool, whether the image determines every unknown; a flat one does not
-    step: Array  # (N, 6) float64, 0 where it does not
-
-
-def solve_steps(normal: Array, right: Array) -> _Steps:
+def solve_steps(normal: Array, right: Array) -> tuple[Bools, Array]:
     """Solve the (N, 6, 6) normal equations of each star by the eigenvalues of its matrix.
 
-    Scaled to a unit diagonal first (van der Sluis, 1969), because the unit of some unknowns is the grey value.
+    Scaled to a unit diagonal first (van der Sluis, 1969), because the unit of some unknowns is the grey value. Returns
+    whether the image determines every unknown, (N,), as a flat one does not; and the (N, 6) steps, 0 where it does not.
     """
     diagonal = np.diagonal(normal, axis1=1, axis2=2)
     lit = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))
@@ -318,7 +306,7 @@ def solve_steps(normal: Array, right: Array) -> _Steps:
     regular = lit & (values[:, 0] * _MAX_CONDITION > values[:, -1])
     along = np.einsum("nki,nk->ni", vectors, right / scale)
     along = np.divide(along, values, out=np.zeros_like(along), where=regular[:, None])
-    return _Steps(regular, np.einsum("nki,ni->nk", vectors, along) / scale)
+    return regular, np.einsum("nki,ni->nk", vectors, along) / scale
 
 
 def centre_information(normal: Array) -> Array:

@@ -25,7 +25,6 @@ from calib.errors import DegenerateViews
 from calib.model.closed_forms import poses_from_homographies
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy, exp_map, log_map
-from calib.stars.labelling import grid_homography
 
 #: Standard deviation of what the model neglects (lens, gimbal, homographies) at an image point, px. It is enlarged if
 #: the earlier views disagree more. Points of a view share most of this error, so a view counts as a few points only.
@@ -40,6 +39,16 @@ FIRST_FOCAL_LENGTHS = (0.6, 1.0, 1.7, 2.9, 5.0)
 SIDE, INNER = 5, 0.8
 _LOG_F, _CENTRE, _LOG_R, _MOUNTING, _BASE = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
 _UNKNOWNS = 10
+
+
+def grid_homography(matrix: Array, rotation: Array, centre_mm: Array, pitch_mm: float) -> Array:
+    """Return where a collimator's grid is in a camera's image, (3, 3) from [column row 1] to [u v 1] px.
+
+    H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p, mm, rotation R, camera <- target,
+    and centre c = (x, y, -r) of the spherical motion, mm. Distortion, a few pixels at most, is neglected.
+    """
+    columns = np.column_stack([rotation[:, 0], rotation[:, 1], -rotation @ centre_mm])
+    return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
 
 
 class LabelledView(NamedTuple):

@@ -12,12 +12,11 @@ import numpy as np
 
 from calib.arrays import AnyArray, Array, Ints
 from calib.events.grey_image import to_uint8
-from calib.stars.candidates import MIN_STARS, Candidates, find_without_tag, printed
+from calib.stars.candidates import MIN_STARS, Candidates, StarLabels, find_without_tag, printed
 from calib.stars.centring import smooth
 from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, refine_candidates
 from calib.stars.grid_map import LocalMap
 from calib.stars.growth import GrowthStart, grow_star_grid, start_at_tag
-from calib.stars.labelling import StarLabels
 from calib.stars.tag import TagDetection, find_tag, modules_correlation
 from calib.target import StarTarget
 

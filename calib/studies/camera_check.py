@@ -25,10 +25,18 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array, Bools
+from calib.calibration import Calibration, CalibrationOptions
 from calib.compiled import on_one_thread
+from calib.engine import calibrate
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import PINHOLE, CameraModel
-from calib.uncertainty.projection_uncertainty import camera_difference, projection_derivatives, sensor_grid
+from calib.uncertainty.projection_uncertainty import (
+    CameraDifference,
+    camera_difference,
+    projection_derivatives,
+    projection_uncertainty,
+    sensor_grid,
+)
 from calib.view import View
 
 #: Coverage of the expanded uncertainty over the whole sensor.
@@ -324,3 +332,47 @@ def _seen_from(camera: CameraModel, moved: Array, inverse: Array, limit: float) 
         squares = float(moved @ change @ inverse @ (moved @ change))
         found[kind] = float(np.sqrt(limit / squares)) if squares > 0 else np.inf
     return found
+
+
+#: Each half must determine a camera.
+_MIN_VIEWS = 4
+
+
+@dataclass(frozen=True)
+class SplitHalf:
+    """Two calibrations of one camera, and their difference at infinity."""
+
+    halves: tuple[Calibration, Calibration]
+    difference: CameraDifference
+    # Root mean square difference over the sensor that their uncertainties let expect, px.
+    expected_px: float
+
+    @property
+    def ratio(self) -> float:
+        """Difference found over difference expected: 1 or below if the uncertainties are right.
+
+        Below 1 where both halves have an error in common, such as that of the collimator, which their difference lacks.
+        """
+        return self.difference.rms_px / self.expected_px
+
+
+def split_half(views: Sequence[View], options: CalibrationOptions | None = None) -> SplitHalf:
+    """Calibrate every other view of at least 4, and the rest, and compare.
+
+    Own statistic: the expected difference is the root of the mean of s1^2 + s2^2 over the sensor, with the projection
+    uncertainties s1 and s2. Each half must constrain the camera.
+    """
+    if len(views) < _MIN_VIEWS:
+        raise DegenerateViews(f"{len(views)} views; two halves need at least {_MIN_VIEWS}.")
+    first, second = (calibrate(views[begin::2], _every_other(options, begin)) for begin in (0, 1))
+    maps = [projection_uncertainty(half.camera, half.camera_covariance).sigma_px for half in (first, second)]
+    expected = float(np.sqrt(np.nanmean(maps[0] ** 2 + maps[1] ** 2)))
+    return SplitHalf((first, second), camera_difference(first.camera, second.camera), expected)
+
+
+def _every_other(options: CalibrationOptions | None, begin: int) -> CalibrationOptions | None:
+    """Return the options for every other view: the gimbal's readings are those of these views."""
+    if options is None or options.gimbal is None:
+        return options
+    readings = replace(options.gimbal, angles_deg=options.gimbal.angles_deg[begin::2])
+    return replace(options, gimbal=readings)

@@ -23,8 +23,7 @@ from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.model.passport import Passport
-from calib.uncertainty.covariance import covariance_at_optimum
-from calib.uncertainty.cross_validation import MIN_VIEWS, leave_one_out
+from calib.uncertainty.covariance import MIN_VIEWS, covariance_at_optimum, leave_one_out
 from calib.view import View
 
 #: Limit of the Huber loss: the paper does not state it.

@@ -1,8 +1,9 @@
 """Two cameras on one rig: how the second is turned and placed against the first.
 
 Through a collimator both see a target at infinity, which gives the rotation. A board at finite distance, seen by both
-at once, gives rotation and translation. What the collimator says about rotation and intrinsics, or what files say about
-the intrinsics, is the prior of the adjustment of the boards; so nothing is held, and nothing counts twice.
+at once, gives rotation and translation (`calib.studies.rig_boards`). What the collimator says about rotation and
+intrinsics, or what files say about the intrinsics, is the prior of the adjustment of the boards; so nothing is held,
+and nothing counts twice.
 """
 
 from __future__ import annotations
@@ -16,23 +17,18 @@ from scipy import linalg, special
 
 from calib.arrays import Array, Ints
 from calib.calibration import Calibration
-from calib.compiled import on_one_thread
-from calib.errors import DegenerateViews, InputMismatch, NotConverged
-from calib.model.boresight import RotationErrors
+from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.collimator import CENTRE
+from calib.model.result_parts import RotationErrors
 from calib.model.rotation import exp_map, log_map, nearest_rotation
-from calib.studies.rig_boards import BoardPair, adjusted
 from calib.uncertainty.projection_uncertainty import ARCSEC
-from calib.view import View
 
 #: A camera from other views, and the covariance of its values; None holds them.
 StatedCamera = tuple[CameraModel, Array | None]
 
 #: Standard uncertainty of a value whose file states none, as a share of it.
 _EXACT = 1e-7
-#: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.
-_CONTRADICTS = 5.0
 _RIGID = 0.001
 #: Share of the comparisons with a right rig that are outside of the uncertainty.
 _WITHIN = 0.05
@@ -220,7 +216,7 @@ def _known(calibration: Calibration, stated: CameraModel, covariance: Array | No
             remedy="Give views and calibration of the same camera.",
         )
     values = np.array([held.get(name, 0.0) for name in names])
-    spread = np.diag((_EXACT * np.maximum(np.abs(values), 1.0)) ** 2)
+    spread = _exact(values)
     if covariance is not None:
         have = [names.index(name) for name in held if name in names]
         rows = [at for at, name in enumerate(held) if name in names]
@@ -232,8 +228,13 @@ def _known(calibration: Calibration, stated: CameraModel, covariance: Array | No
             "A stated camera contradicts its views behind the collimator by more than their uncertainties.",
             remedy="Look at it with `starbench check`, or leave out --calibration.",
         )
-    known = np.linalg.inv(spread)
+    known = np.asarray(np.linalg.inv(spread), np.float64)
     return known, known @ off
+
+
+def _exact(values: Array) -> Array:
+    """Return the covariance of values that are held."""
+    return np.asarray(np.diag((_EXACT * np.maximum(np.abs(values), 1.0)) ** 2), np.float64)
 
 
 def _rows(views: Sequence[int]) -> Ints:
@@ -299,66 +300,7 @@ def stated_cameras(
 ) -> Rig:
     """Return cameras with known intrinsics and an unknown rig, to start from; covariance None holds the values."""
     blocks = [
-        np.diag((_EXACT * np.maximum(np.abs(camera.values), 1.0)) ** 2) if one is None else one
+        _exact(camera.values) if one is None else one
         for camera, one in zip((first, second), covariances, strict=True)
     ]
     return Rig(first, second, np.eye(3), None, linalg.block_diag(*blocks))
-
-
-@on_one_thread
-def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, free: bool = False) -> Rig:
-    """Adjust the rig to boards that both cameras saw at once; if ``free``, intrinsics are only a start.
-
-    ``start`` is what is known of the cameras, and of the rotation if it has poses behind a collimator.
-    Raises DegenerateViews: If no board was seen by both; or too few points.
-    Raises InputMismatch: If image sizes differ, or a board was not seen at the same time by both.
-    """
-    for camera, views in ((start.first, first), (start.second, second)):
-        for view in views:
-            if view.image_size != camera.image_size:
-                sizes = [
-                    " x ".join(str(side) for side in size) for size in (view.image_size, camera.image_size)
-                ]
-                raise InputMismatch(
-                    f"The view {view.name} has {sizes[0]} px, its camera {sizes[1]} px.",
-                    remedy="Give views and calibration of the same camera.",
-                )
-    by_name = [{view.name: view for view in views} for views in (first, second)]
-    names = common_names(*(list(one) for one in by_name))
-    pairs = [BoardPair(*(one[name] for one in by_name)) for name in names]
-    known = len(start.covariance) > len(start.first.values) + len(start.second.values)
-    information = linalg.block_diag(
-        np.linalg.inv(start.covariance) if not free else np.zeros_like(start.covariance),
-        np.zeros((3 if known else 6,) * 2),
-    )
-    found = adjusted(start.first, start.second, start.rotation if known else None, information, pairs)
-    _require_one_time(names, found.together, found.apart)
-    if not found.converged:
-        raise NotConverged(
-            "The adjustment of the rig found no optimum.", remedy="Show the board at more angles."
-        )
-    return Rig(
-        found.first,
-        found.second,
-        found.rotation,
-        found.translation,
-        found.covariance,
-        start.views,
-        start.residuals_arcsec,
-        names,
-        found.rms_px,
-        start.chi_square,
-        start.degrees_of_freedom,
-    )
-
-
-def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> None:
-    """Refuse boards that moved: (m,) sums of squares with one pose for both cameras, and with one for each."""
-    times = np.sqrt(together / np.maximum(apart, np.median(apart)))
-    if (times > _CONTRADICTS).any():
-        worst = int(times.argmax())
-        raise InputMismatch(
-            f"{int((times > _CONTRADICTS).sum())} of {len(names)} boards do not fit one rig: at {names[worst]}, both"
-            f" cameras together fit {times[worst]:.0f} times worse than each alone.",
-            remedy="Record both cameras at the same time; keep the rig rigid, and give equal names to equal times.",
-        )

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from calib.adjustment.bundle import Bundle, Observations, ViewEquations
 from calib.adjustment.initialization import pose_start
@@ -19,38 +20,19 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
-from calib.errors import DegenerateViews
+from calib.compiled import on_one_thread
+from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map, nearest_rotation, skew
+from calib.studies.rig import Rig, common_names
 from calib.uncertainty.covariance import inverse_information
 from calib.view import View
 
 _MIN_POINTS = 6
 _NOISE_ROUNDS = 3
-
-
-@dataclass(frozen=True)
-class BoardPair:
-    """One board in the images of both cameras."""
-
-    first: View
-    second: View
-
-
-@dataclass(frozen=True)
-class BoardsFound:
-    """The end of the adjustment."""
-
-    first: CameraModel
-    second: CameraModel
-    rotation: Array  # (3, 3) second <- first
-    translation: Array  # (3,) mm
-    covariance: Array  # (G, G) of the values of both cameras, rotation vector, translation
-    rms_px: Array  # (m, 2)
-    together: Array  # (m,) sum of squares of each board, whitened
-    apart: Array  # (m,) the same if each camera had its own pose of the board
-    converged: bool
+#: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.
+_CONTRADICTS = 5.0
 
 
 @dataclass(frozen=True)
@@ -140,27 +122,46 @@ class _Boards:
         """Return how much rounding of the image points changes the cost."""
         return max(bundle.rounding(cost) for bundle in self.bundles)
 
+    def covariance(self, state: _State) -> Array:
+        """Return the (G, G) covariance of the shared unknowns at the optimum; `DegenerateViews` if there is none."""
+        try:
+            known = self.equations(state, Loss("l2")).eliminated().information.sum(axis=0)
+            return inverse_information(known, self.names)
+        except DegenerateViews as error:
+            raise DegenerateViews(
+                "The boards do not determine the rig.",
+                remedy="Show the board at more angles and distances to both cameras.",
+            ) from error
 
-def adjusted(
-    first: CameraModel,
-    second: CameraModel,
-    rotation: Array | None,
-    information: Array,
-    pairs: Sequence[BoardPair],
-) -> BoardsFound:
-    """Return cameras, rig, with the rotation second <- first, and their covariance.
 
-    ``information`` is (G, G), of both cameras' values, rotation vector and translation, about the start.
-    Raises DegenerateViews: If a view has too few points, or the boards do not determine the rig.
+@on_one_thread
+def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, free: bool = False) -> Rig:
+    """Adjust the rig to boards that both cameras saw at once; if ``free``, intrinsics are only a start.
+
+    ``start`` is what is known of the cameras, and of the rotation if it has poses behind a collimator.
+    Raises DegenerateViews: If no board was seen by both, a view has too few points, or the boards do not determine the
+      rig.
+    Raises InputMismatch: If image sizes differ, or a board was not seen at the same time by both.
     """
-    views = [pair.first for pair in pairs], [pair.second for pair in pairs]
-    alone = [_alone(camera, own) for camera, own in zip((first, second), views, strict=True)]
-    state = _start((first, second), rotation, alone, len(information))
+    cameras = start.first, start.second
+    for camera, views in zip(cameras, (first, second), strict=True):
+        for view in views:
+            _require_size(camera, view)
+    by_name = [{view.name: view for view in views} for views in (first, second)]
+    names = common_names(*(list(one) for one in by_name))
+    seen = [[one[name] for name in names] for one in by_name]
+    known = len(start.covariance) > sum(len(camera.values) for camera in cameras)
+    information = linalg.block_diag(
+        np.linalg.inv(start.covariance) if not free else np.zeros_like(start.covariance),
+        np.zeros((3 if known else 6,) * 2),
+    )
+    alone = [_alone(camera, views) for camera, views in zip(cameras, seen, strict=True)]
+    state = _start(cameras, start.rotation if known else None, alone, len(information))
     bundles = [
-        Bundle(Observations.from_views(own), camera.parameter_names, free_centres=True)
-        for camera, own in zip((first, second), views, strict=True)
+        Bundle(Observations.from_views(views), camera.parameter_names, free_centres=True)
+        for camera, views in zip(cameras, seen, strict=True)
     ]
-    left = 2.0 * np.array([len(bundle.observations.view) for bundle in bundles]) - 6 * len(pairs)
+    left = 2.0 * np.array([len(bundle.observations.view) for bundle in bundles]) - 6 * len(names)
     apart = _apart(bundles, alone)
     for _ in range(_NOISE_ROUNDS):
         noise = np.sqrt(apart.sum(axis=0) / left)
@@ -169,35 +170,58 @@ def adjusted(
         found = refine(boards, state, Loss("l2"))
         state = found.parameters
         now = _apart(bundles, (state.first, state.second))
-        apart = np.where(
-            now.sum(axis=0) < apart.sum(axis=0), now, apart
-        )  # cameras that were bent to fit count not
-    try:
-        known = boards.equations(state, Loss("l2")).eliminated().information.sum(axis=0)
-        covariance = inverse_information(known, boards.names)
-    except DegenerateViews as error:
-        raise DegenerateViews(
-            "The boards do not determine the rig.",
-            remedy="Show the board at more angles and distances to both cameras.",
-        ) from error
+        # Cameras that were bent to fit count not.
+        apart = np.where(now.sum(axis=0) < apart.sum(axis=0), now, apart)
+    covariance = boards.covariance(state)
+    _require_one_time(names, boards.squares(state).sum(axis=1), (apart / noise**2).sum(axis=1))
+    if not found.converged:
+        raise NotConverged(
+            "The adjustment of the rig found no optimum.", remedy="Show the board at more angles."
+        )
+    return replace(
+        start,
+        first=state.first.camera,
+        second=state.camera,
+        rotation=state.rotation,
+        translation_mm=state.translation,
+        covariance=covariance,
+        boards=names,
+        boards_rms_px=_rms_px(bundles, (state.first, state.second)),
+    )
+
+
+def _require_size(camera: CameraModel, view: View) -> None:
+    """Refuse a view of another image size than that of its camera."""
+    if view.image_size != camera.image_size:
+        sizes = [" x ".join(str(side) for side in size) for size in (view.image_size, camera.image_size)]
+        raise InputMismatch(
+            f"The view {view.name} has {sizes[0]} px, its camera {sizes[1]} px.",
+            remedy="Give views and calibration of the same camera.",
+        )
+
+
+def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> None:
+    """Refuse boards that moved: (m,) sums of squares with one pose for both cameras, and with one for each."""
+    times = np.sqrt(together / np.maximum(apart, np.median(apart)))
+    if (times > _CONTRADICTS).any():
+        worst = int(times.argmax())
+        raise InputMismatch(
+            f"{int((times > _CONTRADICTS).sum())} of {len(names)} boards do not fit one rig: at {names[worst]}, both"
+            f" cameras together fit {times[worst]:.0f} times worse than each alone.",
+            remedy="Record both cameras at the same time; keep the rig rigid, and give equal names to equal times.",
+        )
+
+
+def _rms_px(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
+    """Return the (m, 2) root mean square residuals of each board in each image, px."""
     squares = [
         [
             (bundle.residuals_px(own)[rows] ** 2).sum() / (rows.stop - rows.start)
             for rows in bundle.observations.slices
         ]
-        for bundle, own in zip(bundles, (state.first, state.second), strict=True)
+        for bundle, own in zip(bundles, seen, strict=True)
     ]
-    return BoardsFound(
-        state.first.camera,
-        state.camera,
-        state.rotation,
-        state.translation,
-        covariance,
-        np.sqrt(np.transpose(squares)),
-        boards.squares(state).sum(axis=1),
-        (apart / noise**2).sum(axis=1),
-        found.converged,
-    )
+    return np.sqrt(np.transpose(squares))
 
 
 def _with_noise(bundle: Bundle, sigma: float) -> Bundle:

@@ -7,7 +7,8 @@ from drawn_rig import BOARD, Drawn
 
 from calib.model.camera import CameraModel
 from calib.model.rotation import log_map
-from calib.studies.rig import stated_cameras, with_boards
+from calib.studies.rig import stated_cameras
+from calib.studies.rig_boards import with_boards
 
 pytestmark = pytest.mark.skipif(
     not hasattr(cv2, "calibrateMultiview"), reason="OpenCV has calibrateMultiview from version 5 on"

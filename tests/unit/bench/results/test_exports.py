@@ -11,9 +11,9 @@ import yaml
 
 from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.calibration import Calibration, ViewSummary
-from calib.model.boresight import Boresight
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
+from calib.model.result_parts import Boresight
 from calib.target import StarTarget
 
 RADIAL = {"k1": 0.06, "k2": -0.9}

@@ -13,8 +13,8 @@ from bench.report.run_tables import parallax_rows
 from bench.results.checks import PARALLAX_TEST, mount_faces, parallax_check
 from bench.stations.station import GimbalConfig
 from calib.errors import DegenerateViews
-from calib.model.boresight import Boresight
 from calib.model.collimator import Collimator
+from calib.model.result_parts import Boresight
 from calib.studies.parallax import PupilWalk
 
 COLLIMATOR = Collimator(97.0, 140.0, 255.0)

@@ -10,7 +10,7 @@ from calib.boards.board import Board
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy
-from calib.stars.labelling import grid_homography
+from calib.stars.pointing import grid_homography
 from calib.target import StarTarget
 from sequences.script import PromptStep
 

@@ -11,14 +11,16 @@ from hypothesis import strategies as st
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.calibration import CalibrationOptions
-from calib.diagnosis.checks import check_adjustment, check_views, find_duplicates
-from calib.diagnosis.shifted_views import find_other_origins
-from calib.diagnosis.stated_numbers import (
+from calib.diagnosis.checks import (
+    check_adjustment,
     check_image_size,
     check_target_units,
+    check_views,
     closed_form_radius,
+    find_duplicates,
     require_points_inside,
 )
+from calib.diagnosis.shifted_views import find_other_origins
 from calib.errors import InputMismatch
 from calib.fit import fit_model, initialize
 from calib.model.camera import CameraModel

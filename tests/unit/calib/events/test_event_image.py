@@ -79,12 +79,6 @@ def test_an_event_between_the_bursts_counts_for_no_edge():
     assert made.fired_per_edge[0, :2].tolist() == [0, 0]
 
 
-def test_a_pixel_that_fires_twice_on_an_edge_is_counted_once():
-    made = images([*lit_square(), (1100, 0, 0, 1), (1300, 0, 0, 1)])
-    assert made.on_count[0, 0] == 2
-    assert made.on_fired[0, 0] == 1
-
-
 def test_facts_state_what_the_slice_was_like():
     facts = images(lit_square(burst=2)).facts
     assert (facts.periods, facts.lit_pixels) == (2, 36)
@@ -95,13 +89,13 @@ def test_facts_state_what_the_slice_was_like():
     assert abs(facts.on_window.start_us % PERIOD - 1000) < 60
 
 
-def test_a_row_without_events_between_others_is_reported():
-    events = [e for e in lit_square() if e[2] != 5]
-    assert images(events).facts.silent_rows == 1
-
-
-def test_rows_outside_of_the_lit_ones_are_not_silent():
-    assert images([*lit_square(), (4000, 0, 11, 1)]).facts.silent_rows == 0
+@pytest.mark.parametrize(
+    ("events", "silent"),
+    [([e for e in lit_square() if e[2] != 5], 1), ([*lit_square(), (4000, 0, 11, 1)], 0)],
+    ids=["between lit rows", "outside of the lit ones"],
+)
+def test_a_row_without_events_between_lit_ones_is_silent(events, silent):
+    assert images(events).facts.silent_rows == silent
 
 
 def test_several_events_an_edge_choose_lock_in_and_few_choose_fired_per_edge():
@@ -149,25 +143,19 @@ def test_the_window_begins_just_before_an_edge_where_there_is_room():
     assert start == pytest.approx(6000 - 100)
 
 
-def test_too_short_a_window_is_refused():
-    with pytest.raises(TooFewEvents, match=r"9.00 ms hold 0 whole periods of 10.00 ms"):
-        images(lit_square(), window_us=(0, 9_000))
-
-
-def test_more_periods_than_there_are_are_refused():
-    with pytest.raises(TooFewEvents, match="hold 2 whole periods"):
-        images(lit_square(), periods=3)
-
-
-@pytest.mark.parametrize("window", [None, (50_000, 80_000)])
-def test_no_events_are_refused(window):
-    with pytest.raises(TooFewEvents):
-        images([] if window is None else lit_square(), window_us=window)
-
-
-def test_an_event_outside_of_the_sensor_is_refused():
-    with pytest.raises(InputMismatch, match="column 16"):
-        images([(5, 16, 0, 1)])
+@pytest.mark.parametrize(
+    ("events", "options", "error", "said"),
+    [
+        (lit_square(), {"window_us": (0, 9_000)}, TooFewEvents, "9.00 ms hold 0 whole periods of 10.00 ms"),
+        (lit_square(), {"periods": 3}, TooFewEvents, "hold 2 whole periods"),
+        (lit_square(), {"window_us": (50_000, 80_000)}, TooFewEvents, "No event lies between"),
+        ([], {"window_us": None}, TooFewEvents, "holds no events"),
+        ([(5, 16, 0, 1)], {}, InputMismatch, "column 16"),
+    ],
+)
+def test_what_makes_no_image_is_refused(events, options, error, said):
+    with pytest.raises(error, match=said):
+        images(events, **options)
 
 
 def test_arrays_of_different_lengths_are_refused():

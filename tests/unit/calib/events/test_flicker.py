@@ -59,30 +59,23 @@ def test_jitter_is_measured():
     assert flicker.jitter_us == pytest.approx(20, rel=0.1)
 
 
-def test_missing_edges_leave_gaps_and_are_counted():
-    t, value = edges(16667, 5000, 30)
-    keep = np.ones(t.size, bool)
-    keep[[6, 20, 21, 22]] = False  # rising 3, 10 and 11; falling 10
-    flicker = flicker_from_triggers(t[keep], value[keep])
-    assert flicker.period_us == pytest.approx(16667, abs=0.1)
-    assert flicker.missing == 3
-
-
-def test_edges_that_fit_no_period_are_left_out():
-    t, value = edges(16667, 5000, 30)
-    t, value = np.append(t, [9000, 200_000]), np.append(value, [1, 1])
+@pytest.mark.parametrize(
+    ("left_out", "added", "missing"),
+    [
+        ([6, 20, 21, 22], [], 3),  # rising 3, 10 and 11; falling 10
+        ([], [9000, 200_000], 0),  # they fit no period
+        ([], [5000 + 2 * 16667 + 30], 0),  # a bounce right after an edge
+    ],
+    ids=["missing", "stray", "bounce"],
+)
+def test_edges_that_are_missing_are_counted_and_those_that_do_not_fit_are_left_out(left_out, added, missing):
+    t, value = (np.delete(each, left_out) for each in edges(16667, 5000, 30))
+    t, value = np.append(t, added).astype(np.int64), np.append(value, np.ones(len(added), np.uint8))
     order = np.argsort(t)
     flicker = flicker_from_triggers(t[order], value[order])
     assert flicker.period_us == pytest.approx(16667, abs=0.1)
     assert flicker.phase_us == pytest.approx(5000, abs=1)
-    assert flicker.missing == 0
-
-
-def test_a_bounce_right_after_an_edge_is_extra_and_not_a_second_edge():
-    t, value = edges(16667, 5000, 10)
-    t, value = np.insert(t, 5, t[4] + 30), np.insert(value, 5, value[4])
-    flicker = flicker_from_triggers(t, value)
-    assert flicker.missing == 0
+    assert flicker.missing == missing
     assert flicker.jitter_us < 1
 
 

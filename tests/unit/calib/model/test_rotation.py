@@ -1,4 +1,4 @@
-"""Rotations, homographies, the planar model and medians."""
+"""Rotations, homographies, closed forms of the planar and of the spherical model, and medians."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from calib.arrays import median
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
-from calib.model.closed_forms import poses_from_homographies, zhang_matrix
+from calib.model.closed_forms import (
+    linear_solution,
+    poses_from_homographies,
+    rotations_from_centre,
+    zhang_matrix,
+)
 from calib.model.homography import apply_homography, view_homography
 from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation, skew
 from calib.view import View
@@ -131,6 +136,33 @@ def test_frontal_views_give_no_camera(make_bench):
     # Three views square to the target say nothing about the focal length without the shared centre.
     flat = np.array([[10.0, 0, 600], [0, 10.0, 300], [0, 0, 1.0]])
     assert zhang_matrix(np.stack([flat, flat, flat]), SIZE, free_principal_point=True) is None
+
+
+# ---------------------------------------------------------------- the spherical model
+
+
+def homographies(bench, count):
+    return np.array([view_homography(view) for view in bench.views(poses=bench.poses[:count])])
+
+
+def test_two_ideal_views_do_when_the_principal_point_is_the_images_centre(make_bench):
+    bench = make_bench(k=(0.0, 0.0), cx=639.5, cy=359.5)
+    start = linear_solution(homographies(bench, 2), SIZE, free_principal_point=False)
+    assert np.diag(start.matrix) == pytest.approx([bench.fx, bench.fy, 1.0], rel=1e-6)
+    assert start.collimator.values == pytest.approx([97.0, 140.1, 255.0], rel=1e-6)
+
+
+def test_too_few_views_give_no_start(bench):
+    assert linear_solution(homographies(bench, 1), SIZE, free_principal_point=False) is None
+    assert linear_solution(homographies(bench, 2), SIZE, free_principal_point=True) is None
+
+
+def test_rotations_follow_from_camera_and_centre(make_bench):
+    bench = make_bench(k=(0.0, 0.0))
+    h = homographies(bench, 3)
+    start = linear_solution(h, SIZE, free_principal_point=True)
+    turns = rotations_from_centre(h, start.matrix, start.collimator.centre)
+    assert np.allclose(turns, bench.rotations, atol=1e-5)
 
 
 # ---------------------------------------------------------------- medians

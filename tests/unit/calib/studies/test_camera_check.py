@@ -7,8 +7,7 @@ from calib.engine import CalibrationOptions
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
-from calib.studies.camera_check import check_camera, check_one_view
-from calib.studies.split_half import split_half
+from calib.studies.camera_check import check_camera, check_one_view, split_half
 from calib.view import View
 from tests.support.drawn_benches import NINE, draw_bench
 

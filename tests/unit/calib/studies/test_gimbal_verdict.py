@@ -8,8 +8,7 @@ from drawn_gimbal import AXES, DrawnGimbal, draw_gimbal
 
 from calib.model.rotation import euler_zxy, exp_map
 from calib.studies import gimbal_faults
-from calib.studies.gimbal_verdict import Findings, angle, angle_and_uncertainty, judge
-from calib.studies.hand_eye import HandEyeCheck, check_hand_eye
+from calib.studies.hand_eye import Findings, HandEyeCheck, angle, angle_and_uncertainty, check_hand_eye, judge
 
 NINE = {"poses": 9, "raster": True, "range_deg": 6.0, "noise_arcsec": 2.0}
 BIASED = {"bias_deg": 0.08, "focal_error": 0.029, "focal_sigma": 0.016}

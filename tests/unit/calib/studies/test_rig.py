@@ -10,7 +10,8 @@ from drawn_rig import BOARD, SIGMA, SIZES, Drawn
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import exp_map, log_map
-from calib.studies.rig import stated_cameras, through_collimator, with_boards
+from calib.studies.rig import stated_cameras, through_collimator
+from calib.studies.rig_boards import with_boards
 
 TURN = exp_map(np.deg2rad([0.5, -1.0, 3.0]))
 

@@ -10,7 +10,7 @@ from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 from calib.fit import fit_model
 from calib.model.camera import CameraModel
-from calib.uncertainty.cross_validation import CrossValidation, leave_one_out
+from calib.uncertainty.covariance import CrossValidation, leave_one_out
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty, sensor_grid
 
 
