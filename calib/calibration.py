@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from calib.adjustment.loss import LossName
 from calib.arrays import Array
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel, distortion_names
@@ -26,7 +27,6 @@ REFERENCE_MODELS = ("spherical", "planar")
 EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: The version of each engine: results of another version are not compared with those of this one.
 ENGINES = {"joint": 1, "reference": 1}
-LossName = Literal["l2", "huber", "cauchy"]
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from bench.plan.passports import NO_PASSPORT, PassportInUse, read_passport_file
 from bench.plan.plan import DEFAULT_MODEL
 from bench.results.solve_options import solve_options
 from bench.stations.station import load_station
+from calib.adjustment.loss import LossName
 from calib.boards.board import Board
-from calib.calibration import LossName, ModelName
+from calib.calibration import ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError, InputMismatch
 from calib.target import StarTarget

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.errors import InputMismatch
+
+LossName = Literal["l2", "huber", "cauchy"]
 
 
 @dataclass(frozen=True)
@@ -18,12 +20,8 @@ class Loss:
     eq. 7, divided by two. The loss leaves the parabola at the length ``limit``, in standard deviations.
     """
 
-    name: str
+    name: LossName
     limit: float = float("inf")
-
-    def __post_init__(self) -> None:
-        if self.name not in ("l2", "huber", "cauchy"):
-            raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
 
     @property
     def is_robust(self) -> bool:

@@ -8,37 +8,22 @@ import pytest
 import yaml
 
 import sequences
-from calib.events.event_image import make_images
-from calib.events.flicker import Flicker
 from calib.model.collimator import Collimator
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_view
 from calib.stars.rim import find_rim
 from calib.studies.parallax import pupil_walk
-from simulators.optics.picture import TARGET, pose_rotation, render, star_centres
-from simulators.pixels.sensor import simulate
+from simulators.optics.picture import TARGET, pose_rotation, star_centres
 from simulators.world.truth_config import truth_from_config
-from simulators.world.world import LightState
+from tests.support.short_recordings import images_of, record
 
-WINDOW_US = 33_000.0
 SHIPPED = yaml.safe_load((Path(sequences.__file__).parent / "parallax_test.yaml").read_text())["poses"]
 POSES = [{"pan": pose["pan_deg"], "tilt": pose["tilt_deg"], "roll": 10.0} for pose in SHIPPED["far"]]
 
 
 def view_of(truth, rotation, seed):
     """Return stars and rim of one recording; the stars are identified from their true places."""
-    light = LightState(waveform="square", output=True, sync=True)
-    phase = float(np.random.default_rng(seed).random())
-    events = simulate(
-        render(truth, rotation), light, WINDOW_US, phase=phase, noise=truth.noise, camera_seed=7, seed=seed
-    )
-    flicker = Flicker(light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 0, "triggers")
-    size = (truth.camera.width, truth.camera.height)
-    image = (
-        make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
-        .best()
-        .image
-    )
+    image = images_of(truth, *record(truth, rotation, "square", seed)).best().image
     ids, points = star_centres(truth, rotation)
     expected = fit_homography(TARGET.node_of(ids).astype(float), points)
     view = detect_view(image, TARGET, name=str(seed), expected=expected)

@@ -5,35 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.events.event_image import make_images
-from calib.events.flicker import Flicker
 from calib.model.beam import visible_discs
 from calib.stars.detect import detect_view
 from calib.stars.rim import find_rim
 from simulators.optics.collimator_errors import disc_of
-from simulators.optics.picture import TARGET, pose_rotation, render
-from simulators.pixels.sensor import simulate
+from simulators.optics.picture import TARGET, pose_rotation
 from simulators.world.truth_config import truth_from_config
-from simulators.world.world import LightState
 from tests.support.drawn_rims import POSES as RIM_POSES
 from tests.support.drawn_rims import draw_rims
+from tests.support.short_recordings import images_of, record
 
-WINDOW_US = 33_000.0
 POSES = [(pan, tilt) for pan in (-6, 0, 6) for tilt in (-2.5, 0, 2.5)]
 
 
 def view_of(truth, pose, waveform, seed):
     """Return stars and rim of one recording, and the true centre of the disc."""
     rotation = pose_rotation({"pan": pose[0], "tilt": pose[1], "roll": 10.0}, truth.optics)
-    light = LightState(waveform=waveform, output=True, sync=True)
-    phase = float(np.random.default_rng(seed).random())
-    events = simulate(
-        render(truth, rotation), light, WINDOW_US, phase=phase, noise=truth.noise, camera_seed=7, seed=seed
-    )
-    flicker = Flicker(light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 0, "triggers")
-    size = (truth.camera.width, truth.camera.height)
-    images = make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
-    image = images.best().image
+    image = images_of(truth, *record(truth, rotation, waveform, seed)).best().image
     view = detect_view(image, TARGET, name=f"{pose}")
     disc = disc_of(truth.collimator, rotation)
     return replace(view, rim=find_rim(image, view, TARGET)), np.array([disc.x, disc.y])

@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.events.event_image import half_windows, make_images, motion_between
-from calib.events.flicker import Flicker, flicker_from_events
+from calib.events.event_image import half_windows, motion_between
+from calib.events.flicker import flicker_from_events
 from calib.stars.detect import detect_stars, detect_view
-from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
-from simulators.pixels.sensor import simulate
+from simulators.optics.picture import TARGET, pose_rotation, project, star_centres
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, OpticsTruth, Truth
-from simulators.world.world import LightState
+from tests.support.short_recordings import images_of, record
 
-WINDOW_US = 33_000.0
 TRUTH = Truth(collimator=CollimatorTruth(r=280.0, half_angle_deg=16.0))
 CELL_PX = 34.0
 """From a star to the corner of its cell: the stars are 48 px apart."""
@@ -29,22 +27,14 @@ POSES = (
 )
 
 
-def record(noise, waveform, pose, seed, truth=TRUTH):
-    """Return events of 33 ms, as in the paper, the flicker of the light, and the true rotation of the camera."""
+def recorded(noise, waveform, pose, seed, truth=TRUTH):
+    """Return events of 33 ms, the flicker of the light, and the true rotation of the camera."""
     rotation = pose_rotation(pose, truth.optics)
-    light = LightState(waveform=waveform, output=True, sync=True)
-    phase = float(np.random.default_rng(seed).random())
-    level = NOISE_LEVELS[noise]
-    events = simulate(
-        render(truth, rotation), light, WINDOW_US, phase=phase, noise=level, camera_seed=7, seed=seed
-    )
-    edge = -phase * light.period_us % light.period_us
-    return events, Flicker(light.period_us, edge, 0.5, 0.0, 0, "triggers"), rotation
+    return *record(truth, rotation, waveform, seed, NOISE_LEVELS[noise]), rotation
 
 
-def images(events, flicker, window_us=(0.0, WINDOW_US)):
-    size = (TRUTH.camera.width, TRUTH.camera.height)
-    return make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=window_us)
+def images(*given):
+    return images_of(TRUTH, *given)
 
 
 def compare(view, rotation):
@@ -72,7 +62,7 @@ def compare(view, rotation):
 def test_stars_of_33_ms_are_as_accurate_as_required(waveform, noise, chosen, rms_px):
     errors, squares = [], []
     for seed, pose in enumerate(POSES, start=1):
-        events, flicker, rotation = record(noise, waveform, pose, seed)
+        events, flicker, rotation = recorded(noise, waveform, pose, seed)
         best = images(events, flicker).best()
         assert best.name == chosen
         off, z = compare(detect_view(best.image, TARGET), rotation)
@@ -88,7 +78,7 @@ def test_stars_out_of_focus_are_all_found_with_true_covariances(waveform, rms_px
     blurred = replace(TRUTH, optics=OpticsTruth(psf_px=1.5))
     errors, squares = [], []
     for seed, pose in enumerate(POSES[:2], start=1):
-        events, flicker, rotation = record("typical", waveform, pose, seed, blurred)
+        events, flicker, rotation = recorded("typical", waveform, pose, seed, blurred)
         seen = detect_stars(images(events, flicker).best().image, TARGET)
         assert 1.1 < seen.edge_width_px < 1.6
         off, z = compare(seen.view, rotation)
@@ -114,7 +104,7 @@ def test_no_star_is_taken_for_another_at_any_pose():
 
 @pytest.mark.slow
 def test_a_phase_from_the_events_is_as_good_as_one_from_triggers():
-    events, flicker, rotation = record("typical", "square", POSES[0], 3)
+    events, flicker, rotation = recorded("typical", "square", POSES[0], 3)
     by_events = flicker_from_events(events.t, events.p)
     assert abs(by_events.lag_us(flicker)) < 150
     off, _ = compare(detect_view(images(events, by_events).best().image, TARGET), rotation)
@@ -123,7 +113,7 @@ def test_a_phase_from_the_events_is_as_good_as_one_from_triggers():
 
 @pytest.mark.slow
 def test_a_camera_at_rest_shows_no_motion_between_the_halves():
-    events, flicker, _ = record("typical", "square", POSES[0], 4)
+    events, flicker, _ = recorded("typical", "square", POSES[0], 4)
     halves = half_windows(images(events, flicker).facts)
     first, second = (detect_view(images(events, flicker, half).best().image, TARGET) for half in halves)
     assert np.hypot(*motion_between(first, second)) < 0.01

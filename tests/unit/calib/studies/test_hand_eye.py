@@ -1,58 +1,55 @@
-"""Hand-eye check: the readings of the gimbal against the rotations seen."""
+"""Hand-eye check: readings against the rotations seen; faults are named with axis, pose and size; a good gimbal is not blamed."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_gimbal import AXES, DrawnGimbal, draw_gimbal
 
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import euler_zxy, exp_map
-from calib.studies.hand_eye import check_hand_eye
-
-POSES = [(-5.0, 2.0), (0.0, -2.5), (5.0, 2.5), (3.0, -1.0), (-3.0, 0.5), (0.0, 0.0)]
-READINGS = [{"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES]
-SIGMA = np.deg2rad(2.0 / 3600)
-COVARIANCE = np.eye(18) * SIGMA**2
+from calib.studies import gimbal_faults
+from calib.studies.hand_eye import Findings, HandEyeCheck, angle, angle_and_uncertainty, check_hand_eye, judge
 
 
-def seen(rng, scale_pan=1.0, sigma=SIGMA):
-    camera_from_head, base_from_target = (
-        exp_map(np.array([0.01, -0.02, 0.005])),
-        exp_map(np.array([-0.003, 0.004, 0.03])),
-    )
-    turns = [camera_from_head @ euler_zxy(scale_pan * pan, tilt) @ base_from_target for pan, tilt in POSES]
-    return exp_map(sigma * rng.standard_normal((6, 3))) @ np.array(turns)
+def quiet(seed: int, **drawn) -> DrawnGimbal:
+    """Six poses seen to 2 arc seconds, and nothing that they share."""
+    return draw_gimbal(seed, poses=6, range_deg=5.0, noise_arcsec=2.0, focal_sigma=0.0, **drawn)
+
+
+def checked(bench: DrawnGimbal) -> HandEyeCheck:
+    return check_hand_eye(bench.rotations, bench.covariance, bench.readings)
 
 
 def test_a_true_gimbal_is_consistent_within_the_cameras_own_noise():
-    chi = [check_hand_eye(seen(np.random.default_rng(i)), COVARIANCE, READINGS) for i in range(30)]
-    assert chi[0].degrees_of_freedom == 18 - 8
-    assert np.mean([one.chi_square for one in chi]) == pytest.approx(10, abs=3.5)
-    assert sum(one.consistent for one in chi) >= 29
-    assert chi[0].rms_arcsec < 6
+    found = [checked(quiet(seed)) for seed in range(30)]
+    assert found[0].degrees_of_freedom == 18 - 8
+    assert np.mean([one.chi_square for one in found]) == pytest.approx(10, abs=3.5)
+    assert sum(one.consistent for one in found) >= 29
+    assert found[0].rms_arcsec < 6
 
 
 def test_a_scale_error_is_found_with_its_uncertainty():
-    runs = [
-        check_hand_eye(seen(np.random.default_rng(i), scale_pan=1.002), COVARIANCE, READINGS)
-        for i in range(30)
-    ]
-    z = [(one.scale["pan_deg"] - 1.002) / one.scale_sigma["pan_deg"] for one in runs]
+    z = []
+    for bench in (quiet(seed, scale_error=2e-3) for seed in range(30)):
+        found = checked(bench)
+        z += [(found.scale[AXES[i]] - bench.scales[i]) / found.scale_sigma[AXES[i]] for i in (0, 1)]
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.35)
-    assert abs(runs[0].scale["tilt_deg"] - 1.0) < 4 * runs[0].scale_sigma["tilt_deg"]
 
 
 def test_a_reading_that_is_off_shows_in_arc_seconds():
-    wrong = [dict(reading) for reading in READINGS]
-    wrong[1]["pan_deg"] += 60.0 / 3600
-    found = check_hand_eye(seen(np.random.default_rng(5)), COVARIANCE, wrong)
+    bench = quiet(5)
+    bench.angles[1, 0] += 60.0 / 3600
+    found = checked(bench)
     assert not found.consistent
     assert np.linalg.norm(found.residuals_arcsec, axis=1).argmax() == 1
     assert np.abs(found.residuals_arcsec[1]).max() > 25
 
 
 def test_a_turntable_has_one_scale_and_no_more():
-    poses = [-5.0, -2.0, 1.0, 4.0]
+    poses, sigma = [-5.0, -2.0, 1.0, 4.0], np.deg2rad(2.0 / 3600)
     turns = np.array([exp_map(np.array([0.01, 0.0, 0.02])) @ euler_zxy(1.001 * pan, 0.0) for pan in poses])
-    found = check_hand_eye(turns, np.eye(12) * SIGMA**2, [{"pan_deg": pan} for pan in poses])
+    found = check_hand_eye(turns, np.eye(12) * sigma**2, [{"pan_deg": pan} for pan in poses])
     assert list(found.scale) == ["pan_deg"]
     assert found.scale["pan_deg"] == pytest.approx(1.001, abs=1e-9)
     # A turn about the axis itself belongs to the mounting as well as to the foot.
@@ -62,11 +59,253 @@ def test_a_turntable_has_one_scale_and_no_more():
 @pytest.mark.parametrize(
     ("readings", "error", "match"),
     [
-        (READINGS[:5], InputMismatch, "6 rotations, but 5"),
+        ([{"pan_deg": 1.0}] * 5, InputMismatch, "6 rotations, but 5"),
         ([{"yaw_deg": 1.0}] * 6, InputMismatch, "Known: pan_deg"),
         ([{"pan_deg": 1.0}] * 6, DegenerateViews, "0 axes moved"),
     ],
 )
 def test_readings_that_say_nothing_are_refused(readings, error, match):
+    bench = quiet(6)
     with pytest.raises(error, match=match):
-        check_hand_eye(seen(np.random.default_rng(6)), COVARIANCE, readings)
+        check_hand_eye(bench.rotations, bench.covariance, readings)
+
+
+# ---------------------------------------------------------------- the verdict
+
+
+NINE = {"poses": 9, "raster": True, "range_deg": 6.0, "noise_arcsec": 2.0}
+BIASED = {"bias_deg": 0.08, "focal_error": 0.029, "focal_sigma": 0.016}
+
+
+def judged(bench: DrawnGimbal, *, birge_ratio: float = 1.0, **options) -> HandEyeCheck:
+    return check_hand_eye(
+        bench.rotations,
+        bench.covariance,
+        bench.readings,
+        focal_uncertainty=3 * bench.focal_sigma,
+        birge_ratio=birge_ratio,
+        **options,
+    )
+
+
+def text_of(found: HandEyeCheck) -> str:
+    return " ".join(found.verdict.says)
+
+
+@pytest.mark.parametrize(
+    ("seed", "slip", "others"),
+    [
+        (1, (0, 4, 0.05), {}),
+        (2, (1, 6, 0.3), {}),
+        (3, (0, 4, -12.0), {}),
+        (4, (1, 4, 0.05), {"wrong": (7, 0.3)}),
+        (5, (0, 4, 0.3), {"wrong": (1, 0.5)}),
+        (6, (2, 5, 0.2), {"roll_range_deg": 90.0}),
+        (7, (0, 2, 0.2), {"poses": 5}),
+    ],
+)
+def test_a_slip_is_named_with_axis_pose_and_size(seed, slip, others):
+    found = judged(draw_gimbal(seed, **(NINE | others), slip=slip))
+    assert found.verdict.kind == "slip"
+    (fault,) = [each for each in found.faults if each.kind == "slip"]
+    assert (fault.axis, fault.pose) == slip[:2]
+    assert fault.size_deg == pytest.approx(-slip[2], abs=5 * fault.sigma_deg)
+    assert fault.probability < 1e-4
+    bad = [each.pose for each in found.faults if each.kind == "pose"]
+    assert bad == ([others["wrong"][0]] if "wrong" in others else [])
+    assert f"between pose {slip[1]} and pose {slip[1] + 1}" in text_of(found)
+    assert ("more" if slip[2] > 0 else "less") + " than the axis turned" in text_of(found)
+
+
+def test_a_slip_is_seen_through_the_errors_of_a_collimator():
+    found = judged(draw_gimbal(8, **NINE, bias_deg=0.05, slip=(0, 4, 0.5)), birge_ratio=7.0)
+    assert found.verdict.kind == "slip"
+    assert found.faults[0].size_deg == pytest.approx(-0.5, abs=4 * found.faults[0].sigma_deg)
+
+
+@pytest.mark.parametrize("birge_ratio", [1.0, 7.0])
+@pytest.mark.parametrize("poses", [3, 9])
+def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
+    for seed in (20, 21):
+        found = judged(draw_gimbal(seed, **(NINE | {"poses": poses}), **BIASED), birge_ratio=birge_ratio)
+        assert not found.faults
+        assert found.verdict.kind in ("focal_length", "views_biased", "scatter"), seed
+        assert "slipped between" not in text_of(found)
+        assert all(0.9 < scale < 1.2 for scale in found.scale.values())
+
+
+def test_without_its_threshold_the_search_finds_faults_that_are_not_there(monkeypatch):
+    monkeypatch.setattr(gimbal_faults, "needed", lambda places: -20.0 / places)
+    assert judged(draw_gimbal(20, **NINE, **BIASED)).faults
+
+
+@pytest.mark.parametrize("poses", [5, 9])
+@pytest.mark.parametrize("noise_arcsec", [3.0, 20.0, 100.0])
+def test_readings_that_scatter_show_no_fault(poses, noise_arcsec):
+    for seed in range(30, 32):
+        bench, rng = draw_gimbal(seed, **(NINE | {"poses": poses})), np.random.default_rng(seed)
+        readings = [
+            {axis: deg + noise_arcsec / 3600 * rng.standard_normal() for axis, deg in reading.items()}
+            for reading in bench.readings
+        ]
+        found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+        assert not found.faults, seed
+
+
+def test_a_mount_that_creeps_shows_no_fault():
+    for seed in range(40, 44):
+        bench, rng = draw_gimbal(seed, **NINE), np.random.default_rng(seed)
+        creep = np.linspace(0, np.deg2rad(0.02), 9)[:, None] * rng.standard_normal(3)
+        found = check_hand_eye(
+            exp_map(creep) @ bench.rotations, bench.covariance, bench.readings, focal_uncertainty=6e-4
+        )
+        assert not found.faults, seed
+
+
+def test_a_wrong_pose_is_named():
+    found = judged(draw_gimbal(9, **NINE, wrong=(3, 0.2)), names=["a", "b", "c", "left", "e"])
+    assert found.verdict.kind == "wrong_pose"
+    assert [fault.pose for fault in found.faults] == [3]
+    assert found.faults[0].size_deg == pytest.approx(0.2, abs=0.01)
+    assert "Pose 4 (left) does not fit" in text_of(found)
+
+
+def test_two_faults_that_hide_each_other_are_both_named():
+    bench, readings = draw_gimbal(16, **NINE, wrong=(2, 0.1)), []
+    for number, reading in enumerate(bench.readings):
+        readings.append(reading | {"pan_deg": reading["pan_deg"] + 0.1 * (number == 6)})
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+    assert {(fault.kind, fault.pose) for fault in found.faults} == {("pose", 2), ("pose", 6)}
+    readings = []
+    for number, reading in enumerate(draw_gimbal(17, **NINE).readings):
+        slipped = {"pan_deg": 0.1 * (number >= 3), "tilt_deg": -0.15 * (number >= 6)}
+        readings.append({axis: deg + slipped[axis] for axis, deg in reading.items()})
+    bench = draw_gimbal(17, **NINE)
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+    assert {(fault.axis, fault.pose) for fault in found.faults} == {(0, 3), (1, 6)}
+
+
+def test_axes_that_are_not_at_right_angles_are_measured():
+    found = judged(draw_gimbal(10, **NINE, square_deg=0.1))
+    assert found.verdict.kind == "not_square"
+    assert found.faults[0].size_deg == pytest.approx(0.1, abs=4 * found.faults[0].sigma_deg)
+
+
+def test_a_common_ratio_within_the_uncertainty_of_the_focal_length_is_not_the_gimbals():
+    bench = draw_gimbal(11, **NINE, focal_error=0.029, focal_sigma=0.016)
+    found = judged(bench)
+    assert found.verdict.kind == "focal_length"
+    assert found.pairs.ratio == pytest.approx(1.029, abs=1e-3)
+    assert "too short" in text_of(found)
+    assert "nothing points to the gimbal" in text_of(found)
+    assert "too long" in text_of(judged(draw_gimbal(11, **NINE, focal_error=-0.029, focal_sigma=0.016)))
+    # The same ratio far outside the uncertainty of the focal length is the gimbal's.
+    known = check_hand_eye(
+        bench.rotations, np.eye(27) * np.deg2rad(2 / 3600) ** 2, bench.readings, focal_uncertainty=4e-4
+    )
+    assert known.verdict.kind == "gimbal_scale"
+    assert "the scale of the gimbal is in question" in " ".join(known.verdict.says)
+
+
+def test_a_small_ratio_can_be_parallax_too():
+    bench = draw_gimbal(12, **NINE, focal_error=0.008, focal_sigma=1e-4)
+    found = check_hand_eye(
+        bench.rotations, np.eye(27) * np.deg2rad(2 / 3600) ** 2, bench.readings, focal_uncertainty=4e-4
+    )
+    assert found.verdict.kind == "scale_or_parallax"
+    assert "up to about 1 % they cannot be told apart" in " ".join(found.verdict.says)
+
+
+def test_axes_with_different_ratios_show_the_scale_of_the_gimbal():
+    bench = draw_gimbal(13, **NINE)
+    readings = [reading | {"pan_deg": reading["pan_deg"] / 1.05} for reading in bench.readings]
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
+    assert found.verdict.kind == "gimbal_scale"
+    assert found.scale["pan_deg"] == pytest.approx(1.05, abs=0.002)
+    assert found.pairs.by_axis[0] == pytest.approx(1.05, abs=0.002)
+    assert found.pairs.by_axis[1] == pytest.approx(1.0, abs=0.002)
+    assert "not the same along all axes" in " ".join(found.verdict.says)
+
+
+@pytest.mark.parametrize(
+    ("signs", "axes"),
+    [
+        ((-1, 1, 0), "pan or of tilt"),
+        ((1, -1, 0), "pan or of tilt"),
+        ((1, 1, -1), "roll"),
+        ((-1, 1, 1), "pan or of tilt"),
+        ((-1, 1, -1), "roll and of one other axis"),
+        ((1, 1, 1), ""),
+        ((-1, -1, 0), ""),  # a camera mounted upside down
+    ],
+)
+def test_a_wrong_sign_is_named(signs, axes):
+    rng = np.random.default_rng(3)
+    true = rng.uniform(-1, 1, (10, 3)) * (6, 4, 60 * abs(signs[2]))
+    mounted, standing = exp_map(np.array([0.02, -0.03, 0.4])), euler_zxy(3, -4, 12)
+    turns = np.array([mounted @ euler_zxy(*row) @ standing for row in true])
+    sigma = np.deg2rad(2 / 3600)
+    rotations = exp_map(sigma * rng.standard_normal((10, 3))) @ turns
+    readings = [dict(zip(AXES[: 2 + abs(signs[2])], row, strict=False)) for row in true * signs]
+    found = check_hand_eye(rotations, np.eye(30) * sigma**2, readings, focal_uncertainty=4e-4)
+    assert found.verdict.kind == ("wrong_sign" if axes else "agrees")
+    assert not axes or text_of(found).startswith(f"The sign of {axes} is reversed")
+
+
+def test_mountings_that_cannot_be_told_apart_give_no_scale():
+    rng = np.random.default_rng(4)
+    true = np.array([(0.0, 0.0), (5.0, 5.0), (0.0, 0.0), (5.0, 5.0)])
+    sigma = np.deg2rad(2 / 3600)
+    rotations = exp_map(sigma * rng.standard_normal((4, 3))) @ np.array([euler_zxy(*row) for row in true])
+    readings = [dict(zip(AXES, row, strict=False)) for row in true]
+    found = check_hand_eye(rotations, np.eye(12) * sigma**2, readings)
+    assert found.verdict.kind == "ambiguous"
+    assert found.scale == {}
+    assert found.pairs.ratio == pytest.approx(1.0, abs=1e-3)
+    assert found.pairs.by_axis == {}
+
+
+def test_three_poses_that_disagree_are_too_few_to_name_the_cause():
+    bench = draw_gimbal(14, **(NINE | {"poses": 3}))
+    readings = [dict(reading) for reading in bench.readings]
+    readings[1]["pan_deg"] += 0.1
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
+    assert not found.consistent
+    assert found.verdict.kind == "scatter"
+    assert "too few to tell which" in " ".join(found.verdict.says)
+
+
+CLEAN = Findings(
+    names=(),
+    scale={0: 0.2066, 1: 0.2},
+    scale_sigma={0: 0.004, 1: 0.004},
+    own_sigma={0: 0.001, 1: 0.001},
+    difference_sigma=0.001,
+    pairs=None,
+    contradicted=False,
+    ambiguous=False,
+    reversed_axes="",
+    faults=(),
+    excess_deg=0.0,
+    degrees_of_freedom=19,
+    focal_uncertainty=0.05,
+    birge_ratio=1.0,
+)
+
+
+def test_a_scale_that_the_pairs_contradict_is_not_claimed():
+    assert judge(CLEAN).kind == "gimbal_scale"
+    pairs = judged(draw_gimbal(15, **NINE)).pairs
+    told = judge(replace(CLEAN, pairs=pairs, contradicted=True))
+    assert told.kind == "contradictory"
+    assert not replace(CLEAN, contradicted=True).scale_known
+    assert "0.2066" not in " ".join(told.says)
+    assert "36 pairs of poses" in " ".join(told.says)
+
+
+def test_angles_are_degrees_from_a_tenth_on_and_arc_seconds_below():
+    assert angle(0.1) == "0.10 degrees"
+    assert angle(-12.34) == "12. degrees" or angle(-12.34) == "12 degrees"
+    assert angle(0.05) == "180 arc seconds"
+    assert angle_and_uncertainty(-0.30001, 0.005) == "0.300 ± 0.010 degrees (k = 2)"
+    assert angle_and_uncertainty(0.01, 0.0002) == "36.0 ± 1.4 arc seconds (k = 2)"

@@ -43,14 +43,6 @@ def test_the_sizes_of_errors_that_a_run_found_replace_the_expected_ones(bench):
     assert forecast(wrong, POSES).sigma["fx"] > 5 * known.sigma["fx"]
 
 
-def test_a_passport_lowers_what_is_expected():
-    passport = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), np.eye(3) * 1e-8)
-    known = ExpectedBench(CAMERA, BENCH.collimator, 12.0, 0.05, passport=passport, needs_tag=False)
-    unknown = forecast(BENCH, POSES).sigma["fx"]
-    assert forecast(known, POSES).sigma["fx"] < 0.3 * unknown
-    assert forecast(known, POSES[:1]).sigma["fx"] < 0.5 * unknown
-
-
 def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
     candidates = [
         {"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, -2.0, 2.0, 6.0) for tilt in (-2.5, 0.0, 2.5)
