@@ -16,6 +16,7 @@ from calib.diagnosis.shifted_views import find_shifted_ids
 from calib.engine import calibrate
 from calib.errors import InputMismatch
 from calib.fit import initialize
+from tests.benchmarks.worlds.recordings import read
 from tests.unit.calib.conftest import TARGET, Bench
 
 
@@ -173,12 +174,5 @@ def test_stars_on_no_lattice_have_no_columns():
 
 @pytest.mark.parametrize("chosen", [(1, 5, 9), (0, 3, 7, 11, 15, 19)])
 def test_real_aberrations_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
-    from calib.view import View
-
-    views = []
-    for number in chosen:
-        rows = np.loadtxt(collimator_recordings / f"image{number + 1}.txt")
-        unit = np.tile(np.eye(2), (len(rows), 1, 1))
-        ids = rows[:, 4].astype(np.int64)
-        views.append(View(str(number), (2448, 2048), ids, rows[:, :2] - 0.5, rows[:, 2:4], unit))
-    assert search(views) == ""
+    views = read(collimator_recordings)
+    assert search([views[i] for i in chosen]) == ""

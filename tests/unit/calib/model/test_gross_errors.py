@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calib.model.homography import apply_homography, gross_errors, view_homography
 from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours, local_sigma_px
-from calib.view import View
+from tests.benchmarks.worlds.recordings import read
 from tests.unit.calib.conftest import TARGET, Bench, FisheyeBench
 
 SEEDS = st.integers(0, 10_000)
@@ -75,16 +75,8 @@ def test_a_rim_that_bends_by_a_pixel_is_no_gross_error():
 
 
 def test_real_recordings_hold_no_gross_error(collimator_recordings):
-    total = 0
-    for number in range(1, 21):
-        rows = np.loadtxt(collimator_recordings / f"image{number}.txt")
-        view = View(str(number), (2448, 2048), rows[:, 4].astype(np.int64), *_points(rows))
-        total += int(gross_errors(view).sum())
+    total = sum(gross_errors(view).sum() for view in read(collimator_recordings))
     assert total <= 8  # 0.1 % of 8892 stars
-
-
-def _points(rows):
-    return rows[:, :2] - 0.5, rows[:, 2:4], np.tile(np.eye(2), (len(rows), 1, 1))
 
 
 @settings(max_examples=30, deadline=None)
