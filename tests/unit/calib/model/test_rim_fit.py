@@ -2,35 +2,16 @@
 
 import numpy as np
 import pytest
+from drawn_rims import framed_rim
 
 from calib.model.beam import visible_discs
 from calib.model.rim_fit import fit_rims
 from calib.view import RimPoints
 
-RADIUS, HALF_WIDTH, HALF_HEIGHT = 55.0, 48.8, 27.4
+RADIUS = 55.0
 MIDDLE = np.array([97.0, 140.0])
 #: Points of the target at which the camera looks, relative to the middle: turns of 12 and 8 degrees.
 LOOKS = np.array([(x, y) for x in (-54.0, 0.0, 54.0) for y in (-36.0, 0.0, 36.0)])
-SECTIONS = 86
-
-
-def rim(look, disc, waves, rng, sigma=0.05):
-    """Return what a frame about ``look`` shows of a disc whose radius varies by ``waves`` of orders 2 to 5."""
-    phi = (np.arange(SECTIONS) + 0.5) * 2 * np.pi / SECTIONS
-    orders = phi[:, None] * np.arange(2, 6)
-    radius = RADIUS * (1 + np.cos(orders) @ waves[:4] + np.sin(orders) @ waves[4:])
-    direction = np.column_stack([np.cos(phi), np.sin(phi)])
-    edge = disc + radius[:, None] * direction
-    framed = (np.abs(edge - look) < [HALF_WIDTH, HALF_HEIGHT]).all(axis=1)
-    along = np.arange(0.0, 2.2 * RADIUS, 0.5)
-    bright = np.full(SECTIONS, -1.0)
-    for i in np.flatnonzero(~framed):
-        inside = (np.abs(disc + along[:, None] * direction[i] - look) < [HALF_WIDTH, HALF_HEIGHT]).all(axis=1)
-        inside &= along < radius[i]
-        bright[i] = along[inside].max() if inside.any() else -1.0
-    lit = disc + bright[:, None] * direction
-    points = edge + rng.normal(0.0, sigma, (SECTIONS, 1)) * direction
-    return RimPoints(points[framed], np.full(framed.sum(), sigma), lit[bright > 0], 0.0)
 
 
 def around(middle):
@@ -44,7 +25,7 @@ def bench(seed, *, walk=0.0, wander=0.0, common=0.0, uneven=0.0, looks=LOOKS):
     shared = common * rng.standard_normal(8)
     discs = MIDDLE + walk * looks + wander * rng.standard_normal(looks.shape)
     rims = [
-        rim(MIDDLE + look, disc, shared + uneven * rng.standard_normal(8), rng)
+        framed_rim(MIDDLE + look, disc, RADIUS, shared + uneven * rng.standard_normal(8), rng)
         for look, disc in zip(looks, discs, strict=True)
     ]
     return fit_rims(rims, MIDDLE + looks, around(MIDDLE + np.array([3.0, -4.0]))).of_views, discs, rims

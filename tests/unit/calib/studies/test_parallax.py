@@ -1,32 +1,30 @@
 """The parallax test: the place of the entrance pupil from drawn rims, with a sigma that holds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from drawn_rims import HALF_FRAME_MM, framed_rim
 
 import sequences
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.collimator import Collimator
-from calib.model.rotation import exp_map
+from calib.model.rotation import euler_zxy
 from calib.studies.parallax import PupilWalk, mean_of_axes, pupil_walk
-from calib.view import RimPoints, View
+from calib.view import View
 
-R_MM, HALF_FRAME = 255.0, np.array([48.8, 27.4])
+R_MM = 255.0
 COLLIMATOR = Collimator(97.0, 140.0, R_MM)
-MIDDLE, RADIUS, SECTIONS = np.array([97.0, 140.0]), 56.0, 86
+MIDDLE, RADIUS = np.array([97.0, 140.0]), 56.0
 SHIPPED = yaml.safe_load((Path(sequences.__file__).parent / "parallax_test.yaml").read_text())["poses"]
 POSES = [(pose["pan_deg"], pose["tilt_deg"]) for pose in (*SHIPPED["near"], *SHIPPED["far"])]
 
 
 def rotation_of(pan, tilt):
     """Return camera <- target of a camera that is also rolled by 10 degrees."""
-    y, x, z = (
-        exp_map(np.radians(angle) * axis)
-        for angle, axis in zip((pan, tilt, 10.0), np.eye(3)[[1, 0, 2]], strict=True)
-    )
-    return (y @ x @ z).T
+    return euler_zxy(-pan, -tilt, -10.0)
 
 
 def draw(seed, walk, *, common=0.0, uneven=0.0, wander=0.0, sigma=0.1, poses=POSES):
@@ -45,16 +43,8 @@ def draw(seed, walk, *, common=0.0, uneven=0.0, wander=0.0, sigma=0.1, poses=POS
 
 
 def view_of(name, look, disc, waves, sigma, rng):
-    phi = (np.arange(SECTIONS) + 0.5) * 2 * np.pi / SECTIONS
-    orders = phi[:, None] * np.arange(2, 6)
-    direction = np.column_stack([np.cos(phi), np.sin(phi)])
-    edge = (
-        disc + (RADIUS * (1 + np.cos(orders) @ waves[:4] + np.sin(orders) @ waves[4:]))[:, None] * direction
-    )
-    framed = (np.abs(edge - look) < HALF_FRAME).all(axis=1)
-    points = edge[framed] + rng.normal(0.0, sigma, (framed.sum(), 1)) * direction[framed]
-    rim = RimPoints(points, np.full(len(points), sigma), np.zeros((0, 2)), 0.0)
-    stars = look + HALF_FRAME * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]])
+    rim = replace(framed_rim(look, disc, RADIUS, waves, rng, sigma), lit_mm=np.zeros((0, 2)))
+    stars = look + HALF_FRAME_MM * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]])
     stars = stars[np.linalg.norm(stars - disc, axis=1) < 0.95 * RADIUS]
     n = len(stars)
     return View(name, (1280, 720), np.arange(n), stars, stars, np.tile(np.eye(2) * 1e-4, (n, 1, 1)), rim)
@@ -104,7 +94,7 @@ def test_separate_pivots_are_noticed_and_covered():
 def test_views_without_rim_are_named_and_do_not_disturb():
     views, rotations = draw(5, (-10.0, -10.0), common=0.02)
     near = view_of("near", MIDDLE, MIDDLE, np.zeros(8), 0.1, np.random.default_rng(1))
-    bare = View(*(getattr(near, name) for name in list(vars(near))[:6]))
+    bare = replace(near, rim=None)
     more = np.concatenate([rotations, [rotation_of(0, 0)] * 2])
     found = pupil_walk([*views, near, bare], more, COLLIMATOR)
     assert found.without_rim == ("near", "near")
