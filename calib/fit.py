@@ -222,7 +222,7 @@ def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
             source: dict(replace(uncertainty, covariance=part).sigma)
             for source, part in uncertainty.parts.items()
         },
-        notes=(*_notes(fitted), *_doubts(fitted)),
+        notes=_notes(fitted),
         poses=whole.poses or (),
         budget_rows=_budget_rows(parameters.camera, uncertainty, options.passport_source),
     )
@@ -252,15 +252,8 @@ def _budget_rows(camera: CameraModel, uncertainty: Uncertainty, passport: str) -
     )
 
 
-def _doubts(fitted: Fit) -> tuple[str, ...]:
-    """Return sentences about views that do not fit the others; only one centre for all shows them."""
-    if fitted.model == "planar":
-        return ()
-    return check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, fitted.uncertainty.sigma)
-
-
 def _notes(fitted: Fit) -> tuple[str, ...]:
-    """Return the notes for the reader of the result: a focal length poorly determined, and views that disagree."""
+    """Return notes for the reader: a weak focal length, views that disagree, and doubts about some of them."""
     notes, sigma, camera = [], fitted.uncertainty.sigma, fitted.parameters.camera
     relative = {"fx": sigma["fx"] / camera.fx, "fy": sigma["fy"] / camera.fy}
     name = max(relative, key=lambda focal: relative[focal])
@@ -274,6 +267,8 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
             f"are enlarged by this ratio. The {fitted.model} model is for comparison; the joint adjustment describes "
             "such errors."
         )
+    if fitted.model != "planar":  # only one centre for all shows views that do not fit the others
+        notes += check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, sigma)
     return tuple(notes)
 
 

@@ -142,7 +142,12 @@ def flicker_from_triggers(
             remedy="Check the sync cable and that the light flickers.",
         )
     period, phase, fall_phase, jitter = _fit_trains(rising, falling, period)
-    _check_expected(period, expected_hz)
+    if expected_hz is not None and abs(period * expected_hz / 1e6 - 1.0) > EDGE_TOLERANCE:
+        raise FlickerNotFound(
+            f"The triggers come at {1e6 / period:.3f} Hz, but the light is set to {expected_hz:.3f} Hz.",
+            where="triggers",
+            remedy="Check the sync cable and the light's settings.",
+        )
     k = rising[1]
     return Flicker(
         period_us=period,
@@ -287,16 +292,6 @@ def _fit_trains(
         float(fall_phase),
         jitter,
     )
-
-
-def _check_expected(period_us: float, expected_hz: float | None) -> None:
-    """Refuse a train whose frequency is not the one set at the light."""
-    if expected_hz is not None and abs(period_us * expected_hz / 1e6 - 1.0) > EDGE_TOLERANCE:
-        raise FlickerNotFound(
-            f"The triggers come at {1e6 / period_us:.3f} Hz, but the light is set to {expected_hz:.3f} Hz.",
-            where="triggers",
-            remedy="Check the sync cable and the light's settings.",
-        )
 
 
 def _search_frequency(rates: Array, bin_us: float, band_hz: tuple[float, float]) -> float:

@@ -1,5 +1,7 @@
 """Discs of a bench, fitted together to arcs of their rims."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drawn_rims import framed_rim
@@ -108,7 +110,7 @@ def test_discs_of_views_with_rims_are_fitted_to_the_rims(make_bench):
         framed = ((pixels > 0) & (pixels < np.array(camera.size) - 1)).all(axis=1)
         points = edge[framed]
         rims = RimPoints(points, np.full(len(points), 0.05), np.zeros((0, 2)), 0.0)
-        seen.append(type(view)(*(getattr(view, name) for name in list(vars(view))[:6]), rims))
+        seen.append(replace(view, rim=rims))
     discs = visible_discs(seen)
     assert max(np.abs(disc.centre_mm - MIDDLE).max() for disc in discs) < 0.5
     by_stars = visible_discs([*seen[:3], views[3]])
