@@ -101,12 +101,6 @@ def test_a_part_of_the_board_is_enough_if_each_dot_has_its_own_frequency():
     assert np.abs(view.points_px - true).max() < 0.06
 
 
-def test_a_board_cut_by_the_frame_is_named():
-    moved = np.array([[1, 0, 210.0], [0, 1, 0], [0, 0, 1]]) @ PLACED
-    with pytest.raises(TargetNotFound, match=r"The frame cuts the board: .* outside the image"):
-        detect_blinking_dots(*recording(placed=tuple(map(tuple, moved))), SIZE, BOARD)
-
-
 def test_two_frequencies_are_enough_if_the_whole_board_is_seen():
     frequencies = [80.0] * 20
     for corner in (0, 1, 7):
@@ -124,17 +118,19 @@ def test_a_dot_that_is_off_is_left_out():
     assert view.ids.tolist() == [i for i in range(20) if i != 7]
 
 
-def test_two_boards_are_named():
-    small = np.diag([0.6, 0.6, 1.0]) @ PLACED
-    seen = recording(placed=tuple(map(tuple, small)), second=True)
-    with pytest.raises(TargetNotFound, match="two boards"):
+@pytest.mark.parametrize(
+    ("change", "second", "said"),
+    [
+        ([[1, 0, 210.0], [0, 1, 0], [0, 0, 1]], False, r"The frame cuts the board: .* outside the image"),
+        (np.diag([0.6, 0.6, 1.0]), True, "two boards"),
+        ([[-1, 0, 419.0], [0, 1, 0], [0, 0, 1]], False, "mirror order"),
+    ],
+    ids=["cut", "two boards", "mirror"],
+)
+def test_what_is_wrong_with_the_place_of_a_board_is_named(change, second, said):
+    seen = recording(placed=tuple(map(tuple, np.array(change) @ PLACED)), second=second)
+    with pytest.raises(TargetNotFound, match=said):
         detect_blinking_dots(*seen, SIZE, BOARD)
-
-
-def test_a_board_in_a_mirror_is_named():
-    mirror = np.array([[-1, 0, 419.0], [0, 1, 0], [0, 0, 1]]) @ PLACED
-    with pytest.raises(TargetNotFound, match="mirror order"):
-        detect_blinking_dots(*recording(placed=tuple(map(tuple, mirror))), SIZE, BOARD)
 
 
 def test_other_frequencies_and_a_wrong_count_of_dots_are_named():
