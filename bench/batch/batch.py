@@ -287,15 +287,15 @@ class Batch:
                 if why := self._stopped_by_standard(found):
                     return "stopped", why
                 self._run_item(found)
-                end = self._record.ends[found.key]
-                if end.how != "finished" and self._record.is_done(found) and found.job.on_failure == "stop":
+                run = self._record.runs[found.key]
+                if run.ended[-1].how != "finished" and run.is_done and found.job.on_failure == "stop":
                     return "stopped", f"{found.key} failed, and its job has on_failure: stop"
         except Aborted as stop:
             return "aborted", stop.reason
         if pending := self._record.pending():
             left = ", ".join(item.key for item in pending[:5]) + (" ..." if len(pending) > 5 else "")
             return "stopped", f"no time was left for {len(pending)} runs: {left}"
-        failed = [key for key, end in self._record.ends.items() if end.how != "finished"]
+        failed = [run.item.key for run in self._record.with_end if run.ended[-1].how != "finished"]
         return ("finished", "") if not failed else ("failed", f"without a result: {', '.join(failed)}")
 
     def _stopped_by_standard(self, item: Item) -> str:
@@ -322,7 +322,7 @@ class Batch:
 
     def _run_item(self, item: Item) -> None:
         """Begin or resume a run, and wait for its end."""
-        run, record, unreadable = self.folder / RUNS / item.key, self._record, ""
+        run, state, unreadable = self.folder / RUNS / item.key, self._record.runs[item.key], ""
         self._wait_for_orphan(item, run)
         if is_sealed(run):  # done, but interrupted before the end was recorded
             self._end(item, WorkerEnd("finished", ""))
@@ -331,9 +331,9 @@ class Batch:
             _set_aside_unbegun(run)
             recorded = _poses_recorded(run)
         except BenchError as error:  # one folder that cannot be read must not end the batch
-            unreadable, recorded = str(error), record.recorded.get(item.key, 0)
+            unreadable, recorded = str(error), state.recorded
         again = (run / JOURNAL).exists()
-        attempt = record.attempts.get(item.key, 0) + 1
+        attempt = len(state.begun) + 1
         self._journal_event(ItemBegun, item=item.key, again=again, attempt=attempt, recorded=recorded)
         if unreadable:
             self._end(item, WorkerEnd("failed", unreadable))
@@ -343,9 +343,9 @@ class Batch:
 
     def _recover_last_run(self) -> None:
         """Take care of the run that was in progress when the previous process died, before another run begins."""
-        item = self._record.items.get(self._record.current_run)
-        if item is None:
+        if not self._record.current_run:
             return
+        item = self._record.runs[self._record.current_run].item
         run = self.folder / RUNS / item.key
         hung = self._wait_for_orphan(item, run)
         if is_sealed(run):

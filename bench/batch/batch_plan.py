@@ -300,7 +300,7 @@ def refusal(request: Request, record: BatchRecord) -> str:
     """Return why a request is refused; empty if it is accepted."""
     if request.word == "withdraw":
         assert request.name is not None
-        if request.name not in record.jobs():
+        if request.name not in record.jobs:
             return f"there is no job {request.name}"
         return (
             ""
@@ -308,7 +308,7 @@ def refusal(request: Request, record: BatchRecord) -> str:
             else f"all runs of {request.name} have begun or are withdrawn"
         )
     assert request.job is not None
-    if request.job.name.lower() in map(str.lower, record.jobs()):
+    if request.job.name.lower() in map(str.lower, record.jobs):
         return f"the batch already has or had a job {request.job.name}"
     return "; ".join(job_faults(request.job)[:3])
 

@@ -269,11 +269,12 @@ MOST_CUTS = 10
 
 @dataclass(frozen=True)
 class RunAttempt:
-    """One attempt at a run."""
+    """One attempt at a run that has an end."""
 
     begun: datetime
     ended: datetime
     how: str  # How it ended, as in ``WorkerEnd``
+    why: str
 
     @property
     def duration_s(self) -> float:
@@ -281,14 +282,31 @@ class RunAttempt:
         return (self.ended - self.begun).total_seconds()
 
 
-@dataclass(frozen=True)
-class ItemEnd:
-    """The last end of a run of a batch."""
+@dataclass
+class RunState:
+    """What the journal of a batch tells of one of its runs."""
 
-    how: str
-    why: str
-    begun: datetime  # Begin of its first attempt
-    ended: datetime  # End of its last attempt
+    item: Item
+    withdrawn: bool = False  # Before it began
+    begun: list[datetime] = field(default_factory=list)  # Begin of each attempt
+    ended: list[RunAttempt] = field(default_factory=list)  # The attempts that have an end
+    recorded: int = 0  # Number of poses that it had recorded when its last attempt began
+    failures: int = 0  # Failures of its own processes since it last recorded a further pose
+    # Attempts since then that something else ended: a power cut, a kill, the end of the batch's own process.
+    cuts: int = 0
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it needs no further attempt.
+
+        It finished, was aborted or withdrawn, or its processes failed ``attempts`` times without a further recorded
+        pose. A power cut or a kill is no failure, up to ``MOST_CUTS``.
+        """
+        if self.withdrawn or not self.ended:
+            return self.withdrawn
+        if self.ended[-1].how in {"finished", "aborted"}:  # an aborted run is not resumed
+            return True
+        return self.failures >= self.item.job.attempts or self.cuts >= MOST_CUTS
 
 
 @dataclass
@@ -300,74 +318,44 @@ class BatchRecord:
     bounds: Bounds = field(default_factory=Bounds)
     """Times between which the batch works."""
     rehearsal: bool = False
-    items: dict[str, Item] = field(default_factory=dict)
-    """Every run, including withdrawn ones, by its name."""
-    withdrawn: set[str] = field(default_factory=set)
-    """Names of the runs that were withdrawn before they began."""
-    attempts: dict[str, int] = field(default_factory=dict)
-    failures: dict[str, int] = field(default_factory=dict)
-    """Failures of a run's own processes since the run last recorded a further pose."""
-    cuts: dict[str, int] = field(default_factory=dict)
-    """Attempts since then that something else ended: a power cut, a kill, the end of the batch's own process."""
-    recorded: dict[str, int] = field(default_factory=dict)
-    """Number of poses that a run had recorded when its last attempt began."""
-    ends: dict[str, ItemEnd] = field(default_factory=dict)
-    begun_at: dict[str, datetime] = field(default_factory=dict)
-    """Begin of the first attempt at each run."""
+    runs: dict[str, RunState] = field(default_factory=dict)
+    """Every run, including withdrawn ones, by its name, in the order of the queue."""
+    with_end: list[RunState] = field(default_factory=list)
+    """The runs of which an attempt has ended, in the order of their first end."""
     current_run: str = ""
     """Name of the run in progress; empty between runs."""
-    current_since: datetime | None = None
-    ended_attempts: dict[str, list[RunAttempt]] = field(default_factory=dict)
     answered: dict[str, Requested] = field(default_factory=dict)
     """Answer to each request, by its id."""
     ended: str = ""
     why: str = ""
 
-    def jobs(self) -> dict[str, list[Item]]:
-        """Group the runs by job, including withdrawn ones."""
-        found: dict[str, list[Item]] = {}
-        for item in self.items.values():
-            found.setdefault(item.job.name, []).append(item)
-        return found
+    @property
+    def jobs(self) -> list[str]:
+        """The names of the jobs, including withdrawn ones."""
+        return list(dict.fromkeys(run.item.job.name for run in self.runs.values()))
 
     def pending(self) -> list[Item]:
         """List the runs that are still to begin or to resume, in the order of the queue."""
-        return [item for item in self.items.values() if not self.is_done(item)]
-
-    def is_done(self, item: Item) -> bool:
-        """Whether a run needs no further attempt.
-
-        It finished, was aborted or withdrawn, or its processes failed ``attempts`` times without a further recorded
-        pose. A power cut or a kill is no failure, up to ``MOST_CUTS``.
-        """
-        if item.key in self.withdrawn:
-            return True
-        end = self.ends.get(item.key)
-        if end is None:
-            return False
-        if end.how in {"finished", "aborted"}:  # an aborted run is not resumed
-            return True
-        cuts = self.cuts.get(item.key, 0)
-        return self.failures.get(item.key, 0) >= item.job.attempts or cuts >= MOST_CUTS
+        return [run.item for run in self.runs.values() if not run.is_done]
 
     def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
         """Return the mean duration of the job's runs that finished in their first attempt, else the planned one."""
         took = [
-            self.ended_attempts[key][0].duration_s
-            for key, end in self.ends.items()
-            if end.how == "finished"
-            and self.attempts.get(key) == 1
-            and self.items[key].job.name == item.job.name
+            run.ended[0].duration_s
+            for run in self.with_end
+            if run.ended[-1].how == "finished" and len(run.begun) == 1 and run.item.job.name == item.job.name
         ]
         return fmean(took) if took else planned_duration_s
 
-    def withdrawable(self, job: str) -> list[Item]:
+    def withdrawable(self, job: str) -> list[RunState]:
         """List the runs of a job that have not begun."""
-        return [
-            item
-            for item in self.jobs().get(job, [])
-            if item.key not in self.attempts and item.key not in self.withdrawn
-        ]
+        ours = [run for run in self.runs.values() if run.item.job.name == job]
+        return [run for run in ours if not run.begun and not run.withdrawn]
+
+    @property
+    def last_end(self) -> datetime | None:
+        """When the last attempt so far ended; None before any."""
+        return max((run.ended[-1].ended for run in self.with_end), default=None)
 
     def seconds(self, moment: datetime) -> float:
         """Convert a time to seconds after the begin of the batch."""
@@ -389,17 +377,9 @@ class BatchRecord:
             case BatchEvent.BEGUN:
                 self._begin(cast("BatchBegun", entry.data), now)
             case BatchEvent.ITEM_BEGUN:
-                item = cast("ItemBegun", entry.data)
-                key = item["item"]
-                self._count_try(key, item.get("recorded", 0))
-                self.begun_at.setdefault(key, now)
-                self.current_run, self.current_since = key, now
-                self.ended = self.why = ""
+                self._begin_run(cast("ItemBegun", entry.data), now)
             case BatchEvent.ITEM_ENDED:
-                end = cast("ItemEnded", entry.data)
-                ended_by = self.cuts if end.get("outside") else self.failures
-                ended_by[end["item"]] = ended_by.get(end["item"], 0) + 1
-                self._end(end["item"], end["how"], end["why"], now)
+                self._end_run(cast("ItemEnded", entry.data), now)
             case BatchEvent.REQUESTED:
                 self._answer(cast("Requested", entry.data), now)
             case BatchEvent.ENDED:
@@ -412,20 +392,30 @@ class BatchRecord:
         jobs = [_with_files(job, data.get("files", {})) for job in self.queue.jobs]
         self._add(items_of(jobs, now, self.bounds.opens_s, self.queue.zone))
 
-    def _count_try(self, key: str, recorded: int) -> None:
-        if self.current_run == key:  # its last attempt has no end: the batch's own process was cut off, too
-            self.cuts[key] = self.cuts.get(key, 0) + 1
-        if recorded > self.recorded.get(key, 0):
-            self.failures[key] = self.cuts[key] = 0
-        self.attempts[key] = self.attempts.get(key, 0) + 1
-        self.recorded[key] = recorded
+    def _begin_run(self, data: ItemBegun, now: datetime) -> None:
+        run, recorded = self.runs[data["item"]], data.get("recorded", 0)
+        if (
+            self.current_run == data["item"]
+        ):  # its last attempt has no end: the batch's own process was cut off, too
+            run.cuts += 1
+        if recorded > run.recorded:
+            run.failures = run.cuts = 0
+        run.recorded = recorded
+        run.begun.append(now)
+        self.current_run = data["item"]
+        self.ended = self.why = ""
 
-    def _end(self, key: str, how: str, why: str, now: datetime) -> None:
-        begun = self.begun_at.get(key, now)
-        self.ends[key] = ItemEnd(how, why, begun, now)
-        since = self.current_since if self.current_run == key and self.current_since else now
-        self.ended_attempts.setdefault(key, []).append(RunAttempt(since, now, how))
-        self.current_run, self.current_since = "", None
+    def _end_run(self, data: ItemEnded, now: datetime) -> None:
+        run = self.runs[data["item"]]
+        if data.get("outside"):
+            run.cuts += 1
+        else:
+            run.failures += 1
+        if not run.ended:
+            self.with_end.append(run)
+        since = run.begun[-1] if self.current_run == data["item"] else now
+        run.ended.append(RunAttempt(since, now, data["how"], data["why"]))
+        self.current_run = ""
 
     def _answer(self, data: Requested, now: datetime) -> None:
         self.answered[data["id"]] = data
@@ -437,10 +427,11 @@ class BatchRecord:
             now_s = max(self.seconds(now), self.bounds.opens_s)
             self._add(items_of([job], self.begun, now_s, self.queue.zone))
         else:
-            self.withdrawn |= {item.key for item in self.withdrawable(data["name"])}
+            for run in self.withdrawable(data["name"]):
+                run.withdrawn = True
 
     def _add(self, items: Iterable[Item]) -> None:
-        self.items |= {item.key: item for item in items}
+        self.runs |= {item.key: RunState(item) for item in items}
 
     def moment(self, at_s: float) -> datetime:
         """Convert seconds after the begin of the batch to a time."""
@@ -457,9 +448,9 @@ def _with_files(job: JobConfig, files: Mapping[str, str]) -> JobConfig:
 def resume_text(record: BatchRecord) -> str:
     """Describe what an interrupted or ended batch does when it is called again."""
     pending = record.pending()
-    again = [item.key for item in pending if item.key in record.attempts]
-    fresh = [item.key for item in pending if item.key not in record.attempts]
-    parts = [f"{len(record.items) - len(pending)} of {len(record.items)} runs are done"]
+    again = [item.key for item in pending if record.runs[item.key].begun]
+    fresh = [item.key for item in pending if not record.runs[item.key].begun]
+    parts = [f"{len(record.runs) - len(pending)} of {len(record.runs)} runs are done"]
     parts += [f"to resume: {', '.join(again)}"] if again else []
     parts += [f"to begin: {_shortened(fresh)}"] if fresh else []
     return f"{record.queue.name} continues: {'; '.join(parts)}."

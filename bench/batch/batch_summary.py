@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
@@ -19,6 +19,7 @@ from bench.batch.batch_record import (
     BatchRecord,
     Item,
     Requested,
+    RunState,
     UpcomingRun,
     by_priority,
     look_ahead,
@@ -107,25 +108,19 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     runs: dict[str, IndexedRun] = {}
     details: dict[str, RunDetails] = {}
     unread: dict[str, str] = {}
-    for key in record.attempts:
-        if (folder / RUNS / key / JOURNAL).is_file():
+    for key, state in record.runs.items():
+        if state.begun and (folder / RUNS / key / JOURNAL).is_file():
             try:
                 runs[key], details[key] = read_run_and_details(folder / RUNS / key)
             except BenchError as error:
                 unread[key] = str(error)
-    ended = [key for key, end in record.ends.items() if end.how == "finished" and key in runs]
+    finished = [run.item.key for run in record.with_end if run.ended[-1].how == "finished"]
+    ended = [key for key in finished if key in runs]
     solved = [runs[key] for key in ended]
     grouped = group_runs(((runs[key], details[key], RunPlace()) for key in ended), "camera")
     items = [
-        _item(
-            item,
-            record,
-            folder,
-            runs.get(item.key),
-            details[item.key]["conformity"] if item.key in details else None,
-            unread,
-        )
-        for item in _in_order_of_begin(record)
+        _item(run, folder, runs.get(run.item.key), details.get(run.item.key), unread.get(run.item.key))
+        for run in _in_order_of_begin(record)
     ]
     return {
         "schema": SCHEMA,
@@ -134,7 +129,7 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
         "how": record.ended,
         "why": record.why,
         "begun_utc": _iso(record.begun),
-        "ended_utc": _iso(max((end.ended for end in record.ends.values()), default=None)),
+        "ended_utc": _iso(record.last_end),
         "simulated": any(run.simulated for run in runs.values()),
         "rehearsal": record.rehearsal,
         "totals": _totals(items),
@@ -153,32 +148,28 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     }
 
 
-def _in_order_of_begin(record: BatchRecord) -> list[Item]:
+def _in_order_of_begin(record: BatchRecord) -> list[RunState]:
     """Return the runs in the order in which they began; runs that did not begin are last, by priority."""
     never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
-    return sorted(by_priority(list(record.items.values())), key=lambda i: record.begun_at.get(i.key, never))
+    runs = [record.runs[item.key] for item in by_priority([run.item for run in record.runs.values()])]
+    return sorted(runs, key=lambda run: run.begun[0] if run.begun else never)
 
 
 def _item(
-    item: Item,
-    record: BatchRecord,
-    folder: Path,
-    run: IndexedRun | None,
-    conformity: str | None,
-    unread: Mapping[str, str],
+    state: RunState, folder: Path, run: IndexedRun | None, details: RunDetails | None, unread: str | None
 ) -> ItemData:
-    end, path = record.ends.get(item.key), f"{RUNS}/{item.key}"
-    attempts = record.ended_attempts.get(item.key, [])
+    item, attempts = state.item, state.ended
+    path = f"{RUNS}/{item.key}"
     stated = run or _NO_RUN
     return {
         "item": item.key,
         "job": item.job.name,
         "folder": path,
-        "how": _outcome(item, record),
-        "why": unread.get(item.key) or (end.why if end else ""),
-        "attempts": record.attempts.get(item.key, 0),
-        "begun_utc": _iso(record.begun_at.get(item.key)),
-        "ended_utc": _iso(end.ended) if end else None,
+        "how": _outcome(state),
+        "why": unread or (attempts[-1].why if attempts else ""),
+        "attempts": len(state.begun),
+        "begun_utc": _iso(state.begun[0]) if state.begun else None,
+        "ended_utc": _iso(attempts[-1].ended) if attempts else None,
         "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
         "tries": [
             {"begun_utc": one.begun.isoformat(), "ended_utc": one.ended.isoformat(), "how": one.how}
@@ -197,17 +188,17 @@ def _item(
         "parameters": parameters_data(stated.parameters),
         "ledger_number": stated.ledger_number,
         "ledger_head": stated.ledger_head,
-        "conformity": conformity,
+        "conformity": details["conformity"] if details else None,
     }
 
 
-def _outcome(item: Item, record: BatchRecord) -> str:
+def _outcome(run: RunState) -> str:
     """Return how a run ended, or why it has no end."""
-    if item.key in record.withdrawn:
+    if run.withdrawn:
         return "withdrawn"
-    if item.key in record.ends:
-        return record.ends[item.key].how
-    return "cut off" if item.key in record.attempts else "not begun"
+    if run.ended:
+        return run.ended[-1].how
+    return "cut off" if run.begun else "not begun"
 
 
 def _point(run: IndexedRun) -> PointData:
@@ -317,9 +308,9 @@ def read_batch_status(
     running = is_locked(folder)  # before the journal: a batch that ends meanwhile does not appear as killed
     record = read_batch(folder)
     done = tuple(
-        (key, end.how, end.why)
-        for key, end in record.ends.items()
-        if record.is_done(record.items[key]) and key != record.current_run
+        (run.item.key, run.ended[-1].how, run.ended[-1].why)
+        for run in record.with_end
+        if run.is_done and run.item.key != record.current_run
     )
     return BatchStatus(
         folder=str(folder),
@@ -327,14 +318,16 @@ def read_batch_status(
         zone=record.queue.tzinfo,
         running=running,
         rehearsal=record.rehearsal,
-        simulated=any(read_plan(folder / RUNS / key).simulated for key in record.attempts),
+        simulated=any(
+            read_plan(folder / RUNS / key).simulated for key, run in record.runs.items() if run.begun
+        ),
         ended="" if running else record.ended,
         why="" if running else record.why,
         done=done,
         current_run=_current_run_text(folder, record) if running and record.current_run else "",
         upcoming=_upcoming(record, utc_now(), under_way=running),
-        withdrawn=tuple(sorted(record.withdrawn)),
-        last_end=max((end.ended for end in record.ends.values()), default=None),
+        withdrawn=tuple(sorted(key for key, run in record.runs.items() if run.withdrawn)),
+        last_end=record.last_end,
     )
 
 
@@ -367,8 +360,8 @@ def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[U
     at_s, first = record.seconds(now), []
     pending = record.pending()
     if record.current_run and under_way:
-        item = record.items[record.current_run]
-        since_s = record.seconds(record.current_since or now)
+        run = record.runs[record.current_run]
+        item, since_s = run.item, record.seconds(run.begun[-1])
         at_s = max(at_s, since_s + duration_of(item))
         first = [UpcomingRun(item.key, record.moment(since_s), record.moment(at_s))]
         pending = [other for other in pending if other.key != item.key]
