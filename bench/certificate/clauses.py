@@ -1,6 +1,7 @@
-"""What lab.yaml and the run must answer: the clauses of ISO/IEC 17025:2017, each with the field that answers it.
+"""What lab.yaml and the run must answer: clauses of ISO/IEC 17025:2017, each with the keys of lab.yaml that answer it.
 
-A certificate that leaves a clause open, or contradicts the run, is refused. docs/certificates.md prints the table.
+A certificate that leaves a clause open, or contradicts the run, is refused. docs/certificates.md has the table of all
+clauses, also of those that the run or a fixed text answers.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from operator import attrgetter
 
 from bench.certificate.budget_rows import row_names
 from bench.certificate.lab_config import LabConfig, PreviousConfig
@@ -19,40 +20,21 @@ from sequences.reader import Located
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
 
-Path = tuple[str, ...]
-RUN = "the sealed run"
-FIXED = "fixed text"
+Missing = Callable[[LabConfig, Results], Sequence[str]]
+"""Returns the keys of lab.yaml, dotted, that are to be stated and are not."""
 
 
 @dataclass(frozen=True)
 class Clause:
-    """A clause, and what answers it."""
+    """A clause that lab.yaml must answer."""
 
     number: str  # Number of the clause, such as ``7.8.2.1 e``
     item: str
-    field: str
-    origin: str  # The key of lab.yaml that gives them, ``the sealed run``, ``fixed text`` or both
-    # Returns the keys of lab.yaml that are not stated; None if no key is needed.
-    missing: Callable[[LabConfig, Results], Sequence[Path]] | None = None
+    missing: Missing
 
-
-@dataclass(frozen=True)
-class Unanswered:
-    """A clause that is not answered."""
-
-    clause: Clause
-    path: Path
-
-    @property
-    def key(self) -> str:
-        """The missing key, dotted."""
-        return ".".join(self.path)
-
-    @property
-    def message(self) -> str:
-        """What is missing and what to write, without the key itself."""
-        remedy = _REMEDIES.get(self.key, "Add it.")
-        return f"is missing. ISO/IEC 17025, {self.clause.number}: {self.clause.item}. {remedy}"
+    def message(self, key: str) -> str:
+        """Return what is missing and what to write, without the key itself."""
+        return f"is missing. ISO/IEC 17025, {self.number}: {self.item}. {_REMEDIES.get(key, 'Add it.')}"
 
 
 _LIST = "List them, or write none."
@@ -75,20 +57,9 @@ _REMEDIES = {
 }
 
 
-def _keys(*dotted: str) -> Callable[[LabConfig, Results], Sequence[Path]]:
+def _keys(*keys: str) -> Missing:
     """Return a check that keys are stated."""
-
-    def missing(lab: LabConfig, results: Results) -> Sequence[Path]:
-        del results
-        return [path for path in (tuple(key.split(".")) for key in dotted) if _value(lab, path) in (None, "")]
-
-    return missing
-
-
-def _value(lab: Any, path: Path) -> Any:
-    for name in path:
-        lab = getattr(lab, name)
-    return lab
+    return lambda lab, _results: [key for key in keys if attrgetter(key)(lab) in (None, "")]
 
 
 _ITEM = (
@@ -103,167 +74,60 @@ _ITEM = (
 )
 
 
-def _item(lab: LabConfig, results: Results) -> Sequence[Path]:
+def _item(lab: LabConfig, results: Results) -> Sequence[str]:
     """A camera that does not report its serial number is identified by the laboratory."""
-    unnamed = not results["devices"]["camera"].get("serial")
-    own = ("item.maker", "item.model", "item.serial") if unnamed else ()
+    own = ("item.maker", "item.model", "item.serial") if is_unnamed(results) else ()
     return _keys(*own, *_ITEM)(lab, results)
 
 
-def _conditions(lab: LabConfig, results: Results) -> Sequence[Path]:
-    del results
+def _conditions(lab: LabConfig, _results: Results) -> Sequence[str]:
     if lab.conditions is None:
-        return [("conditions",)]
-    names = [one.name.lower() for one in lab.conditions]
-    wanted = ("temperature", "humidity")
-    return [("conditions", word) for word in wanted if not any(word in name for name in names)]
+        return ["conditions"]
+    names = " ".join(one.name.lower() for one in lab.conditions)
+    return [f"conditions.{word}" for word in ("temperature", "humidity") if word not in names]
 
 
-def _traceability(lab: LabConfig, results: Results) -> Sequence[Path]:
+def _traceability(lab: LabConfig, results: Results) -> Sequence[str]:
     """The collimator's certificate needs number, date and issuer; the run knows what the station states."""
-    missing: list[Path] = [] if lab.traceability is not None else [("traceability",)]
+    missing = [] if lab.traceability is not None else ["traceability"]
     in_run = results.get("passport")
     if in_run is None:
         known = any(one.number and one.issuer and one.date for one in lab.sources)
-        return missing if known else [*missing, ("sources",)]
+        return missing if known else [*missing, "sources"]
     stated = next((one for one in lab.sources if one.row == PASSPORT), None)
     needed = [name for name in ("number", "date") if not in_run.get(name)] + ["issuer"]
-    return [
-        *missing,
-        *(("sources", name) for name in needed if not getattr(stated, name, None)),
-    ]
+    return [*missing, *(f"sources.{name}" for name in needed if not getattr(stated, name, None))]
 
 
+_LABORATORY = ("laboratory.name", "laboratory.address", "laboratory.contact", "laboratory.accreditation")
+_CUSTOMER = ("customer.name", "customer.address", "customer.contact")
 CLAUSES = (
-    Clause("7.8.2.1 a", "title", "title", "title"),
+    Clause("7.8.2.1 b", "name and address of the laboratory; its accreditation or none", _keys(*_LABORATORY)),
+    Clause("7.8.2.1 c", "place where the calibration was performed", _keys("place")),
+    Clause("7.8.2.1 e", "name and contact of the customer", _keys(*_CUSTOMER)),
+    Clause("7.8.2.1 f", "method used", _keys("method")),
+    Clause("7.8.2.1 g", "description, identification and condition of the item", _item),
+    Clause("7.8.2.1 h", "date of receipt", _keys("item.received")),
+    Clause("7.8.2.1 n", "deviations from the method, additions, exclusions", _keys("deviations")),
+    Clause("7.8.2.1 o", "person who authorises", _keys("authorised_by")),
+    Clause("7.8.2.1 p", "results of external providers", _keys("external")),
     Clause(
-        "7.8.2.1 b",
-        "name and address of the laboratory; its accreditation or none",
-        "laboratory",
-        "laboratory",
-        _keys("laboratory.name", "laboratory.address", "laboratory.contact", "laboratory.accreditation"),
+        "7.8.2.2", "data that the customer supplied, marked, with a disclaimer", _keys("customer_supplied")
     ),
-    Clause(
-        "7.8.2.1 c",
-        "place where the calibration was performed",
-        "laboratory.place",
-        "place",
-        _keys("place"),
-    ),
-    Clause("7.8.2.1 d", "unique number on every page, and a clear end", "number", "numbers, the ledger"),
-    Clause(
-        "7.8.2.1 e",
-        "name and contact of the customer",
-        "customer",
-        "customer",
-        _keys("customer.name", "customer.address", "customer.contact"),
-    ),
-    Clause("7.8.2.1 f", "method used", "method", "method", _keys("method")),
-    Clause(
-        "7.8.2.1 g",
-        "description, identification and condition of the item",
-        "item",
-        f"item; camera, firmware and biases: {RUN}",
-        _item,
-    ),
-    Clause("7.8.2.1 h", "date of receipt", "received", "item.received", _keys("item.received")),
-    Clause("7.8.2.1 i", "dates of the calibration", "begun_utc, ended_utc", RUN),
-    Clause("7.8.2.1 j", "date of issue", "issued_utc", "the clock of the laboratory"),
-    Clause(
-        "7.8.2.1 l",
-        "the results relate only to the item; reproduction in full only",
-        "statements: items, reproduction",
-        FIXED,
-    ),
-    Clause("7.8.2.1 m", "results with their units", "results", RUN),
-    Clause(
-        "7.8.2.1 n",
-        "deviations from the method, additions, exclusions",
-        "deviations",
-        f"deviations; skipped poses, failed gates, interruptions: {RUN}",
-        _keys("deviations"),
-    ),
-    Clause(
-        "7.8.2.1 o",
-        "person who authorises",
-        "authorised_by, and the person's signature beside the seal",
-        "authorised_by",
-        _keys("authorised_by"),
-    ),
-    Clause("7.8.2.1 p", "results of external providers", "external", "external", _keys("external")),
-    Clause(
-        "7.8.2.2",
-        "data that the customer supplied, marked, with a disclaimer",
-        "customer_supplied, results: customer_supplied",
-        "customer_supplied",
-        _keys("customer_supplied"),
-    ),
-    Clause(
-        "7.8.4.1 a",
-        "measurement uncertainty in the unit of the result",
-        "results: U, k, p, nu_eff; covariance; budgets",
-        RUN,
-    ),
-    Clause(
-        "7.8.4.1 b",
-        "conditions that influence the result",
-        "conditions",
-        f"conditions; camera temperature, light and event rate: {RUN}",
-        _conditions,
-    ),
-    Clause(
-        "7.8.4.1 c",
-        "metrological traceability",
-        "traceability, statements: traceability",
-        f"traceability, sources; collimator's certificate: {RUN}",
-        _traceability,
-    ),
-    Clause(
-        "7.8.4.1 d",
-        "results before and after adjustment",
-        "before_adjustment, statements: adjustment",
-        f"previous_certificate; last calibration on this bench: {RUN}",
-        _keys("previous_certificate"),
-    ),
+    Clause("7.8.4.1 b", "conditions that influence the result", _conditions),
+    Clause("7.8.4.1 c", "metrological traceability", _traceability),
+    Clause("7.8.4.1 d", "results before and after adjustment", _keys("previous_certificate")),
     Clause(
         "7.8.4.1 e, 7.8.6",
         "statement of conformity with its decision rule, or none",
-        "conformity",
-        "decision_rules",
         _keys("decision_rules"),
-    ),
-    Clause(
-        "7.8.4.3",
-        "no recalibration interval unless agreed with the customer",
-        "statements: recalibration",
-        "recalibration (leave it out)",
-    ),
-    Clause("7.8.7", "opinions, marked as such", "opinions", "opinions"),
-    Clause(
-        "7.8.8",
-        "amendments: own number, reference to the original, change identified",
-        "amends",
-        "`starbench certificate issue`",
-    ),
-    Clause(
-        "7.5, 7.11",
-        "original observations, protected from tampering",
-        "run",
-        f"{RUN}: its id, seal and journal",
     ),
 )
 
 
-def unanswered(lab: LabConfig, results: Results) -> list[Unanswered]:
-    """Return the clauses that lab.yaml and the run leave open, in order, one for each missing key."""
-    asked = [(clause, clause.missing(lab, results)) for clause in CLAUSES if clause.missing is not None]
-    return [Unanswered(clause, path) for clause, paths in asked for path in paths]
-
-
-def table() -> str:
-    """Return the table of the clauses in Markdown, as docs/certificates.md prints it."""
-    head = "| clause | asks for | field of certificate.json | comes from |\n| --- | --- | --- | --- |\n"
-    return head + "".join(f"| {one.number} | {one.item} | {one.field} | {one.origin} |\n" for one in CLAUSES)
+def unanswered(lab: LabConfig, results: Results) -> list[tuple[Clause, str]]:
+    """Return the clauses that lab.yaml and the run leave open, in order, each with one missing key."""
+    return [(clause, key) for clause in CLAUSES for key in clause.missing(lab, results)]
 
 
 _OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "light", "light frequency"})
@@ -274,9 +138,9 @@ _NO_NAMES = frozenset({"-", "n/a", "none", "unknown", "tbd", "todo", "?"})
 def faults_of_lab(lab: Located[LabConfig], found: Results) -> list[Fault]:
     """Return what prevents a certificate: contradictions first, then clauses without an answer, in their order."""
     faults = [lab.fault(path, message) for path, message in _contradictions(lab.value, found)]
-    for one in unanswered(lab.value, found):
-        spot = lab.position(tuple(one.path[:-1]))
-        faults.append(Fault(lab.file, spot.line, spot.column, one.key, one.message))
+    for clause, key in unanswered(lab.value, found):
+        spot = lab.position(tuple(key.split(".")[:-1]))
+        faults.append(Fault(lab.file, spot.line, spot.column, key, clause.message(key)))
     return faults
 
 
