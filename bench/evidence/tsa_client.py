@@ -6,15 +6,14 @@ Only a hash leaves the bench. The address is checked first; a redirect is not fo
 from __future__ import annotations
 
 import http.client
-import socket
 import ssl
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from concurrent.futures import wait
+from contextlib import closing
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from bench import __version__
+from bench.base.background import in_background
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.timestamp import read_reply, stamp_library
 
@@ -62,7 +61,10 @@ def ask_authority(url: str, request: Request) -> bytes:
     """Send a request; return the reply, which is not verified yet; `EvidenceError` if none comes in 20 s."""
     check_url(url)
     try:
-        reply = _post(url, request.data)
+        answered = in_background(lambda: _post(url, request.data), "time stamp")
+        if not wait([answered], WAIT_S).done:  # a slow answer may take any time
+            raise TimeoutError
+        reply = answered.result()
     except (OSError, http.client.HTTPException, ValueError) as error:
         why = f"no answer within {WAIT_S:.0f} s" if isinstance(error, TimeoutError) else str(error)
         raise EvidenceError(
@@ -90,43 +92,12 @@ def _post(url: str, data: bytes) -> bytes:
     )
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     headers = {"Content-Type": "application/timestamp-query", "User-Agent": f"starbench/{__version__}"}
-    try:
-        connection.connect()
-        with _deadline(connection.sock) as is_late:
-            try:
-                connection.request("POST", path, body=data, headers=headers)
-                answer = connection.getresponse()
-                body = answer.read(_MOST_BYTES + 1)
-            except (OSError, http.client.HTTPException) as error:
-                if is_late():
-                    raise TimeoutError from error
-                raise
-            if is_late():
-                raise TimeoutError
-    finally:
-        connection.close()
+    with closing(connection):
+        connection.request("POST", path, body=data, headers=headers)
+        with connection.getresponse() as answer:
+            body = answer.read(_MOST_BYTES + 1)
     _refuse_answer(answer, body, url)
     return body
-
-
-@contextmanager
-def _deadline(connection: socket.socket) -> Iterator[Callable[[], bool]]:
-    """End the connection when the block takes too long, however slow the answer; yields whether it has."""
-    late = threading.Event()
-
-    def end() -> None:
-        late.set()
-        with suppress(OSError):
-            connection.shutdown(socket.SHUT_RDWR)
-
-    timer = threading.Timer(WAIT_S, end)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield late.is_set
-    finally:
-        timer.cancel()
-        timer.join()
 
 
 def _refuse_answer(answer: http.client.HTTPResponse, body: bytes, url: str) -> None:

@@ -23,14 +23,17 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import wait
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from email.message import EmailMessage
 from email.utils import format_datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.base.background import in_background
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, StorageError
 from bench.records.storage import make_folder, storage_errors
@@ -129,11 +132,11 @@ class Outbox:
 
     def deliver(self, send: Send, now: datetime, *, all_waiting: bool = False) -> int:
         """Try the deliveries that are due, all channels side by side; each is given up after ``DEADLINE_S``."""
-
-        def serve(channel: str) -> None:
-            self.deliver_to(channel, send, now, all_waiting=all_waiting)
-
-        _side_by_side(serve, self.channels())
+        serve = partial(self.deliver_to, send=send, now=now, all_waiting=all_waiting)
+        served = [in_background(partial(serve, channel), "messages") for channel in self.channels()]
+        wait(served)
+        for one in served:
+            one.result()
         return self.waiting()
 
     def deliver_to(self, channel: str, send: Send, now: datetime, *, all_waiting: bool = False) -> None:
@@ -175,17 +178,18 @@ class Outbox:
         self._mark(delivery, state="sending", tries=delivery.tries + 1)
         pause = timedelta(seconds=min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(delivery.tries, 20)))
         later = {"state": "waiting", "next_try": (now + pause).timestamp()}
-        try:
-            in_time = _in_time(lambda: send(delivery.message, delivery.channel), DEADLINE_S)
-        except DeliveryFailed as error:
-            self._mark(delivery, **later, last_error=str(error)[:500])
-            return True
-        if in_time:
-            self._mark(delivery, state="sent", last_error="")
-        else:
+        sent = in_background(lambda: send(delivery.message, delivery.channel), "delivery")
+        if not wait([sent], DEADLINE_S).done:
             why = f"not complete within {DEADLINE_S:g} s; the server is too slow or hangs"
             self._mark(delivery, **later, perhaps_twice=1, last_error=why)
-        return in_time
+            return False
+        try:
+            sent.result()
+        except DeliveryFailed as error:
+            self._mark(delivery, **later, last_error=str(error)[:500])
+        else:
+            self._mark(delivery, state="sent", last_error="")
+        return True
 
     def _mark(self, delivery: Delivery, **facts: Any) -> None:
         names = ", ".join(f"{name} = ?" for name in facts)
@@ -233,45 +237,6 @@ def _make_tables(database: sqlite3.Connection) -> None:
     """Make the tables, unless they are there; another process may do the same."""
     if database.execute("PRAGMA user_version").fetchone()[0] != VERSION:
         database.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
-
-
-def _side_by_side(work: Callable[[str], None], names: Iterable[str]) -> None:
-    """Do work for each name in a thread of its own, and wait for all; an error is raised again afterwards."""
-    failed: list[BaseException] = []
-
-    def thread(name: str) -> None:
-        try:
-            work(name)
-        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
-            failed.append(error)
-
-    threads = [threading.Thread(target=thread, args=(name,), name="messages", daemon=True) for name in names]
-    for one in threads:
-        one.start()
-    for one in threads:
-        one.join()
-    if failed:
-        raise failed[0]
-
-
-def _in_time(work: Callable[[], None], deadline_s: float) -> bool:
-    """Do work in a thread, left alone if late; return whether it ended in time. Its error is raised again."""
-    done = threading.Event()
-    failed: list[BaseException] = []
-
-    def thread() -> None:
-        try:
-            work()
-        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
-            failed.append(error)
-        done.set()
-
-    threading.Thread(target=thread, name="delivery", daemon=True).start()
-    if not done.wait(deadline_s):
-        return False
-    if failed:
-        raise failed[0]
-    return True
 
 
 def _delivery(row: Sequence[Any]) -> Delivery:
