@@ -53,8 +53,8 @@ def _to_digit_of(exact: Decimal, uncertainty: Decimal) -> Decimal:
     return (exact / step).quantize(Decimal(1), ROUND_HALF_EVEN) * step
 
 
-def print_plain(value: float, digits: int = 2) -> str:
-    """Return a number with some significant digits, without an exponent.
+def print_plain(value: float) -> str:
+    """Return a number with two significant digits, without an exponent.
 
     >>> [print_plain(one) for one in (0.61023, 0.08094, 174.05, 0.0)]
     ['0.61', '0.081', '170', '0']
@@ -62,7 +62,7 @@ def print_plain(value: float, digits: int = 2) -> str:
     exact = Decimal(repr(float(value)))
     if exact == 0:
         return "0"
-    step = Decimal(1).scaleb(exact.adjusted() - digits + 1)
+    step = Decimal(1).scaleb(exact.adjusted() - 1)
     return printed((exact / step).quantize(Decimal(1), ROUND_HALF_EVEN) * step)
 
 

@@ -283,14 +283,9 @@ def without_signature(data: bytes) -> bytes:
     """Return a DCC as it was before it was signed, to compare it with one that is written anew."""
     root = read_dcc(data, "the DCC")
     for signature in root.findall(SIGNATURE):
-        before, tail = signature.getprevious(), signature.tail or ""
-        if tail.strip():  # not of `sign_dcc`: keep what somebody added
-            if before is None:
-                root.text = (root.text or "") + tail
-            else:
-                before.tail = (before.tail or "") + tail
-        signature.tail = None
-        root.remove(signature)
+        if not (signature.tail or "").strip():  # else it is not of `sign_dcc`: keep what somebody added
+            signature.tail = None
+        _drop_keeping_tail(root, signature)
     return to_bytes(root)
 
 
@@ -370,7 +365,7 @@ def _check_xades(data: bytes, root: _Element, leaf: x509.Certificate, where: str
     bare = read_dcc(to_bytes(root), where)
     bare_signature = bare.find(SIGNATURE)
     if bare_signature is not None:
-        _drop_keeping_tail(bare_signature)
+        _drop_keeping_tail(bare, bare_signature)
     if len(covered) != 1 or _canonical(covered[0]) != _canonical(bare):
         raise EvidenceError("The signature does not cover the whole document.", where=where, remedy=_TAMPERED)
 
@@ -380,14 +375,15 @@ def _canonical(root: _Element) -> bytes:
     return canonical
 
 
-def _drop_keeping_tail(element: _Element) -> None:
+def _drop_keeping_tail(root: _Element, element: _Element) -> None:
     """Remove an element but not the text behind it, as the enveloped signature transform does (XMLDSIG 6.6.4)."""
-    before, parent, tail = element.getprevious(), element.getparent(), element.tail or ""
-    if before is not None:
+    before, tail = element.getprevious(), element.tail or ""
+    if before is None:
+        root.text = (root.text or "") + tail
+    else:
         before.tail = (before.tail or "") + tail
     element.tail = None
-    if parent is not None:
-        parent.remove(element)
+    root.remove(element)
 
 
 def _embedded(signature: _Element, where: str) -> tuple[x509.Certificate, ...]:

@@ -13,7 +13,6 @@ import math
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from importlib import resources
@@ -21,13 +20,13 @@ from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from textwrap import shorten
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 from bench import __version__
 from bench.base.bounded_json import leaves, mapped
 from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import Certificate
+from bench.certificate.dcc_xml import library
 from bench.records.results import Results
 from bench.records.run_facts import coverage_factor
 from bench.report.text import MINUS, NOTHING, STARS, TargetWords, exact, moment, number, words_of
@@ -152,16 +151,16 @@ def render_pdf(
     plots: Mapping[str, str] | None = None,
 ) -> bytes:
     """Render a certificate with its attachments; ``plots`` None draws what ``results`` alone gives."""
-    _typst()
-    content = json.loads(certificate.to_json())
-    refuse_missing(content)
-    shown = pictures(certificate, draw_plots(results) if plots is None else plots, words_of(results))
-    files = {one.file: one.svg for one in shown}
+    library("typst")
+    refuse_missing(json.loads(certificate.to_json()))
+    drawn = draw_plots(results) if plots is None else plots
+    shown = pictures(certificate, drawn, words_of(results))
+    files = {one["file"]: drawn[one["name"]] for one in shown}
     return _compiled(document(certificate, shown, attachments), files, attachments)
 
 
 def document(
-    certificate: Certificate, shown: Sequence[Picture], attachments: Mapping[str, bytes]
+    certificate: Certificate, shown: Sequence[Mapping[str, Any]], attachments: Mapping[str, bytes]
 ) -> dict[str, Any]:
     """Return the document as data for the layout; every text in it can be printed."""
     issued = datetime.fromisoformat(certificate.issued_utc)
@@ -187,10 +186,7 @@ def document(
             "state": _state(certificate),
             "statements": {one.id: one.text for one in reversed(certificate.statements)},
             "covariance": _printed_covariance(certificate.covariance),
-            "pictures": [
-                {"name": one.name, "file": one.file, "alt": one.alt, "caption": one.caption, "wide": one.wide}
-                for one in shown
-            ],
+            "pictures": list(shown),
             "attachments": [_attachment(name, data) for name, data in sorted(attachments.items())],
             "certificate": content,
         },
@@ -281,17 +277,6 @@ def _is_text(data: bytes) -> bool:
     return True
 
 
-def _typst() -> ModuleType:
-    try:
-        import typst
-    except ImportError as error:
-        raise UsageError(
-            "A certificate as PDF needs typst, which is not installed.",
-            remedy="Install it: pip install 'starbench[certificate]'.",
-        ) from error
-    return typst
-
-
 def _compiled(content: Mapping[str, Any], svg: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
     folder = resources.files("bench.certificate")
     files: dict[str, bytes] = {
@@ -316,7 +301,7 @@ def _compiled(content: Mapping[str, Any], svg: Mapping[str, str], attachments: M
 
 def _pdf_of(files: dict[str, bytes]) -> bytes:
     """Return what typst makes of ``main.typ``, with the fonts that it carries; RuntimeError if it cannot."""
-    make = _typst().Compiler
+    make = library("typst").Compiler
     with TemporaryDirectory() as empty:  # without a root, a plot could name a file of the working directory
         found = make(files, root=empty, ignore_system_fonts=True).compile(
             format="pdf", pdf_standards=list(STANDARDS)
@@ -387,22 +372,6 @@ _CAPTIONS = {
 }
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A plot on a page."""
-
-    name: str
-    svg: str
-    alt: str  # Description for readers who do not see it, with its numbers
-    caption: str
-    wide: bool  # Whether it takes the width of the page
-
-    @property
-    def file(self) -> str:
-        """Name of its file for the layout."""
-        return f"{self.name}.svg"
-
-
 def plots_of_run(run: Path, results: Results) -> dict[str, str]:
     """Draw the plots of a certificate from a run's folder: SVG by name. Those of stars need `views.h5`."""
     from bench.views.views_file import VIEWS, read_views
@@ -422,11 +391,19 @@ def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str,
     return {name: drawn[name] for name in PLOTS if name in drawn}
 
 
-def pictures(certificate: Certificate, plots: Mapping[str, str], words: TargetWords = STARS) -> list[Picture]:
-    """Return the plots with their descriptions, in the order of `PLOTS`."""
+def pictures(
+    certificate: Certificate, plots: Mapping[str, str], words: TargetWords = STARS
+) -> list[dict[str, Any]]:
+    """Return the plots for the layout, in the order of `PLOTS`; ``alt`` describes one to who does not see it."""
     numbers = "; ".join(f"{one.name}: {one.text}" for one in certificate.further)
     return [
-        Picture(name, plots[name], f"Plot. {caption} {numbers}.".strip(), caption, name in _WIDE)
+        {
+            "name": name,
+            "file": f"{name}.svg",
+            "alt": f"Plot. {caption} {numbers}.".strip(),
+            "caption": caption,
+            "wide": name in _WIDE,  # it takes the width of the page
+        }
         for name, caption in ((name, words.fitting(caption)) for name, caption in _CAPTIONS.items())
         if name in plots
     ]

@@ -15,8 +15,8 @@ FIRST = "SIMULATED-SB-2026-00001"
 class Lab:
     """A laboratory with one sealed run, whose clock is set by hand."""
 
-    def __init__(self, path):
-        self.path, self.now, self.says = path, NOW, {}
+    def __init__(self, path, sign_dcc=None):
+        self.path, self.now, self.says, self.sign_dcc = path, NOW, {}, sign_dcc
         self.home = path / "home"
         self.run = write_sealed_run(path / "run", self.home)
         self.lab = path / "lab.yaml"
@@ -26,9 +26,8 @@ class Lab:
         self.ledger.end(place["number"], how="finished", folder=self.run)
 
     def laboratory(self):
-        return Laboratory(
-            self.ledger, lambda: ensure_key(self.home), lambda: self.now, lambda f: verified(f, **self.says)
-        )
+        clock, key = (lambda: self.now), (lambda: ensure_key(self.home))
+        return Laboratory(self.ledger, key, clock, lambda f: verified(f, **self.says), self.sign_dcc)
 
     def issue(self, name="certificate", **facts):
         return issue(self.run, self.lab, self.path / name, self.laboratory(), **facts)

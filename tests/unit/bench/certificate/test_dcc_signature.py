@@ -1,11 +1,10 @@
 """"""
 
-import shutil
-
 import certificate_sample
 import lab_pki
 import pytest
-from certificate_sample import LAB, NOW, verified, write_sealed_run
+from certificate_lab import Lab
+from certificate_sample import NOW
 from dcc_checks import check_dcc
 from lxml import etree
 
@@ -19,10 +18,7 @@ from bench.certificate.dcc_signature import (
     verify_signature,
     without_signature,
 )
-from bench.certificate.issue import Laboratory, issue
-from bench.certificate.series import numbers
-from bench.evidence.keys import ensure_key
-from bench.records.ledger import Ledger
+from tests.unit.bench.evidence.resealed import copied
 
 DS = "{http://www.w3.org/2000/09/xmldsig#}"
 
@@ -252,16 +248,6 @@ def test_certificates_are_loaded(tmp_path):
 # ---------------------------------------------------------------- a certificate whose digital part is signed
 
 
-def laboratory(path, sign):
-    home = path / "home"
-    run = write_sealed_run(path / "run", home)
-    (path / "lab.yaml").write_text(LAB, encoding="utf-8")
-    ledger = Ledger(home, utc_now=lambda: NOW, monotonic=lambda: 0.0)
-    place = ledger.begin(run_id="run", folder=run, camera="00050423", simulated=True)
-    ledger.end(place["number"], how="finished", folder=run)
-    return run, Laboratory(ledger, lambda: ensure_key(home), lambda: NOW, verified, sign)
-
-
 def signer(begin=lab_pki.BEGIN):
     key, certificate = lab_pki.seal(begin=begin)
     return lambda data, when: sign_dcc(data, key, [certificate], signed_utc=when)
@@ -269,9 +255,7 @@ def signer(begin=lab_pki.BEGIN):
 
 @pytest.fixture(scope="module")
 def signed_certificate(tmp_path_factory):
-    path = tmp_path_factory.mktemp("signed")
-    run, lab = laboratory(path, signer())
-    return issue(run, path / "lab.yaml", path / "certificate", lab).folder
+    return Lab(tmp_path_factory.mktemp("signed"), signer()).issue().folder
 
 
 def test_a_signed_certificate_is_derived_again(signed_certificate):
@@ -282,15 +266,6 @@ def test_a_signed_certificate_is_derived_again(signed_certificate):
     again = check_certificate(signed_certificate)
     assert (again.faults, again.not_compared) == ([], [])
     assert any("signature of CN=Lab seal P-256" in remark for remark in again.remarks)
-
-
-def attack(signed_certificate, tmp_path, change):
-    folder = tmp_path / "copy"
-    shutil.copytree(signed_certificate, folder)
-    for path in (folder, *folder.rglob("*")):
-        path.chmod(0o755)
-    (folder / "dcc.xml").write_bytes(change((folder / "dcc.xml").read_bytes()))
-    return check_certificate(folder).faults
 
 
 def signed_by_another(data):
@@ -304,12 +279,14 @@ def signed_by_another(data):
 )
 def test_a_changed_or_missing_signature_is_a_fault(signed_certificate, tmp_path, change):
     """The PDF has the signed DCC attached."""
-    assert attack(signed_certificate, tmp_path, change)
+    dcc = copied(signed_certificate, tmp_path / "copy") / "dcc.xml"
+    dcc.write_bytes(change(dcc.read_bytes()))
+    assert check_certificate(dcc.parent).faults
 
 
 def test_a_key_that_cannot_sign_is_refused_before_a_number_is_taken(tmp_path):
-    run, lab = laboratory(tmp_path, signer(begin=lab_pki.signed_at(700)))
+    lab = Lab(tmp_path, signer(begin=lab_pki.signed_at(700)))
     with pytest.raises(EvidenceError, match="is valid from 2027-12-02"):
-        issue(run, tmp_path / "lab.yaml", tmp_path / "certificate", lab)
-    assert not numbers(lab.ledger.entries())
+        lab.issue()
+    assert lab.numbers() == {}
     assert not (tmp_path / "certificate").exists()

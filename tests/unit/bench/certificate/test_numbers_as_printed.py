@@ -288,6 +288,8 @@ def test_the_digital_certificate_says_the_same():
 def test_captions_of_the_plots_fit_the_target():
     made = compose(of_board(), sample_lab().value, identity())
     plots = dict.fromkeys(("coverage", "vectors", "regions"), "<svg/>")
-    assert [one.name for one in pictures(made, plots, STARS) if STAR.search(one.caption)] == list(plots)
-    assert [one.name for one in pictures(made, plots, BOARD) if STAR.search(one.caption + one.alt)] == []
+    assert [one["name"] for one in pictures(made, plots, STARS) if STAR.search(one["caption"])] == list(plots)
+    assert [
+        one["name"] for one in pictures(made, plots, BOARD) if STAR.search(one["caption"] + one["alt"])
+    ] == []
     assert set(draw_plots(of_board())) == set(draw_plots(sample_results()))
