@@ -36,7 +36,7 @@ from bench.certificate.series import (
 )
 from bench.evidence.findings import Verification
 from bench.evidence.keys import BenchKey
-from bench.evidence.seal import seal_folder
+from bench.evidence.seal import remove_unnamed, seal_folder
 from bench.records.ledger import Ledger
 from bench.records.results import Results
 from bench.records.run_folder import MANIFEST, RESULTS, is_sealed
@@ -115,7 +115,7 @@ def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str
     """Write and seal a folder, named only when it is complete; returns the SHA-256 of its SHA256SUMS."""
     part = unfinished(folder)
     make_folder(folder.parent)
-    remove_unfinished(folder)
+    remove_unnamed(part)  # of a process that was killed while it made this folder
     refuse_occupied(folder)
     make_folder(part)
     for name, data in files.items():
@@ -132,23 +132,6 @@ def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str
 def unfinished(folder: Path) -> Path:
     """Return the name of a folder while it is being made."""
     return folder.with_name(f".{folder.name}{_UNFINISHED}")
-
-
-def remove_unfinished(folder: Path) -> None:
-    """Remove what a process left behind that was killed while it made this folder."""
-    part = unfinished(folder)
-    if part.is_symlink() or not part.is_dir():
-        return
-    with storage_errors(part):
-        for name, folders, files in os.walk(part, topdown=True):
-            Path(name).chmod(0o755)
-            del folders, files
-        for name, folders, files in os.walk(part, topdown=False):
-            for file in files:
-                (Path(name) / file).unlink()
-            for inner in folders:
-                (Path(name) / inner).rmdir()
-        part.rmdir()
 
 
 @dataclass(frozen=True)
@@ -266,7 +249,7 @@ def complete_open(ledger: Ledger) -> list[str]:
             _enter(ledger, certificate, seal)
             done.append(one.number)
         elif one.folder:
-            remove_unfinished(Path(one.folder))
+            remove_unnamed(unfinished(Path(one.folder)))
     return done
 
 

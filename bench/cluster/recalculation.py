@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-import shutil
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -48,7 +47,7 @@ from bench.cluster.work import (
     rounds,
 )
 from bench.evidence.keys import BenchKey
-from bench.evidence.seal import seal_folder
+from bench.evidence.seal import remove_unnamed, seal_folder
 from bench.plan.plan import load_documents, make_plan
 from bench.records.run_folder import RESULTS
 from bench.records.storage import sha256_of, storage_errors, sync_folder, write_atomic
@@ -89,7 +88,8 @@ class ResultsFolders(Table):
         self._reserved: set[str] = set()
         super().__init__(folder, TABLE)
         try:
-            self._remove_parts()
+            for part in folder.glob(f"{_PART}*"):  # of a process that was killed
+                remove_unnamed(part)
         except BaseException:
             self.__exit__()
             raise
@@ -128,7 +128,7 @@ class ResultsFolders(Table):
             if self.key is not None:
                 seal_folder(part, self.key)
         except (StorageError, EvidenceError):
-            _remove(part)
+            remove_unnamed(part)
             raise
         self.add(row)
         with storage_errors(part):
@@ -149,22 +149,6 @@ class ResultsFolders(Table):
         if not {"state", "key", "results", "results_sha256"} <= row.keys():
             raise KeyError(row)
         return str(row["folder"]), row
-
-    def _remove_parts(self) -> None:
-        """Remove what a process that was killed left behind."""
-        for part in self.folder.glob(f"{_PART}*"):
-            _remove(part)
-
-
-def _remove(part: Path) -> None:
-    """Remove a folder that never got its name; its seal may have made it read-only."""
-    if not part.is_dir():
-        return
-    with storage_errors(part):
-        for path in (part, *part.rglob("*")):
-            if path.is_dir() and not path.is_symlink():
-                path.chmod(0o755)
-        shutil.rmtree(part)
 
 
 _AHEAD = 8

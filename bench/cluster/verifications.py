@@ -9,7 +9,6 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,16 +149,21 @@ class Checked:
     """What one check found."""
 
     verification: Verification
-    key: str = ""  # Hash of what the derived findings depend on; empty if nothing was derived
-    derived: Mapping[str, Any] | None = None
-    before: bool = False  # Whether they are of an earlier command
+    row: Mapping[str, Any] | None = None  # What was derived, to be kept (see `_derived`); None if nothing was
+    before: bool = False  # Whether it is of an earlier command
 
 
 def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Checked:
-    """Check one sealed folder without the bench's ledger; ``known`` are an earlier command's key and findings."""
+    """Check one sealed folder without the bench's ledger; ``known`` is what an earlier command derived of it."""
     require_program_of(check.program)
-    made: list[Checked] = []
-    derive = partial(_derive, check=check, known=known, made=made)
+    rows: list[Mapping[str, Any]] = []
+
+    def derive(folder: Path) -> Findings:
+        rows.append(_derived(folder, check, known))
+        derived = rows[-1]["derived"]
+        faults = [SealFault(**one) for one in derived["faults"]]
+        return Findings(faults, [*derived["not_compared"]], [*derived["remarks"]])
+
     found = verify_folder(
         folder,
         check.trust,
@@ -168,26 +172,18 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         derivations={"run": [derive], "results": [derive], "certificate": [lambda _folder: Findings()]},
         again=check.again,
     )
-    last = made[-1] if made else Checked(found)
-    return Checked(found, last.key, last.derived, last.before)
+    row = rows[0] if rows else None
+    return Checked(found, row, before=row is not None and row is known)
 
 
-def _derive(folder: Path, *, check: Check, known: Mapping[str, Any] | None, made: list[Checked]) -> Findings:
-    """Derive the files of a folder again, or take the findings of an earlier command about the same bytes."""
+def _derived(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Derive a folder's files again: the ``key`` of what decides it, and the findings; or ``known`` of the same key."""
     key = content_key({"folder": content_hash(folder), "again": check.again, "program": check.program})
-    before = known is not None and known["key"] == key
-    if before and known is not None:
-        derived = known["derived"]
-    else:
-        found = Findings()
-        for derivation in derivations_of(folder, again=check.again):
-            if not found.faults:
-                found.add(derivation(folder))
-        derived = asdict(found)
-    made.append(Checked(Verification(str(folder)), key, derived, before))
-    return Findings(
-        [SealFault(**one) for one in derived["faults"]], [*derived["not_compared"]], [*derived["remarks"]]
-    )
+    if known is not None and known["key"] == key:
+        return known
+    found = Findings()
+    found.derive(folder, derivations_of(folder, again=check.again))
+    return {"key": key, "derived": asdict(found)}
 
 
 def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:

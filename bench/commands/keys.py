@@ -35,8 +35,8 @@ from bench.evidence.signers import (
     read_public_key,
     read_revoked,
     read_signer,
-    read_signers,
     revoke,
+    signers_of,
     trust,
 )
 from bench.evidence.sshsig import fingerprint
@@ -261,7 +261,7 @@ def key_or_draft() -> BenchKey | None:
 
 
 def _read_lists(home: Path) -> tuple[list[Signer], list[RevokedKey]]:
-    signers = read_signers(home / SIGNERS_FILE) if (home / SIGNERS_FILE).exists() else []
+    signers = signers_of(home)
     return signers, read_revoked(home / REVOKED_FILE)
 
 

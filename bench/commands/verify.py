@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from bench.evidence.authorisation import compare_authorisation, known_authorisat
 from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
-from bench.evidence.seal import AUTHORISATION
 from bench.evidence.verify import verify_folder
 from bench.records.history import replay
 from bench.records.journal import read_journal
@@ -142,7 +140,7 @@ def _valid_lines(found: Verification) -> Iterator[str]:
     signed = f"{found.state}: {found.files} files, sealed by {found.signer} ({found.fingerprint})."
     yield f"{signed} {numbers}".rstrip()
     if found.stated is not None:
-        yield f"Sealed {found.stated[:19].replace('T', ' ')} UTC by the bench's own clock."
+        yield f"Sealed {found.stated:%Y-%m-%d %H:%M:%S} UTC by the bench's own clock."
     yield from found.statements
     if found.run_id is not None:
         simulated = " SIMULATED devices." if found.simulated else ""
@@ -188,11 +186,11 @@ def _ended(
         row = {"folder": str(folder), "ok": False, "complete": False, "failure": end.failure.to_dict()}
         return "failed", f"{folder.name}: NOT VERIFIED. {why}", row
     checked: Checked = end.value
-    if kept is not None and checked.key and not checked.before:
-        kept.add(str(folder), {"key": checked.key, "derived": checked.derived})
+    if kept is not None and checked.row is not None and not checked.before:
+        kept.add(str(folder), checked.row)
     found = checked.verification
     if found.ok:
-        found = _with(found, _checks_of_this_bench(folder, found.kind, check))
+        found.add(_checks_of_this_bench(folder, found.kind, check))
     if not found.ok:
         faults = " ".join(f"{fault}." for fault in found.faults)
         return "failed", f"{folder.name}: NOT VERIFIED. {faults}", found.to_dict()
@@ -204,20 +202,13 @@ def _ended(
     return "ok", text, found.to_dict()
 
 
-def _with(found: Verification, more: Findings) -> Verification:
-    return replace(
-        found,
-        faults=(*found.faults, *more.faults),
-        not_compared=(*found.not_compared, *more.not_compared),
-        remarks=(*found.remarks, *more.remarks),
-    )
-
-
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
 
     def of_folder(folder: Path) -> Findings:
-        return _in_turn(folder, derivations_of(folder, again=again))
+        found = Findings()
+        found.derive(folder, derivations_of(folder, again=again))
+        return found
 
     return {
         "run": [_check_ledger, of_folder, check_authorisation],
@@ -226,22 +217,14 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     }
 
 
-def _in_turn(folder: Path, checks: Sequence[Derivation]) -> Findings:
-    """Make several checks of a folder, each only while none has found a fault."""
-    found = Findings()
-    for check in checks:
-        if not found.faults:
-            found.add(check(folder))
-    return found
-
-
 def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
     """Compare a folder with the ledger of this bench, which no worker has."""
     of_kind: dict[str, list[Derivation]] = {
         "certificate": _checks_of_certificate(check.trust, again=check.again),
         "run": [_check_ledger],
     }
-    found = _in_turn(folder, of_kind.get(kind, []))
+    found = Findings()
+    found.derive(folder, of_kind.get(kind, []))
     found.add(check_authorisation(folder))
     return found
 
@@ -262,13 +245,7 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
 
 def check_authorisation(folder: Path) -> Findings:
     """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
-    found = Findings()
-    compared = compare_authorisation(folder, known_authorisations(home_folder()))
-    if compared.fault:
-        found.fault("authorisation", AUTHORISATION, compared.fault)
-    if compared.note:
-        found.remarks.append(compared.note)
-    return found
+    return compare_authorisation(folder, known_authorisations(home_folder()))
 
 
 def _check_certificate(folder: Path) -> Findings:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +20,8 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import BenchError, EvidenceError, StorageError
-from bench.evidence.key_trust import Moments, Trust, judge_key
+from bench.evidence.findings import Findings
+from bench.evidence.key_trust import Judgement, Moments, Trust, judge_key
 from bench.evidence.seal import AUTHORISATION, add_beside, read_beside
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, read_public_key, refuse_readable_by_others
 from bench.evidence.sshsig import (
@@ -81,7 +82,7 @@ def _signing_key(private: object, path: Path, passphrase: bytes) -> SigningKey:
     )
     blob = base64.b64decode(public.split()[1])
     check_key(blob)
-    return OpenSshKey(public.decode(), blob, path, passphrase)
+    return OpenSshKey(blob, path, passphrase)
 
 
 def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
@@ -106,8 +107,8 @@ def agent_keys(agent: str) -> list[OpenSshKey]:
             blob = read_public_key(line)
         except ValueError:
             continue
-        kind, text, *comment = line.split(maxsplit=2)
-        found.append(OpenSshKey(f"{kind} {text}", blob, agent=agent, comment="".join(comment)))
+        comment = "".join(line.split(maxsplit=2)[2:])
+        found.append(OpenSshKey(blob, agent=agent, comment=comment))
     return found
 
 
@@ -207,38 +208,33 @@ def _authorisations(entries: Sequence[Entry]) -> Known:
     return found
 
 
-@dataclass(frozen=True)
-class Compared:
-    """How the authorisation of a folder differs from what the ledger names; sentences without a full stop."""
+def compare_authorisation(folder: Path, known: Known) -> Findings:
+    """Compare a folder's authorisation with the ledger's: nothing if they agree, or if it names none for this seal.
 
-    fault: str = ""  # It was removed or replaced; empty if not
-    note: str = ""  # A copy of the folder does not have it, perhaps because the copy is older; empty if not
-
-
-_AGREES = Compared()
-
-
-def compare_authorisation(folder: Path, known: Known) -> Compared:
-    """Compare a folder's authorisation with the ledger's; empty if they agree, or if it names none for this seal."""
+    A fault if it was removed or replaced; a remark if a copy, which is perhaps older, does not have it.
+    """
+    found = Findings()
     manifest, signature = folder / MANIFEST, folder / AUTHORISATION
     with storage_errors(folder):
         if not known or not manifest.is_file():
-            return _AGREES
+            return found
         named = known.get(sha256_of(manifest), ())
         if not named or (signature.is_file() and sha256_of(signature) in {one.signature for one in named}):
-            return _AGREES
+            return found
         is_there, here = signature.exists(), folder.resolve()
     last = named[-1]
     if is_there:
-        return Compared(f"the ledger names another authorisation than {AUTHORISATION}: by {last}")
-    if here not in {Path(one.folder).resolve() for one in named} and Path(last.folder).is_dir():
-        return Compared(
-            note=f"the ledger names an authorisation that this copy does not have: by {last}, in {last.folder}"
+        what = f"the ledger names another authorisation than {AUTHORISATION}: by {last}"
+        found.fault("authorisation", AUTHORISATION, what)
+    elif here not in {Path(one.folder).resolve() for one in named} and Path(last.folder).is_dir():
+        found.remarks.append(
+            f"the ledger names an authorisation that this copy does not have: by {last}, in {last.folder}"
         )
-    return Compared(
-        f"the ledger names an authorisation that is missing: by {last}. Copy {AUTHORISATION} back, or let the person"
-        " authorise again"
-    )
+    else:
+        again = f"Copy {AUTHORISATION} back, or let the person authorise again"
+        what = f"the ledger names an authorisation that is missing: by {last}. {again}"
+        found.fault("authorisation", AUTHORISATION, what)
+    return found
 
 
 def lost_authorisations(known: Known) -> list[str]:
@@ -246,8 +242,7 @@ def lost_authorisations(known: Known) -> list[str]:
     found = []
     for folder in sorted({one.folder for named in known.values() for one in named if one.folder}):
         with suppress(BenchError):
-            if why := compare_authorisation(Path(folder), known).fault:
-                found.append(f"{folder}: {why}.")
+            found += [f"{folder}: {one.what}." for one in compare_authorisation(Path(folder), known).faults]
     return found
 
 
@@ -263,44 +258,23 @@ class NamedPerson:
     fingerprint: str
 
 
-@dataclass(frozen=True)
-class AuthorisationCheck:
-    """The authorisation beside a seal, as checked."""
-
-    fault: str = ""  # Why it does not hold; empty if it holds, or if there is none
-    unchecked: str = ""  # Why it could not be checked here; empty if it was
-    remark: str = ""  # What a reader should know though it holds; empty if nothing
-    # person, fingerprint: Name of the signer in the list of trusted keys, and fingerprint of the key; None if
-    # there is no authorisation or it does not hold.
-    person: str | None = None
-    fingerprint: str | None = None
-
-
-def check_authorisation(
-    folder: Path, trust: Trust, moments: Moments, seal_key: bytes | None
-) -> AuthorisationCheck:
-    """Check the authorisation beside a seal; ``seal_key`` is None if the seal could not be read."""
+def check_authorisation(folder: Path, trust: Trust, moments: Moments, seal_key: bytes | None) -> Judgement:
+    """Check the authorisation beside a seal (none: an empty judgement); ``seal_key`` None if no seal could be read."""
     try:
         data = read_beside(folder, AUTHORISATION)
         if data is None:
-            return AuthorisationCheck()
+            return Judgement()
         signed = read_beside(folder, SIGNATURE)
         signature = read_signature(data)
     except EvidenceError as error:
-        return AuthorisationCheck(error.what)
+        return Judgement(fault=error.what)
     public_key = signature.public_key
     try:
         why = _not_signed(signature, signed) or _wrong_person(folder, public_key, seal_key, trust)
     except NotInstalled as error:
-        return AuthorisationCheck(unchecked=f"{error.what.rstrip('.')}: {error.remedy.rstrip('.')}")
-    if why:
-        return AuthorisationCheck(why)
-    judged = judge_key(public_key, AUTHORISATION_NAMESPACE, trust, moments)
-    if judged.principal is None:
-        return AuthorisationCheck(judged.fault)
-    return AuthorisationCheck(
-        remark=judged.remark, person=judged.principal, fingerprint=fingerprint(public_key)
-    )
+        return Judgement(unchecked=f"{error.what.rstrip('.')}: {error.remedy.rstrip('.')}")
+    judged = Judgement(fault=why) if why else judge_key(public_key, AUTHORISATION_NAMESPACE, trust, moments)
+    return replace(judged, fingerprint=fingerprint(public_key))
 
 
 def _not_signed(signature: SshSignature, signed: bytes | None) -> str:

@@ -64,11 +64,13 @@ class Moments:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What was found about a key."""
+    """What was found about a key, or about a signature with it."""
 
     principal: str | None = None  # Name of the signer; None if the key is rejected
     fault: str = ""  # Why it is rejected; empty if it is accepted
     remark: str = ""  # What a reader should know though it is accepted; empty if nothing
+    unchecked: str = ""  # Why the signature could not be checked here; empty if it was
+    fingerprint: str = ""  # That of the key; empty if the signature was not read
 
 
 def judge_key(public_key: bytes, namespace: str, trust: Trust, moments: Moments) -> Judgement:

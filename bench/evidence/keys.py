@@ -30,13 +30,13 @@ from bench.evidence.signers import (
     read_public_key,
     read_revoked,
     read_signer,
-    read_signers,
     refuse_readable_by_others,
     refuse_writable_by_others,
     replace_lines,
+    signers_of,
     trust,
 )
-from bench.evidence.sshsig import KEY_TYPE, Ed25519Signer, fingerprint, key_type_of, strings
+from bench.evidence.sshsig import KEY_TYPE, Ed25519Signer, fingerprint, key_text, key_type_of, strings
 from bench.records.storage import (
     locked_folder,
     make_folder,
@@ -139,7 +139,7 @@ class BenchKey(Ed25519Signer):
     @property
     def public_text(self) -> str:
         """The public key as OpenSSH writes it: type and base64."""
-        return f"{KEY_TYPE.decode()} {base64.b64encode(self.public_key).decode()}"
+        return key_text(self.public_key)
 
     @property
     def signers_line(self) -> str:
@@ -200,8 +200,7 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key before a run if nobody would accept its seals: not trusted now, revoked, or lists not safe."""
     public = key.public_key
-    path = folder / SIGNERS_FILE
-    known = [one for one in (read_signers(path) if path.exists() else []) if one.public_key == public]
+    known = [one for one in signers_of(folder) if one.public_key == public]
     rejections = [one.rejection(NAMESPACE, when) for one in known]
     revoked = next((one for one in read_revoked(folder / REVOKED_FILE) if one.public_key == public), None)
     if revoked is not None:
@@ -210,7 +209,7 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
         is_early = all(one.valid_after is not None and when < one.valid_after for one in known)
         raise EvidenceError(
             f"The bench's key {key.fingerprint} cannot seal: {rejections[0]}.",
-            where=str(path),
+            where=str(folder / SIGNERS_FILE),
             remedy=f"Check the clock of this computer: it is {when:%Y-%m-%d %H:%M} UTC."
             if is_early and revoked is None
             else "Make a new key with `starbench keys rotate`.",
@@ -253,8 +252,7 @@ def finish_rotation(folder: Path) -> None:
         if not new.exists() or not public.exists():
             return
         text = public.read_bytes()
-        trusted = read_signers(folder / SIGNERS_FILE) if (folder / SIGNERS_FILE).exists() else []
-        if read_public_key(text.decode()) not in {signer.public_key for signer in trusted}:
+        if read_public_key(text.decode()) not in {signer.public_key for signer in signers_of(folder)}:
             return  # killed before: the old key stays
         write_atomic(folder / f"{KEY_FILE}.pub", text)
         new.replace(folder / KEY_FILE)

@@ -12,6 +12,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -298,6 +299,16 @@ def make_read_only(path: Path) -> None:
             for name in files:
                 (folder / name).chmod(0o444)
             folder.chmod(0o555)
+
+
+def remove_unnamed(part: Path) -> None:
+    """Remove a folder that never got its final name, if it is there; its seal may have made it read-only."""
+    if part.is_symlink() or not part.is_dir():
+        return
+    with storage_errors(part):
+        for folder_name, _, _ in os.walk(part):
+            Path(folder_name).chmod(0o755)
+        shutil.rmtree(part)
 
 
 # Read and add the reserved files beside a seal. The sealed folder stays read-only.

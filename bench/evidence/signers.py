@@ -11,13 +11,14 @@ import binascii
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 from bench.base.errors import EvidenceError
-from bench.evidence.sshsig import KEY_TYPES, check_key, fingerprint, key_type_of
+from bench.evidence.sshsig import KEY_TYPES, check_key, fingerprint, key_text, key_type_of
 from bench.records.storage import make_folder, storage_errors, write_atomic
 
 # Refuse files on which the trust rests if other users can read or write them.
@@ -26,6 +27,7 @@ from bench.records.storage import make_folder, storage_errors, write_atomic
 # file or its folder. A folder with the sticky bit is safe, because nobody can replace the files of another
 # user in it.
 
+Line = TypeVar("Line")
 _WRITABLE_BY_OTHERS = 0o022
 _MOST_BYTES = 16 << 20
 _ANY_ACCESS_BY_OTHERS = 0o077
@@ -117,8 +119,7 @@ class Signer:
         options = [f'namespaces="{",".join(self.namespaces)}"'] if self.namespaces else []
         for name, moment in (("valid-after", self.valid_after), ("valid-before", self.valid_before)):
             options += [f'{name}="{time_text(moment)}"'] if moment is not None else []
-        key = f"{key_type_of(self.public_key)} {base64.b64encode(self.public_key).decode()}"
-        return " ".join(filter(None, (self.principal, ",".join(options), key)))
+        return " ".join(filter(None, (self.principal, ",".join(options), key_text(self.public_key))))
 
     @property
     def is_bench(self) -> bool:
@@ -153,13 +154,24 @@ def read_signers(path: Path) -> list[Signer]:
             where=str(path),
             remedy="Get the file allowed_signers from the laboratory, and name it.",
         ) from error
-    signers = []
+    return _read_lines(path, text, read_signer)
+
+
+def signers_of(folder: Path) -> list[Signer]:
+    """Return the trusted keys of a configuration folder; none if it has no list."""
+    path = folder / SIGNERS_FILE
+    return read_signers(path) if path.exists() else []
+
+
+def _read_lines(path: Path, text: str, read: Callable[[str], Line]) -> list[Line]:
+    """Read each line with a key; the error names the line."""
+    found = []
     for number, line in _lines_of_keys(text):
         try:
-            signers.append(read_signer(line))
+            found.append(read(line))
         except EvidenceError as error:
             raise EvidenceError(error.what, where=f"{path}:{number}", remedy=error.remedy) from error
-    return signers
+    return found
 
 
 def _lines_of_keys(text: str) -> Iterator[tuple[int, str]]:
@@ -223,7 +235,7 @@ def trust(folder: Path, line: str) -> Signer:
     signer = read_signer(line)
     path = folder / SIGNERS_FILE
     present = _read_list(path)
-    _refuse_two_purposes(path, signer)
+    _refuse_two_purposes(folder, signer)
     if line.strip() not in present.splitlines():
         _add_line(path, present, line.strip())
     return signer
@@ -232,7 +244,7 @@ def trust(folder: Path, line: str) -> Signer:
 def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added: Sequence[str]) -> None:
     """Put ``valid-before`` on the lines of a key that do not end earlier, and add lines, in one step."""
     path = folder / SIGNERS_FILE
-    signers = read_signers(path) if path.exists() else []
+    signers = signers_of(folder)
     present = _read_list(path)
     lines = present.splitlines()
     for (number, _), signer in zip(_lines_of_keys(present), signers, strict=True):
@@ -258,19 +270,17 @@ def _read_list(path: Path) -> str:
         return read_list(path, "the list of trusted keys")
 
 
-def _refuse_two_purposes(path: Path, signer: Signer) -> None:
+def _refuse_two_purposes(folder: Path, signer: Signer) -> None:
     """Refuse a key that would both seal and authorise: a bench must not be able to authorise its own work."""
     signs = {NAMESPACE, AUTHORISATION_NAMESPACE}
-    known = [
-        one for one in (read_signers(path) if path.exists() else []) if one.public_key == signer.public_key
-    ]
+    known = [one for one in signers_of(folder) if one.public_key == signer.public_key]
     for one in (*known, signer):
         if one.namespaces and signer.namespaces:
             purposes = {name for name in signs for each in (one, signer) if each.may_sign(name)}
             if purposes == signs:
                 raise EvidenceError(
                     f"The key {fingerprint(signer.public_key)} cannot both seal and authorise.",
-                    where=str(path),
+                    where=str(folder / SIGNERS_FILE),
                     remedy="Use a key of the person's own, which no bench has: ssh-keygen -t ed25519.",
                 )
 
@@ -331,8 +341,7 @@ class RevokedKey:
     @property
     def line(self) -> str:
         """The line of ``revoked_keys`` for this key."""
-        key = f"{key_type_of(self.public_key)} {base64.b64encode(self.public_key).decode()}"
-        return f"{key} {_MARK} {time_text(self.since)} {self.reason}".rstrip()
+        return f"{key_text(self.public_key)} {_MARK} {time_text(self.since)} {self.reason}".rstrip()
 
 
 def read_revoked(path: Path) -> list[RevokedKey]:
@@ -341,17 +350,7 @@ def read_revoked(path: Path) -> list[RevokedKey]:
         return []
     with storage_errors(path):
         text = read_list(path, "the list of revoked keys")
-    revoked = []
-    for number, line in _lines_of_keys(text):
-        try:
-            revoked.append(_read_line(line))
-        except ValueError as error:
-            raise EvidenceError(
-                f"This is not a line of a revoked key: {error}.",
-                where=f"{path}:{number}",
-                remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
-            ) from error
-    return revoked
+    return _read_lines(path, text, _read_revoked)
 
 
 def revoke(folder: Path, key: RevokedKey) -> None:
@@ -372,12 +371,18 @@ def revoke(folder: Path, key: RevokedKey) -> None:
     _add_line(path, present, key.line)
 
 
-def _read_line(line: str) -> RevokedKey:
-    """Read one line. Raises ValueError."""
-    public_key = read_public_key(line)
-    comment = line.split(maxsplit=2)[2:]
-    mark, _, rest = comment[0].strip().partition(" ") if comment else ("", "", "")
-    if mark != _MARK:
-        return RevokedKey(public_key)
-    date, _, reason = rest.partition(" ")
-    return RevokedKey(public_key, parse_time(date), reason)
+def _read_revoked(line: str) -> RevokedKey:
+    """Read one line of ``revoked_keys``."""
+    try:
+        public_key = read_public_key(line)
+        comment = line.split(maxsplit=2)[2:]
+        mark, _, rest = comment[0].strip().partition(" ") if comment else ("", "", "")
+        if mark != _MARK:
+            return RevokedKey(public_key)
+        date, _, reason = rest.partition(" ")
+        return RevokedKey(public_key, parse_time(date), reason)
+    except ValueError as error:
+        raise EvidenceError(
+            f"This is not a line of a revoked key: {error}.",
+            remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
+        ) from error

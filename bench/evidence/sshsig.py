@@ -72,7 +72,7 @@ def check_key(public_key: bytes) -> None:
     if key_type not in KEY_TYPES:
         raise ValueError("its type of key is not supported")
     try:
-        key = serialization.load_ssh_public_key(key_type + b" " + base64.b64encode(public_key))
+        key = serialization.load_ssh_public_key(key_text(public_key).encode())
     except UnsupportedAlgorithm as error:
         raise ValueError("its type of key is not supported") from error
     if isinstance(key, rsa.RSAPublicKey) and not _FEWEST_RSA_BITS <= key.key_size <= _MOST_RSA_BITS:
@@ -85,6 +85,11 @@ def key_type_of(public_key: bytes) -> str:
         return strings(public_key, 1)[0][0].decode("ascii")
     except ValueError:
         return ""
+
+
+def key_text(public_key: bytes) -> str:
+    """Return a public key as OpenSSH writes it: type and base64."""
+    return f"{key_type_of(public_key)} {base64.b64encode(public_key).decode()}"
 
 
 def fingerprint(public_key: bytes) -> str:
@@ -114,22 +119,21 @@ class NotInstalled(EvidenceError):
 class OpenSshKey:
     """A key with which ssh-keygen signs: in a file, or behind ssh-agent."""
 
-    public_text: str  # Line of the public key, without a comment
-    public_key: bytes
+    public_key: bytes  # The public key as SSH encodes it
     path: Path | None = None  # File of the private key; None for a key behind the agent
     passphrase: bytes = b""  # That of the file
     agent: str | None = None  # Path of the agent's socket
     comment: str = ""  # The agent's comment, usually the file or token that the key is from
 
     def __repr__(self) -> str:
-        return f"OpenSshKey({self.public_text})"
+        return f"OpenSshKey({key_text(self.public_key)})"
 
     def sign(self, message: bytes, namespace: str) -> bytes:
         """Return the armoured signature of a message. Raises EvidenceError when OpenSSH cannot make it."""
         with tempfile.TemporaryDirectory(prefix="starbench-sign-") as folder:
             public, ask, data = (Path(folder) / name for name in ("key.pub", "ask", "message"))
             data.write_bytes(message)
-            public.write_text(f"{self.public_text}\n")
+            public.write_text(f"{key_text(self.public_key)}\n")
             ask.write_text(_ASK)
             ask.chmod(stat.S_IRWXU)
             of_key = {"SSH_ASKPASS": str(ask), "SSH_ASKPASS_REQUIRE": "force", "DISPLAY": ":0"}
@@ -260,17 +264,14 @@ class Ed25519Signer:
         return encode_public_key(self.private.public_key())
 
     def sign(self, message: bytes, namespace: str) -> bytes:
-        """Return the armoured signature of a message."""
-        return sign(self.private, message, namespace)
-
-
-def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
-    """Sign as ``ssh-keygen -Y sign`` does, armoured (PROTOCOL.sshsig of OpenSSH); deterministic (RFC 8032)."""
-    signature = string(KEY_TYPE) + string(key.sign(_signed_data(message, namespace.encode(), b"sha512")))
-    parts = (encode_public_key(key.public_key()), namespace.encode(), b"", b"sha512", signature)
-    text = base64.b64encode(_MAGIC + _VERSION.to_bytes(4, "big") + b"".join(map(string, parts)))
-    lines = [text[i : i + _LINE_LENGTH] for i in range(0, len(text), _LINE_LENGTH)]
-    return b"\n".join([_BEGIN, *lines, _END, b""])
+        """Sign as ``ssh-keygen -Y sign`` does, armoured (PROTOCOL.sshsig of OpenSSH); deterministic (RFC 8032)."""
+        signature = string(KEY_TYPE) + string(
+            self.private.sign(_signed_data(message, namespace.encode(), b"sha512"))
+        )
+        parts = (self.public_key, namespace.encode(), b"", b"sha512", signature)
+        text = base64.b64encode(_MAGIC + _VERSION.to_bytes(4, "big") + b"".join(map(string, parts)))
+        lines = [text[i : i + _LINE_LENGTH] for i in range(0, len(text), _LINE_LENGTH)]
+        return b"\n".join([_BEGIN, *lines, _END, b""])
 
 
 def read_signature(armoured: bytes) -> SshSignature:

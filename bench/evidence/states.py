@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from enum import StrEnum
 from pathlib import Path
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, StorageError
 from bench.evidence.authorisation import NOTHING_KNOWN, Known, check_authorisation, compare_authorisation
-from bench.evidence.findings import Findings
+from bench.evidence.findings import State, Verification
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
 from bench.evidence.signers import NAMESPACE
@@ -71,52 +70,18 @@ def _moment(text: object) -> datetime | None:
 _STAMPED = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
 _CLOCK_SLACK = timedelta(minutes=10)
 """Clocks of a bench and of a time stamping authority may differ so much without a remark."""
-_MOST_MANIFEST_BYTES = 64 << 20
+LARGEST_SEAL_BYTES = 64 << 20
+"""Seals of ten thousand poses are smaller; a larger file is not read."""
 
 
-class State(StrEnum):
-    """State of a folder as evidence; the value is the word that is shown."""
-
-    DRAFT = "DRAFT"
-    """Not sealed, or its seal does not hold."""
-    SEALED = "SEALED"
-    """Sealed by a bench; no person has authorised it."""
-    AUTHORISED = "AUTHORISED"
-    """Sealed, and authorised by a person with a trusted key."""
-
-
-@dataclass
-class Standing(Findings):
-    """What the signatures and time stamps beside a folder say; its fields are those of `Verification`.
-
-    The kinds of its faults are ``unsealed``, ``signature``, ``manifest``, ``key``, ``authorisation``, ``timestamp``.
-    """
-
-    # The state. ``SEALED`` needs a seal whose signature holds, ``AUTHORISED`` also a person's signature of
-    # the seal that holds and is by a trusted key. Whether the bench's key is trusted is told by ``signer``
-    # and ``faults``.
-    state: State = State.DRAFT
-    # Who authorised, and what the time stamps say: a sentence each, without a full stop.
-    statements: list[str] = field(default_factory=list)
-    # signer, fingerprint: Name of the bench in the list of trusted keys (None if its key is not accepted),
-    # and fingerprint of its key.
-    signer: str | None = None
-    fingerprint: str | None = None
-    # person, person_fingerprint: Name and fingerprint of the person who authorised; None if nobody did, or if
-    # it does not hold.
-    person: str | None = None
-    person_fingerprint: str | None = None
-    # When the folder says that it was made, by the bench's own clock; None if it does not say.
-    stated: datetime | None = None
-
-
-def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
+def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Verification:
     """Check signatures and time stamps beside a folder; the listed files themselves are not hashed.
 
+    The kinds of the faults are ``unsealed``, ``signature``, ``manifest``, ``key``, ``authorisation``, ``timestamp``.
     ``at`` is the moment at which keys must be valid; None for the seal's by the bench's clock. A trusted stamp goes
     before.
     """
-    found = Standing()
+    found = Verification(folder=str(folder))
     with storage_errors(folder):
         stamps = check_timestamps(folder, trust.authorities, found)
         found.stated = stated_time(folder)
@@ -126,7 +91,7 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
         check = check_authorisation(folder, trust, Moments(now, own, at, min(sealed, now), now), seal_key)
     if seal_key is not None:
         # An authorisation that is accepted signs the seal: its time stamp proves that the seal existed.
-        proofs = [stamps.get(TIMESTAMP), own if check.person is not None else None]
+        proofs = [stamps.get(TIMESTAMP), own if check.principal is not None else None]
         proven = min(filter(None, proofs), key=lambda stamp: stamp.utc, default=None)
         _judge_seal(found, seal_key, trust, Moments(now, proven, at, sealed, sealed))
     if seal_key is None and not (folder / MANIFEST).exists():
@@ -136,17 +101,17 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
         found.not_compared.append(f"{AUTHORISATION}: {check.unchecked}")
     if check.fault:
         found.fault("authorisation", AUTHORISATION, check.fault)
-    elif check.person is not None and found.state is State.SEALED:
+    elif check.principal is not None and found.state is State.SEALED:
         found.state = State.AUTHORISED
-        found.person, found.person_fingerprint = check.person, check.fingerprint
-        found.statements.append(f"Authorised by {check.person} ({check.fingerprint})")
+        found.person, found.person_fingerprint = check.principal, check.fingerprint
+        found.statements.append(f"Authorised by {found.person} ({found.person_fingerprint})")
         found.remarks += [f"{AUTHORISATION}: {check.remark}"] if check.remark else []
     found.statements += [f"{_STAMPED[stamp.of]} existed at {stamp.text}" for stamp in stamps.values()]
     _clocks(found, stamps.values(), now)
     return found
 
 
-def _seal(found: Standing, folder: Path) -> bytes | None:
+def _seal(found: Verification, folder: Path) -> bytes | None:
     """Check the signature of the list of files; return the key that made it."""
     try:
         for name in (MANIFEST, SIGNATURE):
@@ -154,8 +119,8 @@ def _seal(found: Standing, folder: Path) -> bytes | None:
                 why = "this is a link, not a file" if (folder / name).is_symlink() else "the file is missing"
                 found.fault("unsealed", name, f"{why}; this folder is not sealed")
                 return None
-        if (folder / MANIFEST).stat().st_size > _MOST_MANIFEST_BYTES:
-            found.fault("manifest", MANIFEST, f"more than {_MOST_MANIFEST_BYTES} bytes")
+        if (folder / MANIFEST).stat().st_size > LARGEST_SEAL_BYTES:
+            found.fault("manifest", MANIFEST, f"more than {LARGEST_SEAL_BYTES} bytes")
             return None
         signature = read_signature(read_beside(folder, SIGNATURE) or b"")
     except EvidenceError as error:
@@ -177,7 +142,7 @@ def _seal(found: Standing, folder: Path) -> bytes | None:
     return signature.public_key
 
 
-def _judge_seal(found: Standing, public_key: bytes, trust: Trust, moments: Moments) -> None:
+def _judge_seal(found: Verification, public_key: bytes, trust: Trust, moments: Moments) -> None:
     """Decide whether the bench's key could seal then."""
     judged = judge_key(public_key, NAMESPACE, trust, moments)
     found.signer = judged.principal
@@ -187,7 +152,7 @@ def _judge_seal(found: Standing, public_key: bytes, trust: Trust, moments: Momen
         found.remarks.append(f"{SIGNATURE}: {judged.remark}")
 
 
-def _clocks(found: Standing, stamps: Iterable[Stamp], now: datetime) -> None:
+def _clocks(found: Verification, stamps: Iterable[Stamp], now: datetime) -> None:
     """Remark on times that contradict each other."""
     if found.stated is None:
         return
@@ -225,15 +190,14 @@ def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHIN
     try:
         standing = standing_of(folder, trust, now)
         compared = compare_authorisation(folder, known)
-        if compared.fault:
-            standing.fault("authorisation", AUTHORISATION, compared.fault)
+        standing.add(compared)
     except StorageError as error:
         return ShownState(State.DRAFT, f"DRAFT: the seal cannot be read: {error.what}")
     text = _text(standing)
-    return ShownState(standing.state, f"{text}. Note: {compared.note}" if compared.note else text)
+    return ShownState(standing.state, ". Note: ".join([text, *compared.remarks]))
 
 
-def _text(standing: Standing) -> str:
+def _text(standing: Verification) -> str:
     if standing.state is State.DRAFT:
         return "DRAFT: the seal does not hold; see `starbench verify`"
     bench = standing.signer or f"a key that is not accepted here ({standing.fingerprint})"
@@ -244,7 +208,9 @@ def _text(standing: Standing) -> str:
     return f"{text}. FAULT: {beside[0]}" if beside else text
 
 
-def check_ended_page(folder: Path, trust: Trust, now: datetime, stated: datetime, found: Standing) -> None:
+def check_ended_page(
+    folder: Path, trust: Trust, now: datetime, stated: datetime, found: Verification
+) -> None:
     """Tell what does not hold on the page of a folder without a seal, or what does; nothing without a page."""
     try:
         armoured = read_beside(folder, PAGE_SIGNATURE)

@@ -6,27 +6,49 @@ ledger and engine come in as callables (`Derivations`), so that this package imp
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
-from bench.evidence.findings import UNREADABLE, Derivations, Findings, Verification, check_journal
+from bench.evidence.findings import UNREADABLE, Derivations, Findings, Verification
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
 from bench.evidence.signers import Signer
-from bench.evidence.states import standing_of
-from bench.records.journal import Capture
-from bench.records.run_folder import JOURNAL, MANIFEST, PLAN, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
+from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
+from bench.records.events import Event
+from bench.records.history import History, replay
+from bench.records.journal import (
+    CAPTURES,
+    CLOCK_JUMP_S,
+    CLOCK_JUMPED,
+    Capture,
+    Entry,
+    read_journal,
+    stored_captures,
+)
+from bench.records.run_folder import (
+    CHECKED_COPY,
+    EXPORTS,
+    JOURNAL,
+    MANIFEST,
+    PASSPORT_COPY,
+    PLAN,
+    REPORT,
+    RESULTS,
+    SEQUENCE_COPY,
+    STATION_COPY,
+)
 from bench.records.storage import read_bounded, read_json, sha256_of, storage_errors
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
-LARGEST_SEAL_BYTES = 64 << 20
-"""Seals of ten thousand poses are smaller; a larger file is not read."""
 _EXPORTS = (
     r"exports/(opencv|ros_camera_info|kalibr_camchain|boresight)\.yaml|exports/mrcal\.cameramodel|exports/colmap_cameras\.txt"
     r"|exports/metavision\.json|exports/camera-geometry\.json|exports/not-written\.txt"
@@ -140,19 +162,16 @@ def verify_folder(
     trusted = trust if isinstance(trust, Trust) else Trust(tuple(trust))
     with storage_errors(folder):
         found = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
+        found.kind, found.again = kind, again
         manifest = check_listed(folder, found)
+        found.files = len(manifest or ())
         captures = check_journal(folder, manifest, found) if kind == "run" and manifest is not None else None
-        facts = _results(folder, manifest, captures, camera_serial, found)
+        _results(folder, manifest, captures, camera_serial, found)
         derive_with = (derivations or {}).get(kind, ())
         if derivations is not None and not derive_with:
             found.not_compared.append(f"nothing is known of the files of a folder of the kind {kind!r}")
-        for derive in derive_with:
-            if not found.faults:
-                found.add(derive(folder))
-    standing = {name: tuple(one) if isinstance(one, list) else one for name, one in vars(found).items()}
-    stated = found.stated.isoformat() if found.stated else None
-    told = {**standing, **facts, "state": str(found.state), "stated": stated}
-    return Verification(str(folder), kind, again=again, files=len(manifest or ()), **told)
+        found.derive(folder, derive_with)
+    return found
 
 
 def _results(
@@ -160,27 +179,27 @@ def _results(
     manifest: Mapping[str, str] | None,
     captures: Mapping[str, Capture] | None,
     camera_serial: str | None,
-    found: Findings,
-) -> dict[str, Any]:
-    """Check that results, journal and list of files name the same recordings; ``captures`` is None without journal.
+    found: Verification,
+) -> None:
+    """Take run and camera from the results, and check that journal and list of files name the same recordings.
 
-    Returns what `Verification` states of run and camera.
+    ``captures`` is None without a journal.
     """
     path = folder / RESULTS
     if path.is_symlink() or not path.is_file():
-        return {}  # the journal tells whether a run must have results
+        return  # the journal tells whether a run must have results
     try:
-        facts, recordings = _facts_of(read_json(path))
+        recordings = _read_facts(read_json(path), found)
     except StorageError as error:
         found.fault("results", RESULTS, f"{error.what[0].lower()}{error.what[1:].rstrip('.')}")
-        return {}
+        return
     except UNREADABLE as error:
         found.fault(
             "results",
             RESULTS,
             f"the file cannot be read ({error if type(error) is ValueError else repr(error)})",
         )
-        return {}
+        return
     if captures is not None:
         sources: dict[str, Mapping[str, str]] = {"the journal": {n: c.sha256 for n, c in captures.items()}}
         sources |= {} if manifest is None else {MANIFEST: manifest}
@@ -188,24 +207,240 @@ def _results(
             for source, hashes in sources.items():
                 if hashes.get(name) != sha256:
                     found.fault("results", RESULTS, f"{source} does not name {name} with this hash")
-    if camera_serial is not None and facts["camera_serial"] != camera_serial:
-        what = f"the results belong to camera {facts['camera_serial']}; {camera_serial} was requested"
+    if camera_serial is not None and found.camera_serial != camera_serial:
+        what = f"the results belong to camera {found.camera_serial}; {camera_serial} was requested"
         found.fault("item", RESULTS, what)
-    return facts
 
 
-def _facts_of(results: Any) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return run and camera that results name, and name and SHA-256 of each recording; or raise an ``UNREADABLE``."""
-    camera = results["devices"].get("camera") or {}
-    serial = camera.get("serial")
-    facts = {
-        "run_id": str(results["run"]["id"]),
-        "camera_serial": None if serial is None else str(serial),
-        "simulated": bool(results["run"]["simulated"]),
-    }
-    return facts, [
+def _read_facts(results: Any, found: Verification) -> list[tuple[str, str]]:
+    """Take run and camera from results; return name and SHA-256 of each recording, or raise an ``UNREADABLE``."""
+    serial = (results["devices"].get("camera") or {}).get("serial")
+    run_id, simulated = str(results["run"]["id"]), bool(results["run"]["simulated"])
+    recordings = [
         (str(attempt["capture"]), str(attempt["sha256"]))
         for pose in results["poses"]
         for attempt in pose.get("attempts") or ()
         if attempt["capture"] is not None
     ]
+    found.run_id, found.simulated = run_id, simulated
+    found.camera_serial = None if serial is None else str(serial)
+    return recordings
+
+
+# An attacker who holds the bench's key can write the whole chain again. The checks here then still find
+# what he did not write consistently; `bench.results.again_run` compares the journal with what the
+# recordings give.
+
+_WRITTEN_LAST = (RESULTS, REPORT, "views.h5")
+"""Files that the report step writes, besides the exports."""
+_CLOCK_SLACK_S = 0.05
+
+
+def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) -> Mapping[str, Capture]:
+    """Check a run's journal, and the files of the folder and of the seal's list against it."""
+    path = folder / JOURNAL
+    if path.is_symlink() or not path.is_file():
+        found.fault("journal", JOURNAL, "the file is missing")
+        return {}
+    try:
+        entries, torn = read_journal(path)
+        captures = stored_captures(entries)
+        history = replay(entries)
+    except RunFolderError as error:
+        found.fault("journal", error.where.removeprefix(f"{folder}/") or JOURNAL, error.what)
+        return {}
+    if torn:
+        found.fault("journal", JOURNAL, "its last line is incomplete")
+        return captures
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        if json.dumps(parse_json(line), separators=(",", ":")).encode() != line:
+            found.fault("journal", f"{JOURNAL}:{number}", "its JSON is not written as the program writes it")
+            return captures
+    _begin_and_end(entries, history, found)
+    _clock(entries, found)
+    _documents(manifest, history, found)
+    _recordings(manifest, captures, entries, found)
+    _written(folder, manifest, entries, found)
+    return captures
+
+
+def _begin_and_end(entries: Sequence[Entry], history: History, found: Findings) -> None:
+    if not entries or entries[0].event != Event.RUN_STARTED:
+        found.fault("journal", f"{JOURNAL}:1", "the first line does not begin a run (run_started)")
+    again = [entry for entry in entries[1:] if entry.event == Event.RUN_STARTED]
+    if again:
+        found.fault("journal", f"{JOURNAL}:{again[0].seq + 1}", "a second line begins the run (run_started)")
+    if not entries or entries[-1].event != Event.RUN_ENDED:
+        found.fault(
+            "journal",
+            JOURNAL,
+            "its last line does not end the run (run_ended); a bench seals ended runs only",
+        )
+    elif history.ended != "finished":
+        found.fault(
+            "journal", JOURNAL, f"the run {history.ended or 'did not end'}; a bench seals finished runs only"
+        )
+
+
+def _clock(entries: Sequence[Entry], found: Findings) -> None:
+    """Compare both clocks from line to line; the journal has a line for each jump of the system's clock."""
+    for last, entry in itertools.pairwise(entries):
+        try:
+            passed_s = (_moment(entry) - _moment(last)).total_seconds()
+            jumped_s = passed_s - (entry.mono_s - last.mono_s)
+            back = entry.mono_s < last.mono_s
+        except (TypeError, ValueError):
+            found.fault("journal", f"{JOURNAL}:{entry.seq + 1}", "its time cannot be read")
+            return
+        if entry.event == CLOCK_JUMPED:
+            continue
+        bound_s = CLOCK_JUMP_S + _CLOCK_SLACK_S
+        other_process = entry.event == Event.RUN_RESUMED  # its monotonic clock may begin anew
+        if passed_s < -bound_s if other_process else back or abs(jumped_s) > bound_s:
+            what = "its time does not follow from the line before, and no line states that the clock jumped"
+            found.fault("journal", f"{JOURNAL}:{entry.seq + 1}", what)
+            return
+
+
+def _moment(entry: Entry) -> datetime:
+    return datetime.fromisoformat(entry.utc)
+
+
+def _documents(manifest: Mapping[str, str], history: History, found: Findings) -> None:
+    """Compare sequence, station, passport and plan with the hashes in the journal's first line."""
+    stated = history.started.get("sha256")
+    if not isinstance(stated, dict):
+        found.fault("journal", f"{JOURNAL}:1", "it does not state the hashes of the run's documents")
+        return
+    for name in (SEQUENCE_COPY, STATION_COPY):
+        if name not in stated:
+            found.fault("journal", f"{JOURNAL}:1", f"it does not state the hash of {name}")
+    for name, sha256 in stated.items():
+        if name not in manifest:
+            found.fault("plan", str(name), "the run began with this file; it is missing")
+        elif manifest[name] != sha256:
+            found.fault(
+                "plan",
+                str(name),
+                "this is not the file that the run began with (hash in the journal's first line)",
+            )
+    if PASSPORT_COPY in manifest and PASSPORT_COPY not in stated:
+        found.fault(
+            "plan", PASSPORT_COPY, "the run began without a passport (the journal's first line names none)"
+        )
+    if CHECKED_COPY in manifest and CHECKED_COPY not in stated:
+        found.fault(
+            "plan", CHECKED_COPY, "the run began without it (the journal's first line does not name it)"
+        )
+    if PLAN not in manifest:
+        found.fault("plan", PLAN, "the file is missing")
+
+
+def _recordings(
+    manifest: Mapping[str, str], captures: Mapping[str, Capture], entries: Sequence[Entry], found: Findings
+) -> None:
+    """Compare the recordings in the folder with those that the journal names."""
+    gone = {
+        str(name)
+        for entry in entries
+        if entry.event == Event.RECOVERED
+        for name in (*entry.data.get("missing", ()), *entry.data.get("changed", ()))
+    }
+    for name, capture in captures.items():
+        if name not in manifest:
+            if name not in gone:
+                found.fault("recording", name, "the journal names this recording; it is missing")
+        elif manifest[name] != capture.sha256:
+            found.fault("recording", name, "the journal names this recording with another hash")
+    for name in manifest:
+        if name.startswith(f"{CAPTURES}/") and name not in captures:
+            found.fault("recording", name, "the journal does not name this recording")
+
+
+def _written(folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], found: Findings) -> None:
+    """Compare results, report, views, exports and wire log with the journal's line that they were written."""
+    reported = _reported(entries)
+    if not reported:
+        for name in manifest:
+            if name in _WRITTEN_LAST or name.startswith(f"{EXPORTS}/"):
+                found.fault("results", name, "the journal has no report step that wrote this file")
+        return
+    for name in _WRITTEN_LAST:
+        if name not in manifest:
+            found.fault("results", name, "the journal's report step wrote this file; it is missing")
+    _written_line(folder, manifest, entries, found)
+
+
+def _written_line(
+    folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], found: Findings
+) -> None:
+    line = next((entry for entry in reversed(entries) if entry.event == Event.WRITTEN), None)
+    if line is None:
+        what = "it does not hold the hashes of results, report, views and exports"
+        found.fault("journal", JOURNAL, f"{what}, though this version of the program writes them")
+        return
+    files = line.data.get("files")
+    where = f"{JOURNAL}:{line.seq + 1}"
+    if not isinstance(files, dict):
+        found.fault("journal", where, "it does not state the files that were written")
+        return
+    for name, sha256 in files.items():
+        if manifest.get(name) != sha256:
+            what = "is missing" if name not in manifest else "is another file than the one that was written"
+            found.fault(_kind_of_file(name), str(name), f"by the journal, it {what}")
+    for name in manifest:
+        if (name in _WRITTEN_LAST or name.startswith(f"{EXPORTS}/")) and name not in files:
+            found.fault(
+                _kind_of_file(name), name, "the journal does not name it among the files that were written"
+            )
+    _wire(folder, line.data.get("wire"), where, found)
+
+
+def _reported(entries: Sequence[Entry]) -> bool:
+    """Return whether the report step has ended without an error."""
+    return any(
+        entry.event == Event.LEFT_OFF and entry.data.get("state") == "reporting" and "error" not in entry.data
+        for entry in entries
+    )
+
+
+def _kind_of_file(name: str) -> str:
+    return {RESULTS: "results", REPORT: "report", "views.h5": "views"}.get(name, "exports")
+
+
+def _wire(folder: Path, stated: Any, where: str, found: Findings) -> None:
+    """Check that no wire log was changed after the results were written. It may only have grown."""
+    if not isinstance(stated, dict):
+        found.fault("journal", where, "it does not state the wire log")
+        return
+    for name, one in stated.items():
+        try:
+            size, sha256 = int(one["size"]), str(one["sha256"])
+        except (KeyError, TypeError, ValueError):
+            found.fault("journal", where, "it does not state the wire log")
+            return
+        stem, _, number = str(name).partition(".jsonl")
+        rotated = (
+            f"{stem}.jsonl.{int(number.lstrip('.') or 0) + 1}"
+            if number.lstrip(".").isdigit() or not number
+            else name
+        )
+        if sha256 not in {_hash_of_begin(folder / one_name, size) for one_name in (name, rotated)}:
+            found.fault(
+                "wire",
+                str(name),
+                "it does not begin with the bytes that it had when the results were written",
+            )
+
+
+def _hash_of_begin(path: Path, size: int) -> str:
+    """Return the SHA-256 of the first bytes of a file; empty if it is shorter or missing."""
+    if not path.is_file() or path.stat().st_size < size:
+        return ""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        left = size
+        while left and (block := file.read(min(left, 1 << 20))):
+            digest.update(block)
+            left -= len(block)
+    return digest.hexdigest()

@@ -157,4 +157,4 @@ def verified(folder, **facts):
     """What the verifier says of a folder in order."""
     kind = "certificate" if (folder / "certificate.json").exists() else "run"
     known = {"kind": kind, "signer": "bench@lab", "fingerprint": KEY, "state": "SEALED"}
-    return Verification(str(folder), **{**known, **facts})
+    return Verification(folder=str(folder), **{**known, **facts})

@@ -33,6 +33,7 @@ WITHOUT_A = "without a result: a-001"
         ("a; b", ["hung"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
         ("a, attempts: 1, on_failure: stop; b", ["failed"], "run a-001", "stopped", None),
         ("a, attempts: 5", ["aborted"], "run a-001", "failed", WITHOUT_A),
+        ("a; b", [Aborted("SIGTERM received")], "run a-001", "aborted", "SIGTERM received"),
         (
             "a, attempts: 2",
             [KILLED, "failed", KILLED, KILLED],
@@ -136,11 +137,6 @@ def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(tmp_p
     assert hows(summary) == {"a-001": first, "b-001": "finished"}
     assert begun(workers) == runs
     assert (first == "failed") == ("journal" in summary["items"][0]["why"])
-
-
-def test_a_stop_ends_the_batch(tmp_path):
-    batch, _ = night(tmp_path, queue(("a", ""), ("b", "")), Aborted("SIGTERM received"))
-    assert batch.run()["how"] == "aborted"
 
 
 def test_no_run_is_begun_after_the_time_is_over(tmp_path):

@@ -147,11 +147,6 @@ def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
     assert answer_text(answers[0]) == "Accepted: b is in the batch."
 
 
-def test_a_request_to_a_folder_without_a_batch_is_refused(tmp_path):
-    with pytest.raises(RunFolderError, match="no batch"):
-        send_request(tmp_path, withdraw("a"))
-
-
 def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
     path = tmp_path / "job.yaml"
     path.write_text("format: starbench/job/1\nname: a\nsequence: no_such\nstation: simulated\n")
@@ -204,13 +199,6 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     assert [data["why"] for data in asked(tmp_path)] == [
         "the request cannot be processed: ZeroDivisionError: nobody foresaw this"
     ]
-
-
-def test_a_rehearsal_that_has_ended_takes_no_request(tmp_path):
-    one_run(tmp_path, rehearsal=True).run()
-    with pytest.raises(RunFolderError, match="is a rehearsal, which cannot be continued"):
-        send_request(tmp_path, withdraw("nobody"))
-    assert not list((tmp_path / REQUESTS).glob("*.json"))
 
 
 def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):

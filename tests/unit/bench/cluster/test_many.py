@@ -1,5 +1,6 @@
 """Studies, conversions and checks by workers: as without them, continued after an interruption, nothing overwritten."""
 
+import json
 import shutil
 from datetime import UTC, datetime
 
@@ -186,7 +187,7 @@ def test_only_what_was_derived_again_is_kept(sealed, signers, derived):
     check = Check(Trust(tuple(signers)), None, None, True, forms()["program"])
     first = check_one(sealed, check, None)
     assert (first.verification.ok, first.before) == (True, False)
-    row = {"key": first.key, "derived": first.derived}
+    row = json.loads(json.dumps(first.row))
     second = check_one(sealed, check, row)
     assert (second.verification, second.before) == (first.verification, True)
     assert len(derived) == 1
@@ -199,7 +200,8 @@ def test_only_what_was_derived_again_is_kept(sealed, signers, derived):
     assert {fault.where for fault in changed.verification.faults} == {"results.json"}
 
 
-def test_the_command_checks_many_folders_and_names_each(sealed, tmp_path, derived, monkeypatch):
+def test_the_command_checks_many_folders_and_names_each(sealed, home, tmp_path, derived, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
     shutil.copytree(sealed, tmp_path / "other")
     (tmp_path / "other" / "results.json").write_text("{}")
     monkeypatch.setattr("bench.commands.verify.open_workers", lambda *_, **__: Serial())

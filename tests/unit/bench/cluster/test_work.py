@@ -25,11 +25,6 @@ def ends(workers, *works):
     return found
 
 
-def test_one_process_maps_a_function_over_items():
-    found = dict(map_work(cluster_work.double, ((n,) for n in range(5)), Serial()))
-    assert {number: end.value for number, end in found.items()} == {0: 0, 1: 2, 2: 4, 3: 6, 4: 8}
-
-
 def test_errors_become_part_of_the_result():
     found = ends(Serial(), Work("a", cluster_work.refuse, ()))["a"]
     assert found.failure.message == "here: No such thing. Do nothing."

@@ -8,7 +8,6 @@ from datetime import datetime
 from bench.base.bounded_json import canonical_json
 from bench.evidence.seal import make_manifest
 from bench.evidence.signers import NAMESPACE
-from bench.evidence.sshsig import sign
 from bench.records.journal import FIRST_PREV, encode_line, read_journal
 from bench.records.run_folder import written_files
 from bench.report.html import ReportData, render_report
@@ -24,7 +23,7 @@ def kinds(verification):
 
 def reseal(folder, key, namespace=NAMESPACE):
     (folder / "SHA256SUMS").write_bytes(manifest := make_manifest(folder))
-    (folder / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, namespace))
+    (folder / "SHA256SUMS.sig").write_bytes(key.sign(manifest, namespace))
 
 
 def copied(folder, to):

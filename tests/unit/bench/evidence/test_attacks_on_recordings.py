@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("made_once")
 
 def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, trusted):
     found = checked(run_once, trusted)
-    assert (found.faults, found.not_compared) == ((), ())
+    assert (found.faults, found.not_compared) == ([], [])
     assert found.complete
     assert found.state == "SEALED"
     assert any("equal to the last bit" in remark for remark in found.remarks)
@@ -76,7 +76,7 @@ def test_what_only_a_new_recording_could_tell_is_told_by_the_ledger(forger, trus
     ONLY_A_NEW_RECORDING[name](forger, job)
     forger.seal()
     found = checked(forger.folder, trusted)
-    assert found.faults == (), [str(fault) for fault in found.faults]
+    assert found.faults == [], [str(fault) for fault in found.faults]
     assert ledger_faults_of_run(forger.folder, Ledger(bench_home, utc_now=None, monotonic=None))
 
 
@@ -90,7 +90,7 @@ def test_what_is_consistent_in_all_other_files_is_found_from_the_recordings(forg
     rederive(forger, job)
     forger.seal()
     plain = checked(forger.folder, trusted, again=False)
-    assert (plain.faults, plain.again) == ((), False)
+    assert (plain.faults, plain.again) == ([], False)
     found = checked(forger.folder, trusted)
     assert where in {fault.where for fault in found.faults}, [str(fault) for fault in found.faults]
 

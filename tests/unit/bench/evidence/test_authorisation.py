@@ -17,7 +17,7 @@ from bench.evidence.key_trust import Trust
 from bench.evidence.keys import create_key
 from bench.evidence.seal import RESERVED, add_beside, seal_folder
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
-from bench.evidence.sshsig import fingerprint, sign
+from bench.evidence.sshsig import fingerprint
 from bench.evidence.states import State, shown_state, standing_of, stated_time
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, reseal, writable
@@ -86,7 +86,7 @@ def test_authorised_before_sealed(make_run, tmp_path, ada, trust, key):
     with make_run(tmp_path / "run") as folder:
         with pytest.raises(EvidenceError, match="not sealed"):
             authorise(folder.path, ada[0], trust, NOW)
-        data = sign(key.private, b"no seal yet", AUTHORISATION_NAMESPACE)
+        data = key.sign(b"no seal yet", AUTHORISATION_NAMESPACE)
         (folder.path / "SHA256SUMS.authorised.sig").write_bytes(data)
         assert ("authorisation", "SHA256SUMS.authorised.sig") in [f[:2] for f in faults(folder.path, trust)]
         assert any("authorised before sealed" in f[2] for f in faults(folder.path, trust))
@@ -103,7 +103,7 @@ def test_the_bench_cannot_authorise(sealed, key, home, tmp_path, signers):
     second = person(tmp_path / "other" / "bench_key")[0]
     with pytest.raises(EvidenceError, match="key of a bench"):
         authorise(sealed, second, Trust((*signers, Signer("b@l", other.public_key, (NAMESPACE,)))), NOW)
-    forged = sign(key.private, (sealed / "SHA256SUMS.sig").read_bytes(), AUTHORISATION_NAMESPACE)
+    forged = key.sign((sealed / "SHA256SUMS.sig").read_bytes(), AUTHORISATION_NAMESPACE)
     add_beside(sealed, "SHA256SUMS.authorised.sig", forged)
     trust = Trust((*signers, both))
     assert standing_of(sealed, trust, NOW).state is State.SEALED
@@ -211,7 +211,7 @@ def test_a_failure_leaves_the_folder_as_it_was(sealed_once, tmp_path, monkeypatc
 def test_an_authorisation_does_not_mend_a_seal_that_does_not_hold(sealed, ada, trust, key, broken):
     signature = sealed / "SHA256SUMS.sig"
     if broken == "purpose":
-        signature.write_bytes(sign(key.private, (sealed / "SHA256SUMS").read_bytes(), "git"))
+        signature.write_bytes(key.sign((sealed / "SHA256SUMS").read_bytes(), "git"))
     authorise(sealed, ada[0], trust, NOW)
     if broken == "list":
         (sealed / "SHA256SUMS").chmod(0o644)

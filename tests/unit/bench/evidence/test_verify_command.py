@@ -120,7 +120,7 @@ ARCHIVED = {
 def test_what_happens_to_any_archive_leaves_it_valid(run_once, trusted, tmp_path, monkeypatch, how):
     monkeypatch.chdir(tmp_path)
     found = checked(ARCHIVED[how](copied(run_once, tmp_path / "run")), trusted)
-    assert (found.faults, found.not_compared, found.complete) == ((), (), True)
+    assert (found.faults, found.not_compared, found.complete) == ([], [], True)
 
 
 # ---------------------------------------------------------------- other versions of the program
@@ -140,7 +140,7 @@ def test_a_run_on_a_plugin_that_is_not_here_is_not_compared_and_no_fault(forger,
     forger.tell_of_files()
     forger.seal()
     found = checked(forger.folder, trusted)
-    assert found.faults == ()
+    assert found.faults == []
     (what,) = found.not_compared
     assert "the station needs starbench-turntable 1.0, which this computer does not have" in what
 

@@ -55,7 +55,7 @@ def checked(folder, signers, *, again=True):
 
 def test_the_numbers_of_untouched_results_are_calculated_again_from_their_sources(results_once, signers):
     found = checked(results_once, signers)
-    assert (found.faults, found.not_compared) == ((), ())
+    assert (found.faults, found.not_compared) == ([], [])
     assert found.kind == "results"
     assert any("every number is equal to the last bit" in remark for remark in found.remarks)
 

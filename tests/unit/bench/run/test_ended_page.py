@@ -99,15 +99,15 @@ def test_verify_finds_a_changed_page_a_foreign_key_and_another_journal(folder, k
     write_ended_page(folder, lambda: key, pytest.fail)
     page = (folder.path / REPORT).read_bytes()
     (folder.path / REPORT).write_bytes(page.replace(b"0 of 1", b"1 of 1"))
-    assert verified(folder, tmp_path) == ({("signature", PAGE_SIGNATURE)}, ())
+    assert verified(folder, tmp_path) == ({("signature", PAGE_SIGNATURE)}, [])
     write_ended_page(folder, lambda: create_key(tmp_path / "other"), pytest.fail)
-    assert verified(folder, tmp_path) == ({("key", PAGE_SIGNATURE)}, ())
+    assert verified(folder, tmp_path) == ({("key", PAGE_SIGNATURE)}, [])
     write_ended_page(folder, lambda: key, pytest.fail)
     lines = (folder.path / JOURNAL).read_bytes().splitlines(keepends=True)
     (folder.path / JOURNAL).write_bytes(b"".join(lines[:-1]))
-    assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, ())
+    assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, [])
     (folder.path / JOURNAL).write_bytes(b"".join(lines).replace(b"49893", b"49894"))
-    assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, ())
+    assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, [])
 
 
 def test_a_run_that_goes_on_has_no_page_of_its_earlier_end(folder, key):
