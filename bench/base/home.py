@@ -149,9 +149,11 @@ def forms() -> dict[str, str]:
 
     root = Path(bench.__file__).parent.parent
     return {
-        "program": _hash(root, (path for package in _PACKAGES for path in _sources(root / package))),
-        "report_form": _hash(root, [*_sources(root / _REPORT), *(root / name for name in _DRAWN_WITH)]),
-        "export_form": _hash(root, (root / name for name in _EXPORTED_WITH)),
+        "program": hash_of_files(root, (path for package in _PACKAGES for path in _sources(root / package))),
+        "report_form": hash_of_files(
+            root, [*_sources(root / _REPORT), *(root / name for name in _DRAWN_WITH)]
+        ),
+        "export_form": hash_of_files(root, (root / name for name in _EXPORTED_WITH)),
     }
 
 
@@ -168,7 +170,8 @@ def _sources(folder: Path) -> Iterable[Path]:
     return (path for path in folder.rglob("*") if path.suffix in _ENDINGS)
 
 
-def _hash(root: Path, files: Iterable[Path]) -> str:
+def hash_of_files(root: Path, files: Iterable[Path]) -> str:
+    """Return 16 digits of the SHA-256 of source files and their names below a folder; line ends do not count."""
     digest = hashlib.sha256()
     for name, path in sorted((path.relative_to(root).as_posix(), path) for path in files):
         data = path.read_bytes().replace(b"\r\n", b"\n")

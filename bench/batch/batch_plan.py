@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from statistics import median
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -42,6 +42,7 @@ from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Key, Queue
 from sequences.reader import Located, read_document
 
+Document = TypeVar("Document", Queue, JobFile)
 _MOST_RUNS = 10
 _MOST_READ = 50
 TOLD_FROM = 2.0
@@ -103,11 +104,7 @@ WORKER_S = 2.5
 
 def read_queue(path: Path) -> Located[Queue]:
     """Read and check a queue file and all files that it names; its jobs have full paths, except for shipped files."""
-    try:
-        read = read_document(path, Queue)
-    except DocumentFaults as error:
-        raise ScriptError([str(fault) for fault in error.faults]) from error
-    _refuse_secrets(read)
+    read = _document(path, Queue)
     jobs = [_resolve_files(job, path.parent) for job in read.value.jobs]
     queue = dataclasses.replace(read, value=read.value.model_copy(update={"jobs": jobs}))
     pairs = {_key(job): job for job in queue.value.jobs}
@@ -119,21 +116,21 @@ def read_queue(path: Path) -> Located[Queue]:
 
 def read_job(path: Path) -> JobConfig:
     """Read and check a file with one job, and all files that it names; it has full paths, except for shipped files."""
-    try:
-        read = read_document(path, JobFile)
-    except DocumentFaults as error:
-        raise ScriptError([str(fault) for fault in error.faults]) from error
-    _refuse_secrets(read)
-    job = _resolve_files(read.value.job(), path.parent)
+    job = _resolve_files(_document(path, JobFile).value.job(), path.parent)
     if faults := job_faults(job):
         raise ScriptError(faults)
     return job
 
 
-def _refuse_secrets(document: Located[Any]) -> None:
-    """Refuse credentials in a queue or job: it is copied into the folder of the batch. Raises ScriptError."""
-    if faults := find_url_secrets(document):
+def _document(path: Path, model: type[Document]) -> Located[Document]:
+    """Read a queue or a job, and refuse credentials in it: it is copied into the folder of the batch."""
+    try:
+        read = read_document(path, model)
+    except DocumentFaults as error:
+        raise ScriptError([str(fault) for fault in error.faults]) from error
+    if faults := find_url_secrets(read):
         raise ScriptError([str(fault) for fault in faults])
+    return read
 
 
 def _resolve_files(job: JobConfig, base: Path) -> JobConfig:

@@ -7,7 +7,6 @@ bytes; a verifier that is another program cannot expect the same bytes.
 from __future__ import annotations
 
 import functools
-import hashlib
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError
-from bench.base.home import differing_software
+from bench.base.home import differing_software, hash_of_files
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
 from bench.evidence.findings import Findings, Verification
 from bench.records.events import Event
@@ -41,7 +40,6 @@ _ALSO = (
     "calib/uncertainty/projection_uncertainty.py",
 )
 """Other modules whose code decides a value or a word of a certificate."""
-_SHOWN = 16
 
 
 @functools.cache
@@ -51,11 +49,8 @@ def written_with() -> tuple[Software, ...]:
 
     root = Path(bench.__file__).parent.parent
     files = [path for path in (root / _FOLDER).rglob("*") if path.suffix in _ENDINGS]
-    digest = hashlib.sha256()
-    for name in sorted({*(path.relative_to(root).as_posix() for path in files), *_ALSO}):
-        data = (root / name).read_bytes().replace(b"\r\n", b"\n")
-        digest.update(f"{name} {len(data)}\n".encode() + data)
-    return (Software(FORM, digest.hexdigest()[:_SHOWN]), *_installed())
+    form = hash_of_files(root, [*files, *(root / name for name in _ALSO)])
+    return (Software(FORM, form), *_installed())
 
 
 def _installed() -> list[Software]:

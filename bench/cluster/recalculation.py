@@ -130,14 +130,10 @@ class ResultsFolders(Table):
         except (StorageError, EvidenceError):
             remove_unnamed(part)
             raise
-        self.add(row)
+        self.append(row)
         with storage_errors(part):
             part.rename(self.folder / name)
             sync_folder(self.folder)
-
-    def add(self, row: RunRow) -> None:
-        """Add a row to the table, synced."""
-        self._append(row)
 
     def finish(self, rows: Iterable[RunRow]) -> None:
         """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""
@@ -294,7 +290,7 @@ class Recalculation:
         if self._folders is not None:
             self._folders.write(run.name, files, row)
         elif self._output is not None:
-            self._output.add(row)
+            self._output.append(row)
         del self._runs[run.number]
         self.counts.done += 1
         self._end(run.number, row)
@@ -319,7 +315,7 @@ class Recalculation:
             "failure": failure.to_dict(),
         }
         if self._output is not None:
-            self._output.add(row)
+            self._output.append(row)
         self.counts.failed += 1
         self._end(number, row)
 

@@ -80,7 +80,7 @@ class Table:
         """Return key and value of a line. Raises KeyError, TypeError for a line of another kind."""
         raise NotImplementedError
 
-    def _append(self, row: Mapping[str, Any]) -> None:
+    def append(self, row: Mapping[str, Any]) -> None:
         """Write a line, synced."""
         with storage_errors(self.path):
             write_all(self._stream, line_of(row))
@@ -111,7 +111,7 @@ class KeptRows(Table):
 
     def add(self, key: str, value: Any) -> None:
         """Keep a result."""
-        self._append({"key": key, "value": value})
+        self.append({"key": key, "value": value})
 
     def _known(self, row: Any) -> tuple[str, Any]:
         return row["key"], row["value"]
