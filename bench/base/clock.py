@@ -22,20 +22,20 @@ from types import FrameType
 from drivers.lateness import LatenessData, own_lateness
 
 
-class Aborted(Exception):
+class _Asked(Exception):
+    """Somebody, named by ``reason``, has asked the work to end a wait."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
+
+
+class Aborted(_Asked):
     """The operator or the system, named by ``reason``, has asked the run to stop."""
 
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)
 
-
-class Interrupted(Exception):
+class Interrupted(_Asked):
     """An interlock, named by ``reason``, has asked the work to pause; the work continues afterwards."""
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)
 
 
 class _SignalSafeEvent:

@@ -235,7 +235,7 @@ def _refuse_second_early(run: Path, ledger: Ledger, also: str) -> None:
         seal = sha256_of(run / MANIFEST)
     found = numbers(ledger.entries())
     if not open_numbers(found):  # an open number may be that of the first certificate
-        refuse_second(found, Wanted("", False, seal, "", "", also=also))
+        refuse_second(found, seal, also)
 
 
 def complete_open(ledger: Ledger) -> list[str]:

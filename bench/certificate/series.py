@@ -212,16 +212,18 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
                 remedy="Set the clock.",
             )
         own = _own_open_number(found, wanted)
-        refuse_second(found, wanted)
-        if own is None:
-            own = _next(ledger, journal, found, wanted, now)
-        return _enter(journal, wanted, now, own)
+        if wanted.amends:
+            refuse_old(found, wanted.amends)
+        else:
+            refuse_second(found, wanted.run_seal, wanted.also)
+        place = (own.number, own.series, own.count) if own else _next(ledger, journal, found, wanted, now)
+        return _enter(journal, wanted, now, *place)
 
 
 def _next(
     ledger: Ledger, journal: Journal, found: Mapping[str, Numbered], wanted: Wanted, now: datetime
-) -> Numbered:
-    """Return the next number of the series; enter as lost those that were given and are not in the ledger."""
+) -> tuple[str, str, int]:
+    """Return the next number, its series and count; enter as lost those that were given and are not in the ledger."""
     series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
     last = sum(one.series == series for one in found.values())
     # A break of the ledger states what its mark and the second place know of lines that were lost.
@@ -237,10 +239,10 @@ def _next(
             where=str(ledger.path),
             remedy="Give numbers.format of lab.yaml another text.",
         )
-    return Numbered(number, series, count, "reserved", "", "", "", "")
+    return number, series, count
 
 
-def _enter(journal: Journal, wanted: Wanted, now: datetime, one: Numbered) -> Numbered:
+def _enter(journal: Journal, wanted: Wanted, now: datetime, number: str, series: str, count: int) -> Numbered:
     texts = {
         "run_seal": wanted.run_seal,
         "run_id": wanted.run_id,
@@ -248,8 +250,8 @@ def _enter(journal: Journal, wanted: Wanted, now: datetime, one: Numbered) -> Nu
         "issued_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
         "amends": wanted.amends,
     }
-    journal.append(RESERVED, number=one.number, series=one.series, count=one.count, **texts)
-    return Numbered(one.number, one.series, one.count, "reserved", **texts)
+    journal.append(RESERVED, number=number, series=series, count=count, **texts)
+    return Numbered(number, series, count, "reserved", **texts)
 
 
 def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered | None:
@@ -270,15 +272,12 @@ def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered 
     return None
 
 
-def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
-    """Refuse a second certificate of a run without a reason, and to amend anything but the newest certificate."""
-    if wanted.amends:
-        refuse_old(found, wanted.amends)
-        return
-    first = next((one for one in found.values() if one.run_seal == wanted.run_seal and one.is_newest), None)
-    if first is None and wanted.also:
+def refuse_second(found: Mapping[str, Numbered], run_seal: str, also: str) -> None:
+    """Refuse a second certificate of a run without the reason ``also``, and a first one with it."""
+    first = next((one for one in found.values() if one.run_seal == run_seal and one.is_newest), None)
+    if first is None and also:
         raise EvidenceError("The run has no certificate yet.", remedy="Leave out --reason.")
-    if first is not None and not wanted.also:
+    if first is not None and not also:
         raise EvidenceError(
             f"The run has a certificate already: {first.number} of {first.issued_utc[:10]}.",
             where=first.folder,

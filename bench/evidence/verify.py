@@ -231,8 +231,8 @@ def _read_facts(results: Any, found: Verification) -> list[tuple[str, str]]:
 # what he did not write consistently; `bench.results.again_run` compares the journal with what the
 # recordings give.
 
-_WRITTEN_LAST = (RESULTS, REPORT, "views.h5")
-"""Files that the report step writes, besides the exports."""
+_WRITTEN = {RESULTS: "results", REPORT: "report", "views.h5": "views"}
+"""Files that the report step writes, besides the exports, each with the kind of its faults."""
 _CLOCK_SLACK_S = 0.05
 
 
@@ -324,14 +324,13 @@ def _documents(manifest: Mapping[str, str], history: History, found: Findings) -
                 str(name),
                 "this is not the file that the run began with (hash in the journal's first line)",
             )
-    if PASSPORT_COPY in manifest and PASSPORT_COPY not in stated:
-        found.fault(
-            "plan", PASSPORT_COPY, "the run began without a passport (the journal's first line names none)"
-        )
-    if CHECKED_COPY in manifest and CHECKED_COPY not in stated:
-        found.fault(
-            "plan", CHECKED_COPY, "the run began without it (the journal's first line does not name it)"
-        )
+    without = {
+        PASSPORT_COPY: "without a passport (the journal's first line names none)",
+        CHECKED_COPY: "without it (the journal's first line does not name it)",
+    }
+    for name, what in without.items():
+        if name in manifest and name not in stated:
+            found.fault("plan", name, f"the run began {what}")
     if PLAN not in manifest:
         found.fault("plan", PLAN, "the file is missing")
 
@@ -359,21 +358,14 @@ def _recordings(
 
 def _written(folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], found: Findings) -> None:
     """Compare results, report, views, exports and wire log with the journal's line that they were written."""
-    reported = _reported(entries)
-    if not reported:
-        for name in manifest:
-            if name in _WRITTEN_LAST or name.startswith(f"{EXPORTS}/"):
-                found.fault("results", name, "the journal has no report step that wrote this file")
+    written = [name for name in manifest if name in _WRITTEN or name.startswith(f"{EXPORTS}/")]
+    if not _reported(entries):
+        for name in written:
+            found.fault("results", name, "the journal has no report step that wrote this file")
         return
-    for name in _WRITTEN_LAST:
+    for name in _WRITTEN:
         if name not in manifest:
             found.fault("results", name, "the journal's report step wrote this file; it is missing")
-    _written_line(folder, manifest, entries, found)
-
-
-def _written_line(
-    folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], found: Findings
-) -> None:
     line = next((entry for entry in reversed(entries) if entry.event == Event.WRITTEN), None)
     if line is None:
         what = "it does not hold the hashes of results, report, views and exports"
@@ -387,12 +379,11 @@ def _written_line(
     for name, sha256 in files.items():
         if manifest.get(name) != sha256:
             what = "is missing" if name not in manifest else "is another file than the one that was written"
-            found.fault(_kind_of_file(name), str(name), f"by the journal, it {what}")
-    for name in manifest:
-        if (name in _WRITTEN_LAST or name.startswith(f"{EXPORTS}/")) and name not in files:
-            found.fault(
-                _kind_of_file(name), name, "the journal does not name it among the files that were written"
-            )
+            found.fault(_WRITTEN.get(name, "exports"), str(name), f"by the journal, it {what}")
+    for name in written:
+        if name not in files:
+            what = "the journal does not name it among the files that were written"
+            found.fault(_WRITTEN.get(name, "exports"), name, what)
     _wire(folder, line.data.get("wire"), where, found)
 
 
@@ -402,10 +393,6 @@ def _reported(entries: Sequence[Entry]) -> bool:
         entry.event == Event.LEFT_OFF and entry.data.get("state") == "reporting" and "error" not in entry.data
         for entry in entries
     )
-
-
-def _kind_of_file(name: str) -> str:
-    return {RESULTS: "results", REPORT: "report", "views.h5": "views"}.get(name, "exports")
 
 
 def _wire(folder: Path, stated: Any, where: str, found: Findings) -> None:

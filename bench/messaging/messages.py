@@ -115,20 +115,12 @@ class Outbox:
 
     def deliveries(self) -> list[Delivery]:
         """List all deliveries, also those that were sent, oldest first."""
-        if not self.path.exists():
-            return []
-        with self._open() as database:
-            return [_delivery(row) for row in database.execute("SELECT * FROM deliveries ORDER BY utc, key")]
+        return [_delivery(row) for row in self._rows("SELECT * FROM deliveries ORDER BY utc, key")]
 
     def channels(self) -> list[str]:
         """List the channels, as `put` got them, that something waits for."""
-        if not self.path.exists():
-            return []
-        with self._open() as database:
-            rows = database.execute(
-                "SELECT DISTINCT channel FROM deliveries WHERE state != 'sent' ORDER BY channel"
-            )
-            return [channel for (channel,) in rows]
+        query = "SELECT DISTINCT channel FROM deliveries WHERE state != 'sent' ORDER BY channel"
+        return [channel for (channel,) in self._rows(query)]
 
     def deliver(self, send: Send, now: datetime, *, all_waiting: bool = False) -> int:
         """Try the deliveries that are due, all channels side by side; each is given up after ``DEADLINE_S``."""
@@ -158,20 +150,21 @@ class Outbox:
 
     def waiting(self) -> int:
         """Count the deliveries that still wait."""
-        if not self.path.exists():
-            return 0
-        with self._open() as database:
-            row = database.execute("SELECT count(*) FROM deliveries WHERE state != 'sent'").fetchone()
-        return int(row[0])
+        return len(self._rows("SELECT key FROM deliveries WHERE state != 'sent'"))
 
     def _due(self, channel: str, now_s: float, *, all_waiting: bool) -> list[Delivery]:
+        query = (
+            "SELECT * FROM deliveries WHERE channel = ? AND state = 'waiting' AND (? OR next_try <= ?)"
+            " ORDER BY utc, key"
+        )
+        return [_delivery(row) for row in self._rows(query, channel, all_waiting, now_s)]
+
+    def _rows(self, query: str, *values: Any) -> list[Sequence[Any]]:
+        """Return the rows of a query; none before the first message."""
+        if not self.path.exists():
+            return []
         with self._open() as database:
-            rows = database.execute(
-                "SELECT * FROM deliveries WHERE channel = ? AND state = 'waiting' AND (? OR next_try <= ?)"
-                " ORDER BY utc, key",
-                (channel, all_waiting, now_s),
-            )
-            return [_delivery(row) for row in rows]
+            return database.execute(query, values).fetchall()
 
     def _try(self, delivery: Delivery, send: Send, now: datetime) -> bool:
         """Try one delivery; return whether it ended in time, with or without success."""
