@@ -1,5 +1,6 @@
 """Persons with keys of their own, and a time stamping authority by openssl: for tests of what lies beside a seal."""
 
+import base64
 import shutil
 import subprocess
 from dataclasses import dataclass
@@ -8,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from bench.evidence.authorisation import load_file_key
-from bench.evidence.signers import AUTHORISATION_NAMESPACE, Signer
+from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
+from bench.evidence.sshsig import string
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
@@ -65,13 +67,33 @@ def person(path, name="ada@lab.example", passphrase=b""):
     return key, Signer(name, key.public_key, (AUTHORISATION_NAMESPACE,))
 
 
-def ssh_verifies(folder, signers, who, *more):
-    """Whether stock ssh-keygen accepts the authorisation beside a seal."""
-    command = ["ssh-keygen", "-Y", "verify", "-f", signers, "-I", who, "-n", AUTHORISATION_NAMESPACE]
-    command += ["-s", "SHA256SUMS.authorised.sig", *more]
-    with (folder / "SHA256SUMS.sig").open("rb") as signed:
-        done = subprocess.run(command, cwd=folder, stdin=signed, capture_output=True, check=False)
+def ssh_verifies(folder, signers, who, *more, signed="SHA256SUMS.sig", signature="SHA256SUMS.authorised.sig"):
+    """Whether stock ssh-keygen accepts the authorisation beside a seal, or another signature."""
+    namespace = NAMESPACE if signed == "SHA256SUMS" else AUTHORISATION_NAMESPACE
+    command = [
+        "ssh-keygen",
+        "-Y",
+        "verify",
+        "-f",
+        signers,
+        "-I",
+        who,
+        "-n",
+        namespace,
+        "-s",
+        signature,
+        *more,
+    ]
+    with (folder / signed).open("rb") as read:
+        done = subprocess.run(command, cwd=folder, stdin=read, capture_output=True, check=False)
     return done.returncode == 0
+
+
+def armoured(public, signature, namespace="a@v1"):
+    """An SSH signature of these parts, whether it holds or not."""
+    parts = (public, namespace.encode(), b"", b"sha512", signature)
+    blob = base64.encodebytes(b"SSHSIG\0\0\0\1" + b"".join(map(string, parts)))
+    return b"-----BEGIN SSH SIGNATURE-----\n" + blob + b"-----END SSH SIGNATURE-----\n"
 
 
 @dataclass(frozen=True)

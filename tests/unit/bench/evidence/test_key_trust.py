@@ -2,14 +2,13 @@
 
 import os
 import shutil
-import subprocess
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
 
 import pytest
-from authorising import needs_ssh_keygen
+from authorising import needs_ssh_keygen, ssh_verifies
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -174,10 +173,8 @@ def test_what_the_old_key_sealed_stays_valid_and_nothing_new_does(tmp_path):
 
 def ssh_accepts(home, principal, folder, *more):
     """Whether stock ssh-keygen accepts the seal of a folder."""
-    command = ["ssh-keygen", "-Y", "verify", "-f", home / "allowed_signers", "-I", principal, "-n", NAMESPACE]
-    command += ["-s", folder / "SHA256SUMS.sig", *more]
-    with (folder / "SHA256SUMS").open("rb") as signed:
-        return subprocess.run(command, stdin=signed, capture_output=True, check=False).returncode == 0
+    seal = {"signed": "SHA256SUMS", "signature": "SHA256SUMS.sig"}
+    return ssh_verifies(folder, home / "allowed_signers", principal, *more, **seal)
 
 
 class Killed(BaseException):

@@ -1,10 +1,8 @@
 """Keys: made once, kept from others, opened with their passphrase, and whom to trust."""
 
-import fcntl
 import os
 import stat
 import threading
-from contextlib import contextmanager
 from datetime import UTC, datetime
 
 import pytest
@@ -16,15 +14,7 @@ from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.keys import create_key, ensure_key, load_key, load_public_key
 from bench.evidence.signers import read_signers, trust
-
-
-@contextmanager
-def locked(folder):
-    """Hold the lock that is held while a key is made."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    fcntl.flock(descriptor, fcntl.LOCK_EX)
-    yield
-    os.close(descriptor)
+from bench.records.storage import locked_folder
 
 
 def test_a_key_is_made_at_first_use_kept_and_can_be_read_by_its_owner_alone(tmp_path):
@@ -51,7 +41,7 @@ def test_a_key_of_others_or_that_others_can_read_is_refused(tmp_path, monkeypatc
 
 
 def test_two_first_runs_at_once_do_not_make_two_keys(tmp_path):
-    with locked(tmp_path):
+    with locked_folder(tmp_path):  # as while a key is made
         made = []
         other = threading.Thread(target=lambda: made.append(ensure_key(tmp_path)))
         other.start()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
-from bench.evidence.sshsig import is_valid, read_signature
+from bench.evidence.sshsig import is_valid, read_signature, string, strings
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.run.launch import seal_finished
@@ -47,13 +47,8 @@ def test_a_changed_signature_is_refused_or_does_not_hold(key, data):
 def repacked(armoured, change):
     """A signature whose five strings (key, namespace, reserved, hash, signature) were changed."""
     blob = base64.b64decode(b"".join(armoured.splitlines()[1:-1]))
-    rest, strings = blob[10:], []
-    while rest:
-        size = int.from_bytes(rest[:4], "big")
-        strings.append(rest[4 : 4 + size])
-        rest = rest[4 + size :]
-    packed = b"".join(len(s).to_bytes(4, "big") + s for s in change(strings))
-    lines = base64.b64encode(blob[:10] + packed)
+    parts, _ = strings(blob[10:], 5)
+    lines = base64.b64encode(blob[:10] + b"".join(map(string, change(parts))))
     return b"-----BEGIN SSH SIGNATURE-----\n" + lines + b"\n-----END SSH SIGNATURE-----\n"
 
 

@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
@@ -24,16 +25,25 @@ needs_token = pytest.mark.skipif(
 )
 
 
+@contextmanager
+def running_agent(path, environment=None):
+    """Start a real agent behind a socket; its process ends with the block."""
+    command = ["ssh-agent", "-D", "-a", path, "-P", "*"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
+    try:
+        while not path.exists():
+            assert process.poll() is None
+        yield str(path)
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
 @pytest.fixture
 def agent(tmp_path):
-    """The socket of a real agent; its process ends with the test."""
-    path = tmp_path / "agent"
-    process = subprocess.Popen(["ssh-agent", "-D", "-a", path, "-P", "*"], stdout=subprocess.DEVNULL)
-    while not path.exists():
-        assert process.poll() is None
-    yield str(path)
-    process.terminate()
-    process.wait(10)
+    """The socket of a real agent."""
+    with running_agent(tmp_path / "agent") as socket:
+        yield socket
 
 
 def add(agent, *arguments, **environment):
@@ -70,7 +80,7 @@ def test_of_several_keys_one_must_be_named(agent, tmp_path):
 
 
 @needs_token
-def test_a_key_in_a_pkcs11_token_signs(agent, tmp_path):
+def test_a_key_in_a_pkcs11_token_signs(tmp_path):
     (tmp_path / "tokens").mkdir()
     (tmp_path / "softhsm2.conf").write_text(f"directories.tokendir = {tmp_path / 'tokens'}\n")
     (tmp_path / "pin").write_text("#!/bin/sh\necho 1234\n")
@@ -81,20 +91,11 @@ def test_a_key_in_a_pkcs11_token_signs(agent, tmp_path):
     make = ["pkcs11-tool", "--module", _MODULE, "--login", "--pin", "1234", "--keypairgen", "--id", "01"]
     make += ["--key-type", "EC:prime256v1", "--label", "ada", "--usage-sign"]
     subprocess.run(make, env=environment, check=True, capture_output=True)
-    own = str(tmp_path / "token-agent")
-    process = subprocess.Popen(
-        ["ssh-agent", "-D", "-a", own, "-P", "*"], env=environment, stdout=subprocess.DEVNULL
-    )
-    try:
-        while not Path(own).exists():
-            assert process.poll() is None
+    with running_agent(tmp_path / "token-agent", environment) as own:
         asking = {"SSH_ASKPASS": str(tmp_path / "pin"), "SSH_ASKPASS_REQUIRE": "force", "DISPLAY": ":0"}
         add(own, "-s", str(_MODULE), **asking, SOFTHSM2_CONF=environment["SOFTHSM2_CONF"])
         key = find_key(None, own, lambda _: b"")
         signature = read_signature(key.sign(b"message", "a@v1"))
-    finally:
-        process.terminate()
-        process.wait(10)
     assert is_valid(signature, b"message")
 
 

@@ -7,7 +7,7 @@ import subprocess
 from contextlib import suppress
 
 import pytest
-from authorising import KEY_KINDS, make_key, needs_ssh_keygen
+from authorising import KEY_KINDS, armoured, make_key, needs_ssh_keygen
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -88,12 +88,6 @@ def test_without_openssh_a_computer_checks_ed25519_and_says_what_it_needs_for_th
     assert is_valid(mine, b"message")
     with pytest.raises(NotInstalled, match="needs ssh-keygen of OpenSSH, which is not installed"):
         is_valid(theirs, b"message")
-
-
-def armoured(public, signature, namespace="a@v1"):
-    parts = (public, namespace.encode(), b"", b"sha512", signature)
-    blob = base64.encodebytes(b"SSHSIG\0\0\0\1" + b"".join(map(string, parts)))
-    return b"-----BEGIN SSH SIGNATURE-----\n" + blob + b"-----END SSH SIGNATURE-----\n"
 
 
 def signed_data(message, namespace="a@v1"):

@@ -1,6 +1,5 @@
 """Time stamps beside a seal, of an authority that openssl plays: what is accepted, what is refused, what is asked."""
 
-import base64
 import sys
 import threading
 from contextlib import contextmanager, suppress
@@ -10,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
 import pytest
-from authorising import Authority, needs_openssl
+from authorising import Authority, armoured, needs_openssl
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -337,6 +336,4 @@ def fits_any(namespace):
     """A signature by an Ed25519 key of order one, with which one signature is valid for every message."""
     public = string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 31)
     signature = string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 63)
-    parts = (public, namespace.encode(), b"", b"sha512", signature)
-    blob = base64.encodebytes(b"SSHSIG\0\0\0\1" + b"".join(map(string, parts)))
-    return b"-----BEGIN SSH SIGNATURE-----\n" + blob + b"-----END SSH SIGNATURE-----\n"
+    return armoured(public, signature, namespace)
