@@ -1,4 +1,4 @@
-"""A certificate from a real run on the simulated bench, by the command line, and tampered with."""
+"""A certificate from a real run on the simulated bench, by the command line."""
 
 import json
 import subprocess
@@ -7,38 +7,23 @@ import pytest
 from certificate_sample import LAB
 from running import starbench
 
-pytestmark = pytest.mark.slow
 
+@pytest.mark.slow
+def test_a_certificate_of_a_run_verifies_with_starbench_and_with_stock_programs(tmp_path):
+    def done(*words):
+        said = starbench(*words, home=tmp_path / "home")
+        assert said.returncode == 0, said.stdout + said.stderr
+        return said.stdout
 
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory):
-    """A folder with a sealed run, its configuration folder, and lab.yaml with a date of receipt long ago."""
-    folder = tmp_path_factory.mktemp("lab")
-    said = starbench("run", "three_pose", "-s", "simulated", "-o", folder / "run", home=folder / "home")
-    assert said.returncode == 0, said.stderr
-    text = (
-        LAB.replace("2026-11-18", "2020-01-07")
-        .replace("2025-11-20", "2020-01-07")
-        .replace("2026-01-08", "2020-01-07")
+    text = LAB
+    for date in ("2026-11-18", "2025-11-20", "2026-01-08"):
+        text = text.replace(date, "2020-01-07")  # before the run
+    (tmp_path / "lab.yaml").write_text(text, encoding="utf-8")
+    run, folder = tmp_path / "run", tmp_path / "first"
+    done("run", "three_pose", "-s", "simulated", "-o", run)
+    issued = json.loads(
+        done("certificate", "issue", run, "-c", tmp_path / "lab.yaml", "-o", folder, "--json")
     )
-    (folder / "lab.yaml").write_text(text, encoding="utf-8")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def issued(lab):
-    said = certificate(lab, "issue", lab / "run", "-c", lab / "lab.yaml", "-o", lab / "first", "--json")
-    assert said.returncode == 0, said.stderr
-    return json.loads(said.stdout)
-
-
-def certificate(lab, *words):
-    return starbench("certificate", *words, home=lab / "home")
-
-
-def test_it_verifies_with_starbench_and_with_stock_programs(lab, issued):
-    said = starbench("verify", lab / "first", "--json", home=lab / "home")
-    assert said.returncode == 0, said.stdout
-    assert json.loads(said.stdout)["state"] == "SEALED"
-    subprocess.run(["sha256sum", "--strict", "--quiet", "-c", "SHA256SUMS"], cwd=lab / "first", check=True)
     assert issued["certificate"]["run"]["id"] == "run"
+    assert json.loads(done("verify", folder, "--json"))["state"] == "SEALED"
+    subprocess.run(["sha256sum", "--strict", "--quiet", "-c", "SHA256SUMS"], cwd=folder, check=True)
