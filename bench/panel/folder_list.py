@@ -8,17 +8,16 @@ from __future__ import annotations
 import os
 import stat
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import cast
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import Failure, RunFolderError, StorageError
-from bench.panel.run_head import head_of, look_at_process
+from bench.panel.run_head import ProcessState, brief_of, faults_of, look_at_process
 from bench.panel.run_model import RunModel
-from bench.panel.shown_run import FolderContent, ListedBatch, ListedRun, RunBrief, RunHead
+from bench.panel.shown_run import FolderContent, ListedBatch, ListedRun
 from bench.records.journal import MOST_LINE_BYTES
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
@@ -128,22 +127,18 @@ class FolderList:
                 pass
             states = model.history.states
             process = look_at_process(folder, states[-1]["state"] if states else "idle")
-            row = self._row(folder, head_of(model, process, self._utc_now()))
+            row = self._row(model, process)
             # An interrupted run may be resumed at any time; its lock tells so before its journal does.
             is_over = not process.running and bool(model.history.ended)
             known = self._runs[folder] = _Known(stamp, row, None if is_over else model)
         return known.row
 
-    def _row(self, folder: Path, head: RunHead) -> ListedRun:
-        shown: Mapping[str, object] = head
-        brief = cast("RunBrief", {name: shown[name] for name in RunBrief.__annotations__})
+    def _row(self, model: RunModel, process: ProcessState) -> ListedRun:
         return {
-            **brief,
-            "key": self.key_of(folder),
-            "camera": head["camera"].get("serial", ""),
-            "fault": next(iter(head["faults"]), ""),
-            "leave": head["leave"],
-            "reached": head["decisions"][-1]["now"] if head["decisions"] else {},
+            **brief_of(model, process, self._utc_now()),
+            "key": self.key_of(model.folder),
+            "camera": model.history.devices.get("camera", {}).get("serial", ""),
+            "fault": next(iter(faults_of(model, process)), ""),
         }
 
     def _batch(self, folder: Path) -> ListedBatch:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Required, TypedDict
+from typing import TYPE_CHECKING, Protocol, Required, TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +24,6 @@ if TYPE_CHECKING:
     from bench.panel.shown_run import Uncertainties
     from bench.plan.job import Job
     from bench.views.measure import StoredImage
-
-
-class PictureRequest(TypedDict):
-    """A recording whose picture is asked for."""
-
-    folder: str
-    pose: int
-    pose_name: str
-    capture: str
-    expected_grid: Sequence[Sequence[float]] | None
-    accepted: bool  # Whether it entered a calibration
-    measure: bool  # Whether its stars may be found again, which takes seconds
 
 
 class PictureAnswer(TypedDict, total=False):
@@ -49,38 +38,9 @@ class PictureAnswer(TypedDict, total=False):
     absent: bool  # Whether it was not made, because it was not to be measured
 
 
-class CoverageRequest(TypedDict):
-    """Accepted recordings whose stars are counted."""
-
-    folder: str
-    size: Sequence[int]  # Of the image, px
-    cells: tuple[int, int]  # Columns and rows
-    # Pose, its map from the reticle to the image, (3, 3), and its number of stars.
-    grids: Sequence[tuple[int, Sequence[Sequence[float]], int]]
-
-
-class CoverageAnswer(TypedDict, total=False):
-    """Number of stars by cell, row by row, or why there is none."""
-
-    counts: Sequence[int]
-    fault: str
-
-
-class ForecastRequest(TypedDict):
-    """A number of poses of a run's plan."""
-
-    folder: str
-    poses: int
-
-
-class ForecastAnswer(TypedDict, total=False):
-    """What they will give, empty where that is not known; or why there is no answer."""
-
-    now: Uncertainties
-    fault: str
-
-
 Array = NDArray[np.float64]
+T_co = TypeVar("T_co", covariant=True)
+T = TypeVar("T")
 
 _ORDERS = (5, 3)
 _STARS_A_TERM = 2
@@ -142,40 +102,64 @@ def picture_answer(
 _JOBS_KEPT = 4
 
 
-def make_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
-    """Make the picture of a recording, with its stars and their residuals, as PNG; ``absent`` if there is none.
+class Request(Protocol[T_co]):
+    """Something that the helper process is asked for."""
 
-    Residuals are those of the solved run, or else of a smooth fit of this pose; with ``measure`` the stars are found
-    again if needed, which takes seconds.
-    """
-    from bench.views.views_file import VIEWS
-
-    folder = Path(request["folder"])
-    if request["accepted"] and (folder / VIEWS).is_file():
-        found = _solved_picture(folder / VIEWS, request["pose_name"])
-        if found is not None:
-            return found
-    if not request["measure"]:
-        return {"absent": True, "fault": ""}, b""
-    return _measured_picture(folder, request)
+    def answer(self) -> T_co:
+        """Calculate it, in the helper process."""
 
 
-def make_coverage(request: CoverageRequest) -> tuple[CoverageAnswer, bytes]:
-    """Count the stars of accepted recordings in the cells of the image; no bytes.
+@dataclass(frozen=True)
+class PictureRequest:
+    """A recording whose picture is asked for: its stars and residuals, and the picture as PNG."""
+
+    folder: Path
+    pose: int
+    attempt: int
+    pose_name: str
+    capture: str
+    expected_grid: Sequence[Sequence[float]] | None
+    accepted: bool  # Whether it entered a calibration
+    measure: bool  # Whether its stars may be found again, which takes seconds
+
+    def answer(self) -> tuple[PictureAnswer, bytes]:
+        """Return residuals of the solved run, or else of a smooth fit of this pose; ``absent`` if there is none."""
+        from bench.views.views_file import VIEWS
+
+        if self.accepted and (self.folder / VIEWS).is_file():
+            found = _solved_picture(self.folder / VIEWS, self.pose_name)
+            if found is not None:
+                return found
+        if not self.measure:
+            return {"absent": True, "fault": ""}, b""
+        return _measured_picture(self)
+
+
+@dataclass(frozen=True)
+class CoverageRequest:
+    """Accepted recordings whose stars are counted in the cells of the image, row by row.
 
     Places come from each grid, without distortion. Of few stars those next to the tag count: the beam lights the
     middle.
     """
-    target = job_of_run(request["folder"]).target
-    nodes = target.node_of(target.ids).astype(float)
-    tag = np.array(target.tag_centre_mm) / target.pitch_mm
-    nodes = nodes[np.argsort(np.linalg.norm(nodes - tag, axis=1), kind="stable")]
-    columns, rows = request["cells"]
-    counts = np.zeros(columns * rows, np.int64)
-    for _, grid, stars in request["grids"]:
-        cells = _cells_of(nodes, np.array(grid, np.float64), request["size"], (columns, rows))
-        counts += np.bincount(cells[:stars], minlength=len(counts))
-    return {"counts": counts.tolist()}, b""
+
+    folder: Path
+    size: Sequence[int]  # Of the image, px
+    cells: tuple[int, int]  # Columns and rows
+    # Map of each pose from the reticle to the image, (3, 3), and its number of stars.
+    grids: Sequence[tuple[Sequence[Sequence[float]], int]]
+
+    def answer(self) -> list[int]:
+        """Return the number of stars in each cell."""
+        target = job_of_run(self.folder).target
+        nodes = target.node_of(target.ids).astype(float)
+        tag = np.array(target.tag_centre_mm) / target.pitch_mm
+        nodes = nodes[np.argsort(np.linalg.norm(nodes - tag, axis=1), kind="stable")]
+        counts = np.zeros(self.cells[0] * self.cells[1], np.int64)
+        for grid, stars in self.grids:
+            found = _cells_of(nodes, np.array(grid, np.float64), self.size, self.cells)
+            counts += np.bincount(found[:stars], minlength=len(counts))
+        return [int(count) for count in counts]
 
 
 def _cells_of(nodes: Array, grid: Array, size: Sequence[int], cells: tuple[int, int]) -> NDArray[np.int64]:
@@ -187,26 +171,33 @@ def _cells_of(nodes: Array, grid: Array, size: Sequence[int], cells: tuple[int, 
     return np.asarray(place[inside, 1] * cells[0] + place[inside, 0])
 
 
-def make_forecast(request: ForecastRequest) -> tuple[ForecastAnswer, bytes]:
-    """Forecast the expanded uncertainties that the first ``poses`` of a run's plan give; no bytes."""
-    from bench.base.errors import UsageError
-    from bench.results.forecasts import forecast_bench
-    from calib.errors import CalibrationError
-    from calib.model.result_parts import WORST_CORNER
-    from calib.studies.planning import forecast
+@dataclass(frozen=True)
+class ForecastRequest:
+    """The first ``poses`` of a run's plan, whose expanded uncertainties are forecast."""
 
-    plan = job_of_run(request["folder"]).plan
-    poses = [{f"{axis}_deg": deg for axis, deg in pose.angles_deg.items()} for pose in plan.poses]
-    try:
-        limited = forecast(forecast_bench(plan), poses[: request["poses"]]).limited
-    except (CalibrationError, UsageError):
-        return {"now": {}}, b""
-    now: Uncertainties = {}
-    if np.isfinite(limited["expanded_fx"]):
-        now["expanded_fx_px"] = float(limited["expanded_fx"])
-    if np.isfinite(limited[WORST_CORNER]):
-        now["worst_corner_px"] = float(limited[WORST_CORNER])
-    return {"now": now}, b""
+    folder: Path
+    poses: int
+
+    def answer(self) -> Uncertainties:
+        """Return them, empty where they are not known."""
+        from bench.base.errors import UsageError
+        from bench.results.forecasts import forecast_bench
+        from calib.errors import CalibrationError
+        from calib.model.result_parts import WORST_CORNER
+        from calib.studies.planning import forecast
+
+        plan = job_of_run(self.folder).plan
+        poses = [{f"{axis}_deg": deg for axis, deg in pose.angles_deg.items()} for pose in plan.poses]
+        try:
+            limited = forecast(forecast_bench(plan), poses[: self.poses]).limited
+        except (CalibrationError, UsageError):
+            return {}
+        now: Uncertainties = {}
+        if np.isfinite(limited["expanded_fx"]):
+            now["expanded_fx_px"] = float(limited["expanded_fx"])
+        if np.isfinite(limited[WORST_CORNER]):
+            now["worst_corner_px"] = float(limited[WORST_CORNER])
+        return now
 
 
 def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None:
@@ -230,12 +221,12 @@ def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None
     return answer, StoredImage.from_image(picture).png
 
 
-def _measured_picture(folder: Path, request: PictureRequest) -> tuple[PictureAnswer, bytes]:
-    job = job_of_run(str(folder))
-    step = job.record_step(request["pose"])
-    grid = request["expected_grid"]
+def _measured_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
+    job = job_of_run(request.folder)
+    step = job.record_step(request.pose)
+    grid = request.expected_grid
     found = job.camera_kind.measure(
-        folder / request["capture"],
+        request.folder / request.capture,
         step,
         job.frequency_hz(step),
         job.target,
@@ -257,30 +248,21 @@ def _given_grid(grid: Sequence[Sequence[float]], _image_size: tuple[int, int]) -
 
 
 @lru_cache(maxsize=_JOBS_KEPT)
-def job_of_run(folder: str) -> Job:
+def job_of_run(folder: Path) -> Job:
     """Return the task of a run; the last ones are kept."""
     from bench.plan.job import Job
 
-    return Job.from_run_folder(Path(folder))
+    return Job.from_run_folder(folder)
 
 
-Answer = tuple[Mapping[str, Any], bytes]
-OPERATIONS: Mapping[str, Callable[[Any], Answer]] = {
-    "picture": make_picture,
-    "coverage": make_coverage,
-    "forecast": make_forecast,
-}
-
-
-def answer_request(request: tuple[str, Mapping[str, Any]]) -> Answer:
-    """Do an operation with its arguments; one picture that fails must not end the others."""
+def answer_request(request: Request[T]) -> T | str:
+    """Answer a request, or say why it has no answer; one that fails must not end the others."""
     from bench.base.errors import Failure
 
-    operation, arguments = request
     try:
-        return OPERATIONS[operation](arguments)
+        return request.answer()
     except Exception as error:  # noqa: BLE001 - the answer says it
-        return {"fault": Failure.of(error).message}, b""
+        return Failure.of(error).message
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
@@ -19,10 +19,11 @@ from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Re
 from starlette.routing import Route
 
 from bench.base.errors import BenchError, Failure, RunFolderError, UsageError
-from bench.batch.batch_summary import RUNS, read_batch, read_batch_status, summarise
+from bench.batch.batch_summary import PAGE, RUNS, read_batch, read_batch_status, summarise
 from bench.panel.folder_list import FolderList
+from bench.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
 from bench.panel.line import Line
-from bench.panel.shown_run import FolderContent
+from bench.panel.shown_run import FolderContent, LogLine
 from bench.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
@@ -31,9 +32,6 @@ from bench.records.summaries import BatchSummary, ItemData
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
 from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
-
-if TYPE_CHECKING:
-    from bench.panel.helper_process import PictureAnswer, PictureRequest
 
 # A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
 # parameter.
@@ -204,15 +202,14 @@ class Panel:
     async def _first_page(self, _request: Request) -> Response:
         if self._line is not None:
             return RedirectResponse("/line", status_code=303)
-        if (self._list.root / "journal.jsonl").is_file():  # the folder is a run or a batch itself
-            kind = "batch" if (self._list.root / QUEUE_COPY).is_file() else "run"
-            return RedirectResponse(f"/{kind}/.", status_code=303)
+        if (self._list.root / JOURNAL).is_file():  # the folder is a run or a batch itself
+            return RedirectResponse(f"/{_kind_of(self._list.root)}/.", status_code=303)
         return FileResponse(ASSETS / "list.html")
 
     async def _report(self, request: Request) -> Response:
         """Answer with the report of a run, which may run no script here."""
-        folder = self._folder(request)
-        path = self._list.inside(folder / ("summary.html" if (folder / QUEUE_COPY).is_file() else REPORT))
+        folder = self._list.folder_of(request.path_params["key"])
+        path = self._list.inside(folder / (PAGE if _kind_of(folder) == "batch" else REPORT))
         if not path.is_file():
             raise RunFolderError("There is no report yet.", where=str(folder), remedy="Wait for its end.")
         policy = POLICY.replace("script-src 'self'", "script-src 'none'").replace(
@@ -247,19 +244,17 @@ class Panel:
             return self._list_text, 0
 
     # ---------------------------------------------------------------- a run
-    def _folder(self, request: Request) -> Path:
-        return self._list.folder_of(request.path_params["key"])
-
-    def _run_folder(self, request: Request) -> Path:
-        folder = self._folder(request)
-        if (folder / QUEUE_COPY).is_file():
+    def _folder(self, request: Request, kind: Literal["run", "batch"]) -> Path:
+        folder = self._list.folder_of(request.path_params["key"])
+        found = _kind_of(folder)
+        if found != kind:
             raise RunFolderError(
-                "This is a batch, not a run.", where=str(folder), remedy="Open it from the list."
+                f"This is a {found}, not a {kind}.", where=str(folder), remedy="Open it from the list."
             )
         return folder
 
     async def _run_stream(self, request: Request) -> EventStream:
-        folder = self._run_folder(request)
+        folder = self._folder(request, "run")
         after = last_id(request)
         return EventStream(self._run_messages(folder, whole_number(after or "0")))
 
@@ -284,28 +279,29 @@ class Panel:
 
     async def _run_state(self, request: Request) -> Response:
         """Answer with the whole state once, for a page that joins a stream that another page has opened."""
-        watch = await run_in_threadpool(self._watcher.open, self._run_folder(request))
-        try:
-            text, _, _ = watch.message(0, None)
-        finally:
-            self._watcher.leave(watch)
-        return Response(text, media_type="application/json")
+        folder = self._folder(request, "run")
+
+        def whole() -> str:
+            with self._watcher.watched(folder) as watch:
+                return watch.message(0, None)[0]
+
+        return Response(await run_in_threadpool(whole), media_type="application/json")
 
     async def _run_log(self, request: Request) -> Response:
         """Answer with older lines of the log."""
         before = whole_number(request.query_params.get("before", ""))
-        watch = await run_in_threadpool(self._watcher.open, self._run_folder(request))
-        try:
-            with watch.lock:
-                lines = watch.model.log_before(before, MOST_LOG_LINES)
-        finally:
-            self._watcher.leave(watch)
-        return JSONResponse({"log": lines})
+        folder = self._folder(request, "run")
+
+        def older() -> list[LogLine]:
+            with self._watcher.watched(folder) as watch, watch.lock:
+                return watch.model.log_before(before, MOST_LOG_LINES)
+
+        return JSONResponse({"log": await run_in_threadpool(older)})
 
     # ---------------------------------------------------------------- pictures
     async def _picture(self, request: Request) -> Response:
         """Answer with the stars of a recording, or with its image (``?png``)."""
-        folder = self._run_folder(request)
+        folder = self._folder(request, "run")
         place = whole_number(request.path_params["pose"]), whole_number(request.path_params["attempt"])
         measure = "measure" in request.query_params
         answer, png = await run_in_threadpool(self._picture_of, folder, place, measure)
@@ -316,39 +312,33 @@ class Panel:
         return Response(png, media_type="image/png")
 
     def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> tuple[PictureAnswer, bytes]:
-        from bench.panel.helper_process import picture_of_view
-
-        watch = self._watcher.open(folder)
-        try:
-            with watch.lock:
-                model = watch.model
-                found = next((a for a in model.history.attempts_at(place[0]) if a.attempt == place[1]), None)
-                row = model.rows.get(place[0])
-                accepted = model.history.accepted().get(place[0])
-                solved = bool(model.history.solved)
-                left = watch.views.get(place)
-        finally:
-            self._watcher.leave(watch)
+        with self._watcher.watched(folder) as watch, watch.lock:
+            model = watch.model
+            found = next((a for a in model.history.attempts_at(place[0]) if a.attempt == place[1]), None)
+            row = model.rows.get(place[0])
+            accepted = model.history.accepted().get(place[0])
+            solved = bool(model.history.solved)
+            left = watch.views.get(place)
         if found is None or row is None:
             return {"fault": "There is no such recording."}, b""
         is_accepted = accepted is not None and accepted.attempt == place[1]
         if left is not None and not (is_accepted and solved):
             return picture_of_view(left), left.png
-        request: PictureRequest = {
-            "folder": str(folder),
-            "pose": place[0],
-            "pose_name": row["name"],
-            "capture": found.stored["capture"],
-            "expected_grid": found.measured.get("expected_grid"),
-            "accepted": is_accepted and solved,
-            "measure": measure,
-        }
-        return self._helper.picture(place[1], request)
+        request = PictureRequest(
+            folder,
+            *place,
+            row["name"],
+            found.stored["capture"],
+            found.measured.get("expected_grid"),
+            accepted=is_accepted and solved,
+            measure=measure,
+        )
+        return self._helper.picture(request)
 
     # ---------------------------------------------------------------- commands
     async def _command(self, request: Request) -> Response:
         """Put a command into the inbox of a run, and answer with what the run has decided."""
-        folder = self._run_folder(request)
+        folder = self._folder(request, "run")
         given = await read_object(request)
         confirmed = given.pop("confirm", None)
         if isinstance(given.get("by"), str):
@@ -366,12 +356,7 @@ class Panel:
 
     # ---------------------------------------------------------------- a batch
     def _batch(self, request: Request) -> BatchView:
-        folder = self._folder(request)
-        if not (folder / QUEUE_COPY).is_file():
-            raise RunFolderError(
-                "This is a run, not a batch.", where=str(folder), remedy="Open it from the list."
-            )
-
+        folder = self._folder(request, "batch")
         return self._batches.setdefault(folder, BatchView(folder))
 
     async def _batch_stream(self, request: Request) -> EventStream:
@@ -380,6 +365,10 @@ class Panel:
     async def _batch_state(self, request: Request) -> Response:
         text, _ = await run_in_threadpool(self._batch(request).text)
         return Response(text, media_type="application/json")
+
+
+def _kind_of(folder: Path) -> Literal["run", "batch"]:
+    return "batch" if (folder / QUEUE_COPY).is_file() else "run"
 
 
 def _page(name: str) -> Callable[[Request], Response]:

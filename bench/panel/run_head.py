@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -16,20 +15,15 @@ from bench.evidence.states import home_trust, shown_state
 from bench.panel.run_model import RunModel
 from bench.panel.shown_run import (
     CountsData,
-    DecisionData,
     LastRecording,
     LeaveData,
-    LightData,
-    Possible,
     QuestionData,
-    RecordingPlace,
+    RunBrief,
     RunHead,
-    SolvedData,
-    StageData,
     StateData,
     TimesData,
 )
-from bench.records.events import Asked, Solved, UntilDecided
+from bench.records.events import Asked, AttemptChecked, CaptureStored
 from bench.records.run_folder import is_sealed
 from bench.records.storage import is_locked
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
@@ -183,8 +177,6 @@ def _needed_bytes(model: RunModel) -> float:
 
 _MOST_DEVIATIONS = 30
 _MOST_DECISIONS = 200
-_FACTS = ("events", "duration_s", "triggers", "temperature_c", "frames")
-"""Facts of a recording that the page shows."""
 _TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted": "bad", "running": "busy"}
 
 
@@ -203,9 +195,9 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
     return how, _TONES[how]
 
 
-def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
-    """Return the upper part of a run's page."""
-    history, plan = model.history, model.plan
+def brief_of(model: RunModel, process: ProcessState, now: datetime) -> RunBrief:
+    """Return what the list of a folder shows of a run, too."""
+    history = model.history
     started = history.started
     verdict, tone = verdict_of(model, process)
     return {
@@ -215,33 +207,46 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
         "operator": started.get("operator"),
         "simulated": bool(started.get("simulated", False)),
         "rehearsal": bool(started.get("rehearsal", False)),
-        "camera": dict(history.devices.get("camera", {})),
         "verdict": verdict,
         "tone": tone,
         "running": process.running,
-        "sealed": process.sealed,
-        "evidence": _evidence(model.folder, now) if process.sealed else "",
-        "ended": history.ended,
         "why": history.why,
-        "remedy": history.failures[-1]["remedy"] if history.ended == "failed" and history.failures else "",
-        "faults": [fault for fault in (model.tail.fault, model.fault, process.fault, plan.fault) if fault],
-        "incomplete": model.tail.incomplete and not process.running,
-        "read_share": round(model.tail.read_share, 3) if model.tail.more else 1.0,
+        "deviation_count": len(history.deviations),
         "leave": may_leave(model, process, now),
         **_state(model, process),
         **_times(model, process, now),
         **_counts(model),
+    }
+
+
+def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
+    """Return the upper part of a run's page."""
+    history = model.history
+    left_s = _left_s(model, process, now)
+    return {
+        **brief_of(model, process, now),
+        "camera": dict(history.devices.get("camera", {})),
+        "sealed": process.sealed,
+        "evidence": _evidence(model.folder, now) if process.sealed else "",
+        "ended": history.ended,
+        "remedy": history.failures[-1]["remedy"] if history.ended == "failed" and history.failures else "",
+        "faults": faults_of(model, process),
+        "incomplete": model.tail.incomplete and not process.running,
+        "read_share": round(model.tail.read_share, 3) if model.tail.more else 1.0,
+        "left_s": None if left_s is None else round(left_s, 1),
         "deviations": history.deviations[-_MOST_DEVIATIONS:],
-        "deviation_count": len(history.deviations),
         "gate_failures": model.gate_failures,
         "last": _last(model),
-        "checked": _checked_place(model),
-        "light": _light(model),
-        "stage": _stage(model),
+        "target_deg": dict(model.last_target_deg),
         "can": _possible(model, process),
-        "decisions": [_decision(one) for one in history.decisions[-_MOST_DECISIONS:]],
-        "solved": _solved(history.solved),
+        "decisions": history.decisions[-_MOST_DECISIONS:],
+        "solved": history.solved or None,
     }
+
+
+def faults_of(model: RunModel, process: ProcessState) -> list[str]:
+    """Return why a run cannot be shown completely."""
+    return [fault for fault in (model.tail.fault, model.fault, process.fault, model.plan.fault) if fault]
 
 
 def _state(model: RunModel, process: ProcessState) -> StateData:
@@ -268,24 +273,33 @@ def _question(model: RunModel, asked: Asked) -> QuestionData:
         "text": model.history.question,
         "default": asked["default"],
         "until_utc": until,
-        "answered": model.history.answer is not None,
     }
+
+
+def _left_s(model: RunModel, process: ProcessState, now: datetime) -> float | None:
+    """Return how much work is left, s; None where no end is expected."""
+    history = model.history
+    if not process.running or history.ended or model.plan.fault:
+        return None
+    if history.states and history.states[-1]["state"] in END_STATES:
+        return None
+    return model.time_left.left_s(now, held=_waits(model))
+
+
+def _waits(model: RunModel) -> bool:
+    """Return whether the run goes on only after a release or an answer."""
+    history = model.history
+    return bool(history.holder or history.interlock or history.question)
 
 
 def _times(model: RunModel, process: ProcessState, now: datetime) -> TimesData:
     history = model.history
-    ended_utc = history.states[-1]["utc"] if history.ended and history.states else ""
-    going_on = process.running and not history.ended and not model.plan.fault
-    if not going_on or (history.states and history.states[-1]["state"] in END_STATES):
-        return {"started_utc": history.started_utc, "ended_utc": ended_utc, "left_s": None, "end_utc": ""}
-    held = bool(history.holder or history.interlock or history.question)
-    left_s = model.time_left.left_s(now, held=held)
-    end_utc = "" if held else (now + timedelta(seconds=left_s)).isoformat(timespec="seconds")
+    left_s = _left_s(model, process, now)
+    expected = now + timedelta(seconds=left_s) if left_s is not None and not _waits(model) else None
     return {
         "started_utc": history.started_utc,
-        "ended_utc": "",
-        "left_s": round(left_s, 1),
-        "end_utc": end_utc,
+        "ended_utc": history.states[-1]["utc"] if history.ended and history.states else "",
+        "end_utc": expected.isoformat(timespec="seconds") if expected is not None else "",
     }
 
 
@@ -299,7 +313,6 @@ def _counts(model: RunModel) -> CountsData:
         "accepted": len(history.accepted()),
         "skipped": len(history.skipped),
         "recordings": recordings + lost,
-        "lost": lost,
         "retries": max(
             0, recordings + lost - len({*history.lost, *(a.pose_index for a in history.attempts)})
         ),
@@ -312,56 +325,20 @@ def _last(model: RunModel) -> LastRecording | None:
     stored, checked = model.last_stored, model.last_checked
     if stored is None:
         return None
-    facts: Mapping[str, object] = stored["facts"]
-    found: LastRecording = {
-        "pose": stored["pose"],
-        "pose_name": stored["pose_name"],
-        "attempt": stored["attempt"],
-        "utc": model.stored_utc,
-        "facts": {name: facts[name] for name in _FACTS if facts.get(name) is not None},
-        "checked": False,
-    }
-    if checked is None:
-        return found
-    if (checked["pose"], checked["attempt"]) != (stored["pose"], stored["attempt"]):
-        return {**found, "gates_before": checked["gates"]}
-    measured = checked["measured"]
+    is_own = checked is not None and _place(checked) == _place(stored)
     return {
-        **found,
-        "accepted": checked["accepted"],
-        "reasons": checked["reasons"],
-        "stars": checked["stars"],
-        "gates": checked["gates"],
-        "edge_width_px": measured.get("edge_width_px"),
-        "flicker_hz": measured.get("flicker_hz"),
-        "checked": True,
-    }
-
-
-def _checked_place(model: RunModel) -> RecordingPlace | None:
-    """Return which recording was checked last; the run has left its picture."""
-    checked = model.last_checked
-    return {"pose": checked["pose"], "attempt": checked["attempt"]} if checked is not None else None
-
-
-def _light(model: RunModel) -> LightData | None:
-    """Return the light as it was read back at the last recording."""
-    stored = model.last_stored
-    return (
-        {"utc": model.stored_utc, "settings": dict(stored["light"])} if stored and stored["light"] else None
-    )
-
-
-def _stage(model: RunModel) -> StageData:
-    stored = model.last_stored
-    return {
-        "target_deg": dict(model.last_target_deg),
-        "measured_deg": dict(stored["measured_deg"]) if stored else {},
         "utc": model.stored_utc,
+        "stored": stored,
+        "checked": checked if is_own else None,
+        "before": None if is_own else checked,
     }
 
 
-def _possible(model: RunModel, process: ProcessState) -> Possible:
+def _place(recording: CaptureStored | AttemptChecked) -> tuple[int, int]:
+    return recording["pose"], recording["attempt"]
+
+
+def _possible(model: RunModel, process: ProcessState) -> dict[str, bool]:
     """Return which commands make sense now; the run itself decides on each."""
     history = model.history
     takes = process.running and process.takes_commands and not history.ended
@@ -371,35 +348,6 @@ def _possible(model: RunModel, process: ProcessState) -> Possible:
         "skip": takes,
         "abort": takes,
         "answer": takes and bool(history.question) and history.answer is None,
-    }
-
-
-def _decision(decided: UntilDecided) -> DecisionData:
-    chosen = decided.get("chosen")
-    why = chosen["why"] if chosen else ""
-    return {
-        "poses": decided["poses"],
-        "now": dict(decided["now"]),
-        "wanted": dict(decided["wanted"]),
-        "expected": dict(chosen["expected"]) if chosen else {},
-        "next": chosen["pose_name"] if chosen else "",
-        "why": why or decided.get("why") or decided.get("problem") or "",
-        "ended": decided.get("ended", ""),
-    }
-
-
-def _solved(solved: Solved) -> SolvedData | None:
-    if not solved:
-        return None
-    sigma = solved["sigma"]
-    return {
-        "model": solved["model"],
-        "rms_px": solved["rms_px"],
-        "parameters": [
-            {"name": name, "value": value, "sigma": sigma[name]}
-            for name, value in solved["values"].items()
-            if name in sigma
-        ],
     }
 
 

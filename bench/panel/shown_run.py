@@ -7,9 +7,9 @@ read it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Any, Literal, TypedDict
 
-from bench.records.events import GateData
+from bench.records.events import AttemptChecked, CaptureStored, Solved, UntilDecided
 
 PoseState = Literal["planned", "at work", "accepted", "rejected", "lost", "skipped"]
 
@@ -51,7 +51,6 @@ class QuestionData(TypedDict):
     text: str
     default: str
     until_utc: str  # Time at which the default is taken; empty if the run waits without end
-    answered: bool
 
 
 class StateData(TypedDict):
@@ -67,11 +66,10 @@ class StateData(TypedDict):
 
 
 class TimesData(TypedDict):
-    """Begin and end; ``left_s`` is None where no end is expected."""
+    """Begin and end, as far as they are known or expected; empty if not."""
 
     started_utc: str
     ended_utc: str
-    left_s: float | None
     end_utc: str
 
 
@@ -83,91 +81,21 @@ class CountsData(TypedDict):
     accepted: int
     skipped: int
     recordings: int
-    lost: int
     retries: int
     resumed: int
 
 
 class LastRecording(TypedDict):
-    """The newest recording; the verdict stands there once it is measured, before that the gates of the one before."""
-
-    pose: int
-    pose_name: str
-    attempt: int
-    utc: str
-    facts: Mapping[str, object]  # Those of `drivers.camera.RecordingFacts` that the page shows
-    checked: bool
-    accepted: NotRequired[bool]
-    reasons: NotRequired[Sequence[str]]
-    stars: NotRequired[int]
-    gates: NotRequired[Sequence[GateData]]
-    edge_width_px: NotRequired[float | None]
-    flicker_hz: NotRequired[float | None]
-    gates_before: NotRequired[Sequence[GateData]]
-
-
-class RecordingPlace(TypedDict):
-    """Which recording it is."""
-
-    pose: int
-    attempt: int
-
-
-class LightData(TypedDict):
-    """The light as it was read back at the last recording."""
+    """The newest recording, as the journal has it."""
 
     utc: str
-    settings: Mapping[str, Any]
+    stored: CaptureStored
+    checked: AttemptChecked | None  # Its own verdict; None until it is measured
+    before: AttemptChecked | None  # Until then the verdict of a recording before
 
 
-class StageData(TypedDict):
-    """Where the stage was sent last, and where it was at the last recording."""
-
-    target_deg: Mapping[str, float]
-    measured_deg: Mapping[str, float]
-    utc: str
-
-
-class Possible(TypedDict):
-    """Which commands make sense now."""
-
-    hold: bool
-    release: bool
-    skip: bool
-    abort: bool
-    answer: bool
-
-
-class DecisionData(TypedDict):
-    """What an ``until`` found, px expanded, and its next pose or its end."""
-
-    poses: int
-    now: Mapping[str, float]
-    wanted: Mapping[str, float]
-    expected: Mapping[str, float]
-    next: str
-    why: str
-    ended: str
-
-
-class SolvedParameter(TypedDict):
-    """One parameter of the calibration with its standard uncertainty."""
-
-    name: str
-    value: float
-    sigma: float
-
-
-class SolvedData(TypedDict):
-    """The calibration that stands."""
-
-    model: str
-    rms_px: float
-    parameters: Sequence[SolvedParameter]
-
-
-class RunHead(StateData, TimesData, CountsData):
-    """The upper part of the page."""
+class RunBrief(StateData, TimesData, CountsData):
+    """What the page of a run and the list of a folder show."""
 
     id: str
     sequence: str
@@ -175,29 +103,33 @@ class RunHead(StateData, TimesData, CountsData):
     operator: str | None
     simulated: bool
     rehearsal: bool
-    camera: Mapping[str, Any]
     verdict: str
     tone: str
     running: bool
+    why: str
+    deviation_count: int
+    leave: LeaveData
+
+
+class RunHead(RunBrief):
+    """The upper part of the page."""
+
+    camera: Mapping[str, Any]
     sealed: bool
     evidence: str
     ended: str
-    why: str
     remedy: str
     faults: Sequence[str]
     incomplete: bool
     read_share: float
-    leave: LeaveData
+    left_s: float | None  # None where no end is expected
     deviations: Sequence[str]
-    deviation_count: int
     gate_failures: Mapping[str, int]
     last: LastRecording | None
-    checked: RecordingPlace | None
-    light: LightData | None
-    stage: StageData
-    can: Possible
-    decisions: Sequence[DecisionData]
-    solved: SolvedData | None
+    target_deg: Mapping[str, float]  # Where the stage was sent last
+    can: Mapping[str, bool]  # Which commands make sense now
+    decisions: Sequence[UntilDecided]
+    solved: Solved | None  # The calibration that stands
 
 
 class Coverage(TypedDict):
@@ -244,41 +176,12 @@ class RunMessage(RunExtras):
     log: Sequence[LogLine]
 
 
-class RunBrief(TypedDict):
-    """The part of `RunHead` that the list of a folder repeats, in its order."""
-
-    id: str
-    sequence: str
-    station: str
-    operator: str | None
-    simulated: bool
-    rehearsal: bool
-    verdict: str
-    tone: str
-    running: bool
-    why: str
-    started_utc: str
-    ended_utc: str
-    end_utc: str
-    poses: int
-    most_poses: int
-    accepted: int
-    deviation_count: int
-    state: str
-    pose: int | None
-    holder: str
-    interlock: str
-    question: QuestionData | None
-
-
 class ListedRun(RunBrief):
     """One run in the list of a folder."""
 
     key: str  # By which a page names it: its path relative to the folder
     camera: str  # Its serial number
     fault: str
-    leave: LeaveData
-    reached: Mapping[str, float]  # What its ``until`` has reached, px expanded
 
 
 class ListedBatch(TypedDict):

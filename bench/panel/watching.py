@@ -10,30 +10,27 @@ import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
+from typing import Any, TypeVar
 
 from bench.base.errors import Failure
 from bench.base.worker_process import WorkerProcess
+from bench.panel.helper_process import (
+    CoverageRequest,
+    ForecastRequest,
+    PictureAnswer,
+    PictureRequest,
+    Request,
+)
 from bench.panel.run_head import ProcessState, head_of, look_at_process
 from bench.panel.run_model import RunModel, read_final
 from bench.panel.shown_run import Coverage, Forecast, RunExtras, RunHead, RunMessage
 from bench.records.history import History
 from bench.run.heartbeat import LastView, read_last_view
 from bench.web.pages import Changes
-
-if TYPE_CHECKING:
-    from bench.panel.helper_process import (
-        CoverageAnswer,
-        CoverageRequest,
-        ForecastAnswer,
-        ForecastRequest,
-        PictureAnswer,
-        PictureRequest,
-    )
 
 LOOK_S = 0.02
 """Time between two looks at a journal, s."""
@@ -186,6 +183,15 @@ class Watcher:
         if self._thread.is_alive():
             self._thread.join()
 
+    @contextmanager
+    def watched(self, folder: Path) -> Iterator[RunWatch]:
+        """Watch a run for a moment. Not for the server's own thread, as `open`."""
+        watch = self.open(folder)
+        try:
+            yield watch
+        finally:
+            self.leave(watch)
+
     def open(self, folder: Path) -> RunWatch:
         """Watch a run for one more page. Reads the begin of its journal, so not for the server's own thread."""
         with self._lock:
@@ -227,6 +233,7 @@ class Watcher:
             return [watch for watch in self._watches.values() if watch.readers > 0]
 
 
+T = TypeVar("T")
 _MOST_PICTURES = 60
 
 
@@ -235,37 +242,25 @@ class Helper:
 
     def __init__(self) -> None:
         self._worker = WorkerProcess("bench.panel.helper_process")
-        self._kept: OrderedDict[tuple[str, int, int, bool], tuple[PictureAnswer, bytes]] = OrderedDict()
+        self._kept: OrderedDict[tuple[Path, int, int, bool], tuple[PictureAnswer, bytes]] = OrderedDict()
 
-    @overload
-    def ask(
-        self, operation: Literal["picture"], **request: Unpack[PictureRequest]
-    ) -> tuple[PictureAnswer, bytes]: ...
-
-    @overload
-    def ask(
-        self, operation: Literal["coverage"], **request: Unpack[CoverageRequest]
-    ) -> tuple[CoverageAnswer, bytes]: ...
-
-    @overload
-    def ask(
-        self, operation: Literal["forecast"], **request: Unpack[ForecastRequest]
-    ) -> tuple[ForecastAnswer, bytes]: ...
-
-    def ask(self, operation: str, **request: Any) -> Any:
-        """Do an operation of `helper_process.OPERATIONS`; the answer has a ``fault`` if it failed."""
+    def ask(self, request: Request[T]) -> T | str:
+        """Return the answer to a request, or say why it has none."""
         try:
-            return self._worker.ask((operation, request))
+            answer: T | str = self._worker.ask(request)
         except EOFError:
             ended = "The helper process of the panel has ended; it is started again with the next request."
-            return {"fault": "The panel is ending." if self._worker.closed else ended}, b""
+            return "The panel is ending." if self._worker.closed else ended
+        return answer
 
-    def picture(self, attempt: int, request: PictureRequest) -> tuple[PictureAnswer, bytes]:
+    def picture(self, request: PictureRequest) -> tuple[PictureAnswer, bytes]:
         """Return a picture; one that was made before is not made again."""
-        key = request["folder"], request["pose"], attempt, request["accepted"]
+        key = request.folder, request.pose, request.attempt, request.accepted
         if key in self._kept:
             return self._kept[key]
-        answer = self.ask("picture", **request)
+        answer = self.ask(request)
+        if isinstance(answer, str):
+            return {"fault": answer}, b""
         if answer[1]:
             self._kept[key] = answer
             while len(self._kept) > _MOST_PICTURES:
@@ -320,17 +315,11 @@ class Extras:
             self._forecast_left = forecast_poses(poses)
         if not grids or size is None:
             return False
-        answer, _ = await asyncio.to_thread(
-            self._helper.ask,
-            "coverage",
-            folder=str(model.folder),
-            size=size,
-            cells=CELLS,
-            grids=grids,
-        )
+        request = CoverageRequest(model.folder, size, CELLS, grids)
+        counts = await asyncio.to_thread(self._helper.ask, request)
         self._covered += len(grids)
-        if "counts" in answer:
-            self._counts = [a + b for a, b in zip(self._counts, answer["counts"], strict=True)]
+        if not isinstance(counts, str):
+            self._counts = [a + b for a, b in zip(self._counts, counts, strict=True)]
             share = sum(count > 0 for count in self._counts) / len(self._counts)
             coverage: Coverage = {
                 "cells": CELLS,
@@ -347,22 +336,19 @@ class Extras:
         if not self._forecast_left:
             return False
         poses = self._forecast_left.pop(0)
-        answer, _ = await asyncio.to_thread(
-            self._helper.ask, "forecast", folder=str(self._watch.model.folder), poses=poses
-        )
-        if answer.get("now"):
-            self._forecast.append({"poses": poses, "now": answer["now"]})
+        request = ForecastRequest(self._watch.model.folder, poses)
+        now = await asyncio.to_thread(self._helper.ask, request)
+        if now and not isinstance(now, str):
+            self._forecast.append({"poses": poses, "now": now})
             self._forecast.sort(key=lambda one: one["poses"])
             self._watch.tell({"forecast": list(self._forecast)})
         return True
 
 
-def _grids(history: History) -> list[tuple[int, Sequence[Sequence[float]], int]]:
-    """Return pose, grid and number of stars of the accepted recordings, in the order of their acceptance."""
-    checked = [(pose, one.checked) for pose, one in history.accepted().items() if one.checked is not None]
-    return [
-        (pose, one["measured"]["grid"], one["stars"]) for pose, one in checked if "grid" in one["measured"]
-    ]
+def _grids(history: History) -> list[tuple[Sequence[Sequence[float]], int]]:
+    """Return grid and number of stars of the accepted recordings, in the order of their acceptance."""
+    checked = [one.checked for one in history.accepted().values() if one.checked is not None]
+    return [(one["measured"]["grid"], one["stars"]) for one in checked if "grid" in one["measured"]]
 
 
 def forecast_poses(poses: int) -> list[int]:

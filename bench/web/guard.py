@@ -22,7 +22,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote, urlsplit
@@ -280,13 +279,8 @@ class Guard:
         )
 
     def _has_cookie(self, request: Request) -> bool:
-        cookies: SimpleCookie = SimpleCookie()
-        try:
-            cookies.load(request.headers.get("cookie", ""))
-        except CookieError:
-            return False
-        kept = cookies.get(self._cookie)
-        return kept is not None and hmac.compare_digest(kept.value.encode(), self._session.encode())
+        kept = request.cookies.get(self._cookie, "")
+        return hmac.compare_digest(kept.encode(), self._session.encode())
 
     async def _sign_in(self, request: Request) -> Response:
         if request.method == "GET":

@@ -58,15 +58,15 @@ function drawSoon(part, work) {
 }
 
 function draw(message) {
-  const { last, checked, light, stage, camera, deviations, decisions, solved, gate_failures: failures, ...rest } = head;
+  const { last, target_deg: target, camera, deviations, decisions, solved, gate_failures: failures, ...rest } = head;
   if (changed("head", [rest, final])) { drawHead(); drawFigures(); drawButtons(); }
   if (message.log.length || message.reset) drawLog();
   if (changed("uncertainty", [decisions, forecast, final, solved, head.ended, head.sealed])) drawSoon("uncertainty", drawUncertainty);
   if (changed("coverage", [coverage?.poses, coverage?.share, head.accepted > 0])) drawSoon("coverage", drawCoverage);
   if (changed("gates", [last, failures])) drawSoon("gates", drawGates);
-  if (changed("devices", [light, stage, camera, last, deviations])) drawSoon("devices", drawDevices);
+  if (changed("devices", [target, camera, last, deviations])) drawSoon("devices", drawDevices);
   if (message.rows.length || message.reset) drawSoon("poses", drawPoses);
-  if (changed("picture", [last, checked, solved !== null, head.running])) drawSoon("picture", showPicture);
+  if (changed("picture", [last, solved !== null, head.running])) drawSoon("picture", showPicture);
 }
 
 // ---------------------------------------------------------------- upper part
@@ -198,20 +198,25 @@ at("abort").addEventListener("click", async () => {
 async function showPicture() {
   const last = head.last;
   // While the run works, the picture of a recording comes with its verdict; until then the one before is shown.
-  const shown = chosen || (head.running ? head.checked : last && { pose: last.pose, attempt: last.attempt });
+  const shown = chosen || (head.running ? last?.checked ?? last?.before : last?.stored);
   at("picture-last").hidden = !chosen;
   if (!shown) { if (!pictureKey) fill(at("picture"), el("div", { class: "none" }, "No recording yet.")); return; }
   if (head.rehearsal) { fill(at("picture"), el("div", { class: "none" }, "A rehearsal makes no recordings.")); return; }
-  const isLast = last && shown.pose === last.pose && shown.attempt === last.attempt;
+  const isLast = isOfLast(shown);
   const row = rows.get(shown.pose), solved = Boolean(head.solved);
   const wanted = `${shown.pose}/${shown.attempt}/${solved}/${head.running}`;
   if (wanted === pictureKey) return;
   pictureKey = wanted;
   setText(at("picture-title"), `${chosen ? "P" : isLast ? "Last recording: p" : "Recording before: p"}ose ${shown.pose}${row ? ` (${row.name})` : ""}, attempt ${shown.attempt}`);
   const accepted = row && row.state === "accepted" && row.last === shown.attempt;
-  fill(at("picture-verdict"), isLast && last.checked ? el("span", { class: `pill ${last.accepted ? "good" : "bad"}` }, last.accepted ? "accepted" : "rejected") : accepted ? el("span", { class: "pill good" }, "accepted") : null);
+  fill(at("picture-verdict"), isLast && last.checked ? el("span", { class: `pill ${last.checked.accepted ? "good" : "bad"}` }, last.checked.accepted ? "accepted" : "rejected") : accepted ? el("span", { class: "pill good" }, "accepted") : null);
   if (!at("picture").firstElementChild) fill(at("picture"), el("div", { class: "none" }, "Making the picture …"));
   await loadPicture(shown, wanted, !head.running);
+}
+
+function isOfLast(shown) {
+  const last = head.last?.stored;
+  return Boolean(last) && shown.pose === last.pose && shown.attempt === last.attempt;
 }
 
 async function loadPicture(shown, wanted, measure) {
@@ -245,11 +250,11 @@ async function loadPicture(shown, wanted, measure) {
   const parts = [plural(found.stars.length, "star")];
   if (found.residuals) parts.push(`residuals against ${found.residuals_of}, drawn ${scale} times larger, RMS ${number(found.rms_px)} px`);
   if (found.fault) parts.push(found.fault);
-  const last = head.last;
-  if (last && last.pose === shown.pose && last.attempt === shown.attempt) {
-    if (last.reasons?.length) parts.push(`rejected: ${last.reasons.join("; ")}`);
-    if (last.edge_width_px) parts.push(`edges of the stars ${number(last.edge_width_px)} px wide`);
-    parts.push(`recorded at ${clockText(last.utc, true)}`);
+  if (isOfLast(shown)) {
+    const { checked, utc } = head.last;
+    if (checked?.reasons.length) parts.push(`rejected: ${checked.reasons.join("; ")}`);
+    if (checked?.measured.edge_width_px) parts.push(`edges of the stars ${number(checked.measured.edge_width_px)} px wide`);
+    parts.push(`recorded at ${clockText(utc, true)}`);
   }
   setText(note, `${parts.join("; ")}.`);
 }
@@ -336,7 +341,7 @@ function drawUncertainty() {
   for (const [name, title] of names) {
     const reached = head.decisions.filter((one) => Number.isFinite(one.now[name])).map((one) => [one.poses, one.now[name]]);
     const expected = forecast.filter((one) => Number.isFinite(one.now[name])).map((one) => [one.poses, one.now[name]]);
-    const chosenNext = head.decisions.filter((one) => Number.isFinite(one.expected[name])).map((one) => [one.poses + 1, one.expected[name]]);
+    const chosenNext = head.decisions.filter((one) => Number.isFinite(one.chosen?.expected[name])).map((one) => [one.poses + 1, one.chosen.expected[name]]);
     if (!reached.length && !expected.length) {
       if (final[name] !== undefined) parts.push(el("p", {}, `${title.replace(", px", "")}: `, el("b", {}, `${number(final[name])} px`)));
       continue;
@@ -351,10 +356,10 @@ function drawUncertainty() {
   setText(at("uncertainty-note"), `U, k = ${number(k)}, pose by pose`);
   if (parts.length) parts.push(legend([["var(--muted)", "expected by the plan", true], ...(head.decisions.length ? [["var(--plot-1)", "reached"], ["var(--plot-5)", "expected with the next pose"]] : [])]));
   if (solved) parts.push(el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, `Result (${solved.model}, RMS ${number(solved.rms_px)} px)`), el("th", { class: "n" }, "value ± U"))),
-    el("tbody", {}, solved.parameters.slice(0, 12).map((one) => el("tr", {}, el("td", {}, one.name), el("td", { class: "n" }, withUncertainty(one.value, one.sigma, k))))))));
+    el("tbody", {}, Object.entries(solved.values).filter(([name]) => name in solved.sigma).slice(0, 12).map(([name, value]) => el("tr", {}, el("td", {}, name), el("td", { class: "n" }, withUncertainty(value, solved.sigma[name], k))))))));
   if (head.ended === "finished" && head.sealed) parts.push(el("p", { class: "screen" }, el("a", { class: "button", href: `/report/${key}` }, "Open the report")));
   if (head.evidence) parts.push(el("p", { class: "note" }, head.evidence));
-  const why = head.decisions.length ? head.decisions[head.decisions.length - 1].why : "";
+  const decided = head.decisions.at(-1), why = decided?.chosen?.why || decided?.why || decided?.problem;
   if (why) parts.push(el("p", { class: "note" }, why));
   if (!parts.length) parts.push(el("p", { class: "note" }, "Nothing is known before the calibration: the station file states nothing to expect, or the forecast is not made yet."));
   fill(at("uncertainty"), parts);
@@ -376,8 +381,8 @@ function drawCoverage() {
 }
 
 function drawGates() {
-  const last = head.last, gates = last ? last.gates || last.gates_before || [] : [];
-  setText(at("gates-note"), !last ? "" : last.gates ? `pose ${last.pose}, attempt ${last.attempt}` : "of the recording before");
+  const last = head.last, gates = (last?.checked ?? last?.before)?.gates || [];
+  setText(at("gates-note"), !last ? "" : last.checked ? `pose ${last.stored.pose}, attempt ${last.stored.attempt}` : "of the recording before");
   const order = { fail: 0, marginal: 1, pass: 2 };
   fill(at("gates"), [...gates].sort((a, b) => order[a.verdict] - order[b.verdict]).map((gate) => el("tr", {}, el("td", { class: "name" }, gate.name, head.gate_failures[gate.name] ? el("div", { class: "why" }, `rejected ${plural(head.gate_failures[gate.name], "recording")}`) : null),
     el("td", { class: "n" }, `${number(gate.value)} ${gate.unit}`), el("td", { class: "n", "data-label": "limit" }, gate.limit), el("td", {}, el("span", { class: `pill ${{ pass: "good", marginal: "warn", fail: "bad" }[gate.verdict] || ""}` }, gate.verdict)))),
@@ -385,19 +390,19 @@ function drawGates() {
 }
 
 function drawDevices() {
-  const facts = [], read = head.light ? ` (read back at ${clockText(head.light.utc, true)})` : "";
-  if (head.light) {
-    const s = head.light.settings;
-    facts.push(["Light", [s.waveform, s.frequency_hz && `${number(s.frequency_hz, 6)} Hz`, s.duty_percent && `${number(s.duty_percent)} % duty`, s.high_v !== undefined && s.low_v !== undefined ? `${number(s.low_v)} to ${number(s.high_v)} V` : null].filter(Boolean).join(", ") + read]);
+  const facts = [], { utc, stored, checked } = head.last || {};
+  if (Object.keys(stored?.light || {}).length) {
+    const s = stored.light;
+    facts.push(["Light", [s.waveform, s.frequency_hz && `${number(s.frequency_hz, 6)} Hz`, s.duty_percent && `${number(s.duty_percent)} % duty`, s.high_v !== undefined && s.low_v !== undefined ? `${number(s.low_v)} to ${number(s.high_v)} V` : null].filter(Boolean).join(", ") + ` (read back at ${clockText(utc, true)})`]);
   }
   const degrees = (angles) => Object.entries(angles).filter(([axis]) => !axis.endsWith("_encoder")).map(([axis, deg]) => `${axis} ${Number(deg).toFixed(4)}°`).join(", ");
-  if (Object.keys(head.stage.target_deg).length) facts.push(["Stage, target", degrees(head.stage.target_deg)]);
-  if (Object.keys(head.stage.measured_deg).length) facts.push(["Stage, read back", `${degrees(head.stage.measured_deg)} (${clockText(head.stage.utc, true)})`]);
-  const camera = head.camera, last = head.last?.facts || {};
+  if (Object.keys(head.target_deg).length) facts.push(["Stage, target", degrees(head.target_deg)]);
+  if (Object.keys(stored?.measured_deg || {}).length) facts.push(["Stage, read back", `${degrees(stored.measured_deg)} (${clockText(utc, true)})`]);
+  const camera = head.camera, recorded = stored?.facts || {};
   if (camera.serial) facts.push(["Camera", [camera.maker, camera.model, camera.sensor, `serial ${camera.serial}`, camera.lens].filter(Boolean).join(", ")]);
-  if (last.temperature_c !== undefined) facts.push(["Temperature", `${number(last.temperature_c)} °C`]);
-  if (last.events !== undefined && last.duration_s) facts.push(["Event rate", `${number(last.events / last.duration_s / 1e6)} million events/s`]);
-  if (head.last?.flicker_hz) facts.push(["Flicker", `${number(head.last.flicker_hz, 7)} Hz, measured`]);
+  if (Number.isFinite(recorded.temperature_c)) facts.push(["Temperature", `${number(recorded.temperature_c)} °C`]);
+  if (Number.isFinite(recorded.events) && recorded.duration_s) facts.push(["Event rate", `${number(recorded.events / recorded.duration_s / 1e6)} million events/s`]);
+  if (checked?.measured.flicker_hz) facts.push(["Flicker", `${number(checked.measured.flicker_hz, 7)} Hz, measured`]);
   if (!facts.length) facts.push(["Devices", "not seen yet"]);
   fill(at("devices"), facts.flatMap(([name, text]) => [el("dt", {}, name), el("dd", {}, text)]));
   at("deviations-card").hidden = !head.deviation_count;

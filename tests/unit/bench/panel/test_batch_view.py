@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +12,13 @@ import pytest
 from journals import MadeRun
 
 from bench.panel import helper_process, panel_app
-from bench.panel.helper_process import answer_request, make_coverage, picture_of_view, smooth_residuals
+from bench.panel.helper_process import (
+    CoverageRequest,
+    ForecastRequest,
+    answer_request,
+    picture_of_view,
+    smooth_residuals,
+)
 from bench.panel.panel_app import BatchView
 from bench.panel.watching import Helper, forecast_poses
 from bench.run.heartbeat import LastView
@@ -115,19 +123,16 @@ def test_coverage_counts_the_stars_in_their_cells(monkeypatch):
     monkeypatch.setattr(helper_process, "job_of_run", lambda _folder: SimpleNamespace(target=StarTarget()))
     column, row = StarTarget().node_of([0])[0]
     grid = [[100.0, 0.0, 50.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]]  # one star in each cell of 100 px
-    request = {"folder": "x", "size": [400, 300], "cells": [4, 3], "grids": [[1, grid, 12], [2, grid, 12]]}
-    counts = make_coverage(request)[0]["counts"]
+    request = CoverageRequest(Path("x"), [400, 300], (4, 3), [(grid, 12), (grid, 12)])
     assert (column, row) == (0, 0)
-    assert counts == [2] * 12
-    request["grids"] = [[1, grid, 5]]
-    assert sum(make_coverage(request)[0]["counts"]) == 5
+    assert request.answer() == [2] * 12
+    assert sum(replace(request, grids=[(grid, 5)]).answer()) == 5
 
 
-def test_one_request_that_fails_does_not_end_the_others():
-    for request in (("nonsense", {}), ("picture", {})):
-        answer, data = answer_request(request)
-        assert answer["fault"]
-        assert data == b""
+def test_one_request_that_fails_does_not_end_the_others(tmp_path):
+    answer = answer_request(ForecastRequest(tmp_path, 1))
+    assert isinstance(answer, str)
+    assert "there is no such file" in answer
 
 
 def test_the_plan_is_forecast_as_a_whole_first():
@@ -137,15 +142,15 @@ def test_the_plan_is_forecast_as_a_whole_first():
 
 
 def test_a_killed_helper_is_started_again(tmp_path, children):
-    folder = str(MadeRun(tmp_path / "run").folder)
+    request = ForecastRequest(MadeRun(tmp_path / "run").folder, 1)
     helper = Helper()
     try:
-        assert helper.ask("forecast", folder=folder, poses=1)[0]["fault"]
+        assert helper.ask(request)
         children[0].kill()
         children[0].wait()
-        assert "has ended" in helper.ask("forecast", folder=folder, poses=1)[0]["fault"]
-        assert "has ended" not in helper.ask("forecast", folder=folder, poses=1)[0]["fault"]
+        assert "has ended" in helper.ask(request)
+        assert "has ended" not in helper.ask(request)
         assert len(children) == 2
     finally:
         helper.close()
-    assert helper.ask("forecast", folder=folder, poses=1)[0]["fault"] == "The panel is ending."
+    assert helper.ask(request) == "The panel is ending."

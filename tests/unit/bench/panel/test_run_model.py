@@ -80,10 +80,10 @@ def test_the_head_counts(run):
     head = _head(run)
     assert (head["accepted"], head["poses"], head["recordings"], head["retries"]) == (2, 3, 3, 1)
     assert (head["verdict"], head["tone"]) == ("running", "busy")
-    assert head["last"]["stars"] == 200
+    assert head["last"]["checked"]["stars"] == 200
     assert head["gate_failures"] == {"stars": 1}
-    assert head["light"]["settings"]["frequency_hz"] == 60.0
-    assert head["stage"]["measured_deg"] == {"pan": 0.02, "tilt": -0.02}
+    assert head["last"]["stored"]["light"]["frequency_hz"] == 60.0
+    assert head["last"]["stored"]["measured_deg"] == {"pan": 0.02, "tilt": -0.02}
 
 
 def test_the_verdict_of_a_recording_is_never_that_of_another_one(run):
@@ -92,10 +92,9 @@ def test_the_verdict_of_a_recording_is_never_that_of_another_one(run):
     with run.path.open("ab") as stream:
         stream.writelines(lines[:5])  # stored, not checked yet
     last = _head(run)["last"]
-    assert (last["pose"], last["checked"]) == (2, False)
-    assert "stars" not in last
-    assert last["gates_before"][0]["value"] == 200
-    assert _head(run)["checked"] == {"pose": 1, "attempt": 1}  # whose picture is shown meanwhile
+    assert (last["stored"]["pose"], last["checked"]) == (2, None)
+    assert last["before"]["gates"][0]["value"] == 200
+    assert (last["before"]["pose"], last["before"]["attempt"]) == (1, 1)  # whose picture is shown meanwhile
 
 
 @pytest.mark.parametrize(
