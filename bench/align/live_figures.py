@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, NamedTuple, cast
 
 import cv2
@@ -194,13 +194,10 @@ __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice"]
 
 TURNING: Final = "The stage turns. Advice comes when it stands."
 """The only advice while the stage turns: what a blurred picture lacks is no fault of the bench."""
+JPEG_QUALITY: Final = 82
 _COMPARED_EVERY_S: Final = 1.0
 """Time from one measurement of the frequency by the events to the next, s."""
 
-_OF_SIGNAL: Final = (
-    "events_per_s", "link_share", "on_share", "trigger_hz", "event_hz", "jitter_us", "event_jitter_us"
-)  # fmt: skip
-"""Figures of the signal that the page shows."""
 Corners = tuple[tuple[float, float], ...]
 
 
@@ -243,18 +240,10 @@ class LiveFigures:
     took_ms: Mapping[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all figures for JSON: the attributes, and those of ``signal`` beside them."""
-        corners, square, centre = self.tag_corners_px, self.square, self.disc_centre_px
-        plain = vars(self) | {name: getattr(self.signal, name) for name in _OF_SIGNAL}
-        for name in ("signal", "tag_id", "tag_corners_px", "disc_centre_px", "disc_radius_px"):
-            del plain[name]
-        plain |= {
+        """Return all figures for JSON, with the names of the attributes."""
+        plain = asdict(self) | {
             "stars": [(number, round(x, 2), round(y, 2)) for number, x, y in self.stars],
-            "tag": corners and {"id": self.tag_id, "corners_px": corners},
-            "square": square and {"centre_px": square.centre_px, "side_px": square.side_px},
-            "disc": centre and {"centre_px": centre, "radius_px": self.disc_radius_px},
-            "focus": vars(self.focus),
-            "turn": self.turn.to_json(),
+            "square": self.square and self.square._asdict(),
         }
         return cast("dict[str, Any]", mapped(plain, _plain))
 
@@ -275,11 +264,10 @@ class LiveMeter:
         self._light: tuple[bool | None, float | None] = None, None
         self._size = (1280, 720)
 
-    def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
+    def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[bytes, LiveFigures]:
         """Measure the next slice: image, signal, stars, focus, where to turn, advice.
 
-        The image is (H, W) uint8, tone-mapped; dark, with figures that say why, if the slice shows nothing. Never
-        raises.
+        The image is a tone-mapped JPEG; dark, with figures that say why, if the slice shows nothing. Never raises.
         """
         watch = StopWatch()
         try:
@@ -293,10 +281,10 @@ class LiveMeter:
                 advice=(f"The slice cannot be read: {error.what} {error.remedy}".strip(),),
                 took_ms=watch.lap("image"),
             )
-            return np.zeros(self._size[::-1], np.uint8), figures
+            return _jpeg(np.zeros(self._size[::-1], np.uint8)), figures
         self._size = image.values.shape[1], image.values.shape[0]
         event_hz = self._by_events(part, image)
-        shown = show(image.values)
+        shown = _jpeg(show(image.values))
         watch.lap("image")
         beam = find_beam(image.values, least=image.least, radius_px=setting.beam_radius_px)
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
@@ -324,6 +312,9 @@ class LiveMeter:
             advice=(TURNING,) if part.moving else tuple(advice_for(seen, setting)),
             took_ms=watch.lap("advice"),
         )
+
+    def close(self) -> None:
+        """Do nothing: unlike `bench.align.meter.MeterProcess`, there is no process to end."""
 
     def forget(self) -> None:
         """Forget the course of the focus and the last stars, for example after the lens was changed."""
@@ -357,6 +348,11 @@ class LiveMeter:
         if self._event_hz is None:
             return True
         return not 0.0 <= part.time_s - self._event_hz[0] < _COMPARED_EVERY_S
+
+
+def _jpeg(image: NDArray[np.uint8]) -> bytes:
+    coded, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return jpeg.tobytes() if coded else b""
 
 
 def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) -> LiveFigures:

@@ -20,9 +20,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bench.align.live_figures import TURNING, LiveFigures, LiveSetting, LiveSlice
 from bench.align.meter import Meter
 from bench.base.clock import Aborted
@@ -126,9 +123,7 @@ class LivePicture:
     """The newest picture and its figures."""
 
     number: int = 0  # Counts the pictures, from 1; 0 before the first one
-    # (H, W) uint8; white print is bright.
-    image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
-    jpeg: bytes = b""
+    jpeg: bytes = b""  # White print is bright
     figures: LiveFigures = field(default_factory=LiveFigures)
     made_s: float = 0.0  # Time at which the picture was ready, s since 1970
     # record_ms, measure_ms: Duration of the recording and of the measurement, ms.
@@ -368,7 +363,7 @@ class LiveLoop:
         if self._forget_asked:
             self._forget_asked = False
             self._meter.forget()
-        image, jpeg, figures = self._meter.measure(recorded.part, recorded.setting)
+        jpeg, figures = self._meter.measure(recorded.part, recorded.setting)
         if recorded.shows_signal:
             self._signal = figures
         else:
@@ -376,7 +371,6 @@ class LiveLoop:
         now_s = time.monotonic()
         self.latest = LivePicture(
             self.latest.number + 1,
-            image,
             jpeg,
             figures,
             time.time(),

@@ -6,48 +6,15 @@ The engine's compiled loops hold Python's global lock for tens of milliseconds. 
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, Final, NamedTuple
-
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Final
 
 from bench.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
 from bench.base.errors import BenchError
 from bench.base.worker_process import WorkerProcess, answer_questions
 
-JPEG_QUALITY: Final = 82
 _FORGET: Final = "forget"
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Small matrices gain nothing from more threads, and these take the cores from camera and page."""
-
-
-class Measured(NamedTuple):
-    """What a slice showed."""
-
-    image: NDArray[np.uint8]  # (H, W) uint8
-    jpeg: bytes
-    figures: LiveFigures
-
-
-class MeterHere:
-    """Measures one slice after the other in this process, for tests and programs without a page."""
-
-    def __init__(self) -> None:
-        self._meter = LiveMeter()
-
-    def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
-        """Measure a slice."""
-        image, figures = self._meter.measure(part, setting)
-        coded, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        return Measured(image, jpeg.tobytes() if coded else b"", figures)
-
-    def forget(self) -> None:
-        """Forget the course of the focus."""
-        self._meter.forget()
-
-    def close(self) -> None:
-        """Do nothing: there is no process to end."""
 
 
 class MeterProcess:
@@ -57,15 +24,15 @@ class MeterProcess:
         self._worker = WorkerProcess("bench.align.meter", _ONE_THREAD)
         self._worker.start()
 
-    def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
+    def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[bytes, LiveFigures]:
         """Measure a slice. Raises BenchError if it could not be measured; the next one may be."""
-        answer = self._ask((part, setting))
+        answer: tuple[bytes, LiveFigures] | str = self._ask((part, setting))
         if isinstance(answer, str):
             raise BenchError(
                 f"The slice could not be measured: {answer}",
                 remedy="The next one is tried. Report it if it stays.",
             )
-        return Measured(*answer)
+        return answer
 
     def forget(self) -> None:
         """Forget the course of the focus. A process that has just ended has forgotten already."""
@@ -86,16 +53,16 @@ class MeterProcess:
             ) from error
 
 
-Meter = MeterHere | MeterProcess
+Meter = LiveMeter | MeterProcess
 
 
 def main() -> None:
     """Measure for the process that has started this one."""
-    meter = MeterHere()
+    meter = LiveMeter()
 
     def answer(question: Any) -> Any:
         try:
-            return meter.forget() if question == _FORGET else tuple(meter.measure(*question))
+            return meter.forget() if question == _FORGET else meter.measure(*question)
         except Exception as error:  # noqa: BLE001 - one bad slice must not end the measuring
             return f"{type(error).__name__}: {error}"
 

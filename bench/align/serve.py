@@ -20,7 +20,6 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from bench.align.live_loop import LivePicture
 from bench.align.open_bench import Confirmation
 from bench.align.page_requests import PageFiles, PageRequests, read_page
 from bench.align.session import Session
@@ -67,7 +66,6 @@ class _Pages:
         # A stop has threads of its own, so that it never waits for other work.
         self._stops = ThreadPoolExecutor(4, thread_name_prefix="align-stop")
         self._work = ThreadPoolExecutor(4, thread_name_prefix="align-work")
-        self._texts = _Texts(session)
 
     async def page(self, _request: Request) -> Response:
         return FileResponse(PAGE / "align.html", media_type="text/html")
@@ -119,41 +117,18 @@ class _Pages:
         try:
             known = session.changes.number
             while True:
-                text = self._texts.state()
+                text = json.dumps(session.state(), allow_nan=False)
                 if text != shown:
                     shown = text
                     yield Message(text, "state")
                 picture = session.picture()
                 if picture.number != number:
                     number = picture.number
-                    yield Message(self._texts.picture(), "picture")
+                    yield Message(json.dumps(_picture_data(session), allow_nan=False), "picture")
                 known = await session.changes.after(known)
         finally:
             if session.owners.leave(page):
                 self._stops.submit(session.stop_for_lost, page)
-
-
-class _Texts:
-    """What the pages are sent, made once for all of them. Used by the server's own thread."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._state = -1, ""
-        self._picture = LivePicture(), ""
-
-    def state(self) -> str:
-        """Return the state, made after the last change at the earliest."""
-        known = self._session.changes.number
-        if known != self._state[0]:
-            self._state = known, json.dumps(self._session.state(), allow_nan=False)
-        return self._state[1]
-
-    def picture(self) -> str:
-        """Return the newest picture's figures."""
-        picture = self._session.picture()
-        if picture is not self._picture[0]:
-            self._picture = picture, json.dumps(_picture_data(self._session), allow_nan=False)
-        return self._picture[1]
 
 
 def _picture_data(session: Session) -> dict[str, Any]:

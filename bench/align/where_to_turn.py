@@ -143,26 +143,6 @@ class TurnFigures:
         limit = CENTRED_DEG if self.unit == "°" else CENTRED_PX
         return math.hypot(self.pan, self.tilt) <= limit
 
-    def to_json(self) -> dict[str, object]:
-        """Return the figures as plain values; without a focal length px stand in place of degrees."""
-        in_deg = self.unit == "°"
-        return {
-            "pan_deg": self.pan if in_deg else None,
-            "tilt_deg": self.tilt if in_deg else None,
-            "right_px": None if in_deg else self.pan,
-            "up_px": None if in_deg else self.tilt,
-            "roll_deg": self.roll_deg,
-            "roll_by_deg": self.roll_by_deg,
-            "of": self.of,
-            "unit": self.unit,
-            "tag": list(self.tag_off) if self.tag_off else None,
-            "beam": list(self.beam_off) if self.beam_off else None,
-            "square_borders": None if self.square_borders is None else list(self.square_borders),
-            "focal_px": self.focal_px,
-            "rim_poses": self.rim_poses,
-            "beyond": dict(self.beyond),
-        }
-
 
 def where_to_turn(
     size: tuple[int, int],

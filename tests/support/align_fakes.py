@@ -3,7 +3,7 @@
 import threading
 import time
 
-from bench.align.meter import MeterHere
+from bench.align.live_figures import LiveMeter
 from bench.align.session import Session
 from bench.stations.station import load_station
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
@@ -188,7 +188,7 @@ def fake_session(devices=None, station="simulated", opener=None):
     """Return a session with fakes, not open yet, and the fakes; ``opener`` takes the place of what opens them."""
     devices = devices or FakeDevices()
     return Session(
-        load_station(str(station)), opener=opener or (lambda *_: devices), make_meter=MeterHere
+        load_station(str(station)), opener=opener or (lambda *_: devices), make_meter=LiveMeter
     ), devices
 
 

@@ -288,7 +288,7 @@ function redraw(figures) {
 function showTurn(f) {
   const turn = f.turn || {}, wanted = {}, beyond = turn.beyond || {};
   for (const axis of state && state.stage ? state.stage.axes : []) {
-    const step = turn[`${axis.name}_deg`];
+    const step = turn.unit === "°" ? turn[axis.name] : null;
     if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.05) wanted[axis.name] = Math.round(step * 100) / 100;
   }
   const large = Object.values(wanted).some((step) => Math.abs(step) > 5);

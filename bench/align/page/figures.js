@@ -13,13 +13,13 @@ const percent = (value, n = 0) => (typeof value === "number" ? (100 * value).toF
 export function showFigures(f) {
   table(at("signal"), [
     ["Stars", f.stars.length, ""],
-    ["Event rate", typeof f.events_per_s === "number" ? (f.events_per_s / 1e6).toFixed(1) : null, "Mev/s"],
-    ["Link load", percent(f.link_share), "%"],
-    ["ON share", percent(f.on_share), "%"],
-    ["Flicker by triggers", digits(f.trigger_hz, 2), "Hz"],
-    ["Flicker by events", digits(f.event_hz, 1), "Hz"],
-    ["Jitter of the sync", digits(f.jitter_us, 1), "µs"],
-    ["Jitter of the events", digits(f.event_jitter_us, 1), "µs"],
+    ["Event rate", typeof f.signal.events_per_s === "number" ? (f.signal.events_per_s / 1e6).toFixed(1) : null, "Mev/s"],
+    ["Link load", percent(f.signal.link_share), "%"],
+    ["ON share", percent(f.signal.on_share), "%"],
+    ["Flicker by triggers", digits(f.signal.trigger_hz, 2), "Hz"],
+    ["Flicker by events", digits(f.signal.event_hz, 1), "Hz"],
+    ["Jitter of the sync", digits(f.signal.jitter_us, 1), "µs"],
+    ["Jitter of the events", digits(f.signal.event_jitter_us, 1), "µs"],
     ["Hot pixels", f.hot_pixels, ""],
     ["Contrast", percent(f.contrast), "%"],
     ["Saturated", percent(f.saturation, 1), "%"],
@@ -29,8 +29,8 @@ export function showFigures(f) {
   const turn = f.turn || {}, turnDigits = turn.of === "beam" ? 0 : 1, inPx = turn.unit === "px";
   setText(at("turn-of"), turn.of ? `${turn.of === "beam" ? "about, " : ""}to bring the ${turn.of} to the middle` : "");
   table(at("turn"), [
-    inPx ? ["It must move right by", signed(turn.right_px, 0), "px"] : ["Turn pan by", signed(turn.pan_deg, turnDigits), "°"],
-    inPx ? ["It must move up by", signed(turn.up_px, 0), "px"] : ["Turn tilt by", signed(turn.tilt_deg, turnDigits), "°"],
+    inPx ? ["It must move right by", signed(turn.pan, 0), "px"] : ["Turn pan by", signed(turn.pan, turnDigits), "°"],
+    inPx ? ["It must move up by", signed(turn.tilt, 0), "px"] : ["Turn tilt by", signed(turn.tilt, turnDigits), "°"],
     ["Roll to the pixels", signed(turn.roll_deg, 1), "°"],
     ["Roll it by", turn.roll_by_deg === 0 ? "enough" : signed(turn.roll_by_deg, 0), "°"],
     ["Frame in the beam", percent(f.beam_share), "%"],

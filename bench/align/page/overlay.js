@@ -7,7 +7,7 @@ export function draw(canvas, figures, shows) {
   const box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
   const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars_time_s, figures.stars.length, figures.tag, figures.square, figures.disc]);
+  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars_time_s, figures.stars.length, figures.tag_corners_px, figures.square, figures.disc_centre_px, figures.disc_radius_px]);
   if (canvas.dataset.drawn === key) return; // what lies over the picture changes less often than the picture
   canvas.dataset.drawn = key;
   const c = canvas.getContext("2d");
@@ -17,10 +17,10 @@ export function draw(canvas, figures, shows) {
   const x = (u) => (u + 0.5) * sx, y = (v) => (v + 0.5) * sy; // a pixel's centre is at a whole number
   c.lineWidth = 1.5 * ratio;
   if (shows.grid) grid(c, width, height, ratio);
-  if (shows.disc && figures.disc) disc(c, figures, x, y, sx, ratio);
+  if (shows.disc && figures.disc_centre_px) disc(c, figures, x, y, sx, ratio);
   if (shows.stars) stars(c, figures, x, y, ratio);
-  if (shows.tag && figures.tag) tag(c, figures.tag, x, y, ratio);
-  if (shows.tag && !figures.tag && figures.square) square(c, figures.square, x, y, sx, ratio);
+  if (shows.tag && figures.tag_corners_px) tag(c, figures, x, y, ratio);
+  if (shows.tag && !figures.tag_corners_px && figures.square) square(c, figures.square, x, y, sx, ratio);
 }
 
 /** Light dashes between dark ones, so that the lines show on any picture. */
@@ -38,7 +38,7 @@ function grid(c, width, height, ratio) {
 }
 
 function disc(c, figures, x, y, scale, ratio) {
-  const [u, v] = figures.disc.centre_px, radius = figures.disc.radius_px;
+  const [u, v] = figures.disc_centre_px, radius = figures.disc_radius_px;
   c.strokeStyle = COLOURS.disc;
   if (typeof radius === "number") {
     c.beginPath();
@@ -59,15 +59,15 @@ function stars(c, figures, x, y, ratio) {
   }
 }
 
-function tag(c, found, x, y, ratio) {
+function tag(c, figures, x, y, ratio) {
   c.strokeStyle = COLOURS.tag;
   c.lineWidth = 2.5 * ratio;
   c.beginPath();
-  found.corners_px.forEach(([u, v], i) => (i ? c.lineTo(x(u), y(v)) : c.moveTo(x(u), y(v))));
+  figures.tag_corners_px.forEach(([u, v], i) => (i ? c.lineTo(x(u), y(v)) : c.moveTo(x(u), y(v))));
   c.closePath();
   c.stroke();
-  const [u, v] = found.corners_px[0];
-  label(c, `tag ${found.id}`, x(u), y(v), ratio);
+  const [u, v] = figures.tag_corners_px[0];
+  label(c, `tag ${figures.tag_id}`, x(u), y(v), ratio);
 }
 
 /** A dark square that is probably the tag: dashed, and round, because its roll is not known. */

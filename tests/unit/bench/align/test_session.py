@@ -8,10 +8,9 @@ from align_fakes import FakeDevices, FakeStage, fake_session, wait_until
 
 from bench.align import live_loop
 from bench.align.controls import StageControl
-from bench.align.live_figures import LiveFigures
+from bench.align.live_figures import LiveFigures, LiveMeter
 from bench.align.live_image import SignalFigures
 from bench.align.live_loop import with_signal_of
-from bench.align.meter import MeterHere
 from bench.base.errors import ControlRefused
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 
@@ -37,9 +36,9 @@ def test_opening_moves_nothing_and_switches_nothing_on(opened):
 
 def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened, monkeypatch):
     session, devices = opened
-    limits, measure = [], MeterHere.measure
+    limits, measure = [], LiveMeter.measure
     monkeypatch.setattr(
-        MeterHere,
+        LiveMeter,
         "measure",
         lambda meter, part, setting: (
             limits.append(setting.gates.max_event_rate_mev_s) or measure(meter, part, setting)
@@ -59,7 +58,7 @@ def test_pictures_come_and_no_slice_is_left(opened):
     wait_until(lambda: session.picture().number >= 5)
     picture = session.picture()
     assert picture.number >= 5
-    assert picture.image.dtype == "uint8"
+    assert picture.jpeg[:2] == b"\xff\xd8"
     assert picture.figures.to_json()["time_s"] > 0
     folder = devices.camera.paths[0].parent
     assert len(list(folder.iterdir())) <= 3
