@@ -68,37 +68,30 @@ def measure_signal(
     """Measure the signal of a slice; ``compare`` measures the frequency by events even if sync edges give it."""
     ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
     duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
-    count = len(events.t)
-    by_triggers, fault = _by_triggers(triggers, expected_hz)
-    near_hz = by_triggers.frequency_hz if by_triggers else expected_hz
+    counted = _Counted(len(events.t), int(np.count_nonzero(events.p)), duration_s, data_bytes)
+    found = _figures(counted, triggers, expected_hz)
+    edges = found.flicker if found.flicker is not None and found.flicker.source == "triggers" else None
+    near_hz = edges.frequency_hz if edges else expected_hz
     by_events = None
     # Events of a single period show its ON and its OFF burst, which could be two periods of twice the frequency.
-    if (compare or by_triggers is None) and duration_s * (near_hz or math.inf) >= _SHORT_PERIODS:
+    if (compare or edges is None) and duration_s * (near_hz or math.inf) >= _SHORT_PERIODS:
         by_events = _by_events(events, near_hz)
-    flicker = by_triggers or by_events or _assumed(count, duration_s, expected_hz)
-    found = replace(
-        _rates(count, int(np.count_nonzero(events.p)), duration_s, data_bytes),
+    flicker = edges or by_events or found.flicker
+    return replace(
+        found,
         flicker=flicker,
         event_hz=by_events.frequency_hz if by_events else None,
         event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
-        sync_fault=fault,
     )
-    return _with_edges(found, triggers, by_triggers, duration_s)
 
 
 def signal_of_counts(
     statistics: StreamStatistics, triggers: Triggers, data_bytes: int, expected_hz: float
 ) -> SignalFigures | None:
     """Return the signal of a slice whose events were only counted; None if only their times show the flicker."""
-    count, duration_s = statistics.events, statistics.duration_s
-    by_triggers, fault = _by_triggers(triggers, expected_hz)
-    flicker = by_triggers or _assumed(count, duration_s, expected_hz)
-    if flicker is None and count:
-        return None
-    found = replace(
-        _rates(count, statistics.on_events, duration_s, data_bytes), flicker=flicker, sync_fault=fault
-    )
-    return _with_edges(found, triggers, by_triggers, duration_s)
+    counted = _Counted(statistics.events, statistics.on_events, statistics.duration_s, data_bytes)
+    found = _figures(counted, triggers, expected_hz)
+    return None if found.flicker is None and counted.events else found
 
 
 def shows_flicker(signal: SignalFigures | None) -> bool:
@@ -131,28 +124,31 @@ def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
     return float(np.sqrt((off**2).sum() / (len(off) - 2)))
 
 
-def _rates(count: int, on: int, duration_s: float, data_bytes: int) -> SignalFigures:
-    """Return the figures that follow from counts and duration."""
+class _Counted(NamedTuple):
+    """What was counted in a slice."""
+
+    events: int
+    on_events: int
+    duration_s: float
+    data_bytes: int
+
+
+def _figures(counted: _Counted, triggers: Triggers, expected_hz: float | None) -> SignalFigures:
+    """Return the figures that follow from counts and sync edges; the flicker is that of the edges, or assumed."""
+    count, duration_s = counted.events, counted.duration_s
+    edges, fault = _by_triggers(triggers, expected_hz)
     return SignalFigures(
         events=count,
         events_per_s=count / duration_s if duration_s else None,
-        on_share=on / count if count else None,
-        link_share=8e-9 * data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
-    )
-
-
-def _with_edges(
-    found: SignalFigures, triggers: Triggers, by_triggers: Flicker | None, duration_s: float
-) -> SignalFigures:
-    """Return figures with those of the sync edges."""
-    expected = len(by_triggers.rising_edges_us(0.0, 1e6 * duration_s)) if by_triggers else 0
-    return replace(
-        found,
+        on_share=counted.on_events / count if count else None,
+        link_share=8e-9 * counted.data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
         triggers=int(np.count_nonzero(triggers.value == 1)),
-        triggers_expected=expected,
+        triggers_expected=len(edges.rising_edges_us(0.0, 1e6 * duration_s)) if edges else 0,
         sync_edges=len(triggers.t),
-        trigger_hz=by_triggers.frequency_hz if by_triggers and _shows_period(triggers) else None,
-        jitter_us=by_triggers.jitter_us if by_triggers and math.isfinite(by_triggers.jitter_us) else None,
+        flicker=edges or _assumed(count, duration_s, expected_hz),
+        trigger_hz=edges.frequency_hz if edges and _shows_period(triggers) else None,
+        jitter_us=edges.jitter_us if edges and math.isfinite(edges.jitter_us) else None,
+        sync_fault=fault,
     )
 
 

@@ -28,9 +28,9 @@ from bench.stations.station import OpenCvCameraConfig, Station
 from bench.views.camera_kinds import camera_kind
 from drivers.camera import CameraIdentity, CameraSettings, EventCamera, StatesBiasRanges
 from drivers.camera.frames import FrameCamera, FrameSettings
-from drivers.errors import DriverError, StillOpening
+from drivers.errors import DriverError
 from drivers.light import Light, LightSettings
-from sequences.schema import FlickerConfig, Waveform
+from sequences.schema import FlickerConfig
 from sequences.script import Flicker
 
 ANSWER_S = 20.0
@@ -197,23 +197,11 @@ class LightControl:
         )
         """What is known of the light."""
 
-    def set(
-        self,
-        *,
-        on: bool | None = None,
-        waveform: Waveform | None = None,
-        frequency_hz: float | None = None,
-        duty_percent: float | None = None,
-        level_percent: float | None = None,
-    ) -> LightReading:
-        """Change the light, and read back what it does; None leaves a value. When refused, nothing was sent."""
-        changes = {
-            "waveform": waveform,
-            "frequency_hz": frequency_hz,
-            "duty_percent": duty_percent,
-            "level_percent": level_percent,
-        }
-        given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+    def set(self, *, on: bool | None = None, **given: Any) -> LightReading:
+        """Change the light, and read back what it does. When refused, nothing was sent.
+
+        ``on`` None leaves it as it is; ``given`` are attributes of a `Flicker`, the others stay.
+        """
         self._check(given)
         with self._lock:
             flicker = replace(self.reading.flicker, **given)
@@ -308,15 +296,6 @@ def try_again(bench: Bench) -> bool:
     for device in failed:
         device.start()
     return bool(failed)
-
-
-def failures_of(bench: Bench) -> list[Failure]:
-    """Return why stage or light cannot be used now; empty if both answer, or are still being opened."""
-    return [one for one in _failures(bench) if one.kind != StillOpening.__name__]
-
-
-def _failures(bench: Bench) -> list[Failure]:
-    return [one for one in (bench.stage.failure, bench.light.reading.failure) if one is not None]
 
 
 def _ended(bench: Bench, say: Callable[[str], None], name: str) -> None:

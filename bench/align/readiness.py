@@ -26,6 +26,8 @@ from sequences.script import Flicker, Gates, LightStep, Pose, RecordStep
 
 Verdict = Literal["good", "bad", "open"]
 """``good`` and ``bad`` as checked; ``open`` if it could not be checked yet."""
+Found = tuple[Verdict, str, str]
+"""Verdict of a check, what it found, and what to do."""
 _NO_REMEDY = "Correct this; nothing has moved."
 _SILENT = ("It did not answer in time.", "Check again. If this stays, press Try again.")
 
@@ -73,22 +75,17 @@ def _stage(bench: Bench) -> list[Check]:
     if bench.stage.moving:
         return [Check("stage", "open", "The stage moves.", "Wait, then check again.")]
 
-    def identity() -> Check:
+    def identity() -> Found:
         serials = ", ".join(f"{axis.name} {axis.serial or 'without serial'}" for axis in stage.identify())
-        return Check("stage: identity", "good", f"The controllers answer: {serials}.")
+        return "good", f"The controllers answer: {serials}.", ""
 
-    def faults() -> Check:
+    def faults() -> Found:
         # As in a run: an axis that is not homed warns about that, so its faults are read after homing.
         if not stage.is_homed():
-            return Check(
-                "stage: faults", "open", "The stage is not homed; a run homes it first.", "Press Home."
-            )
-        found = list(stage.faults())
-        if found:
-            return Check(
-                "stage: faults", "bad", f"{'; '.join(found)}.", "Clear the cause, then home the stage."
-            )
-        return Check("stage: faults", "good", "Homed; the controllers report no fault.")
+            return "open", "The stage is not homed; a run homes it first.", "Press Home."
+        if found := list(stage.faults()):
+            return "bad", f"{'; '.join(found)}.", "Clear the cause, then home the stage."
+        return "good", "Homed; the controllers report no fault.", ""
 
     return [_made("stage: identity", identity), _made("stage: faults", faults)]
 
@@ -96,16 +93,15 @@ def _stage(bench: Bench) -> list[Check]:
 def _light(bench: Bench) -> list[Check]:
     light = bench.devices.light
 
-    def identity() -> Check:
+    def identity() -> Found:
         found = light.identify()
         serial = f", serial {found.serial}" if found.serial else ""
-        return Check("light: identity", "good", f"{found.maker} {found.model}{serial} answers.")
+        return "good", f"{found.maker} {found.model}{serial} answers.", ""
 
-    def faults() -> Check:
-        found = list(light.faults())
-        if found:
-            return Check("light: faults", "bad", f"{'; '.join(found)}.", "Clear the cause at the light.")
-        return Check("light: faults", "good", "The light reports no fault.")
+    def faults() -> Found:
+        if found := list(light.faults()):
+            return "bad", f"{'; '.join(found)}.", "Clear the cause at the light."
+        return "good", "The light reports no fault.", ""
 
     return [_made("light: identity", identity), _made("light: faults", faults)]
 
@@ -113,16 +109,14 @@ def _light(bench: Bench) -> list[Check]:
 def _camera(bench: Bench) -> list[Check]:
     control, camera = bench.camera, bench.devices.camera
 
-    def identity() -> Check:
+    def identity() -> Found:
         found = bench.loop.on_camera(camera.identify).result(timeout=ANSWER_S)
-        return Check(
-            "camera: identity", "good", f"{found.maker} {found.model}, serial {found.serial}, answers."
-        )
+        return "good", f"{found.maker} {found.model}, serial {found.serial}, answers.", ""
 
-    def settings() -> Check:
+    def settings() -> Found:
         if control.reasons:
-            return Check("camera: settings", "bad", f"{'; '.join(control.reasons)}.", "Restart the camera.")
-        return Check("camera: settings", "good", "Every setting reads back as it was set.")
+            return "bad", f"{'; '.join(control.reasons)}.", "Restart the camera."
+        return "good", "Every setting reads back as it was set.", ""
 
     return [_made("camera: identity", identity), _made("camera: settings", settings)]
 
@@ -228,10 +222,10 @@ def _light_text(settings: LightSettings) -> str:
     return f"{flicker}, {settings.high_v:.3g} V"
 
 
-def _made(name: str, check: Callable[[], Check]) -> Check:
+def _made(name: str, check: Callable[[], Found]) -> Check:
     """Make a check; an error of its device is its result."""
     try:
-        return check()
+        return Check(name, *check())
     except TimeoutError:
         return Check(name, "bad", *_SILENT)
     except FORESEEN as error:

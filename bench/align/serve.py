@@ -5,14 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import signal
 import threading
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from starlette.applications import Starlette
@@ -23,6 +20,7 @@ from starlette.routing import Route
 from bench.align.open_bench import Confirmation
 from bench.align.page_requests import PageFiles, PageRequests, read_page
 from bench.align.session import Session
+from bench.base.clock import stop_on_signals
 from bench.base.errors import ScriptError, UsageError
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.stations.station_fields import find_placeholders
@@ -212,7 +210,7 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
 
 def leave(session: Session) -> int:
     """Leave the bench safe, and print what each device confirmed; exit status 1 if one did not."""
-    with _ignored_signals():
+    with stop_on_signals(lambda _why: None, received=1):  # one more Ctrl-C does not break off the leaving
         confirmed = session.close()
     for line in confirmation_lines(confirmed):
         print_line(line)
@@ -244,24 +242,3 @@ def _stop_soon(session: Session) -> None:
             session.stop("because the program ends")
 
     threading.Thread(target=stop, name="align-signal-stop", daemon=True).start()
-
-
-@contextmanager
-def _ignored_signals() -> Iterator[None]:
-    """Let one more Ctrl-C not break off the leaving; the third one ends the process at once."""
-    count = 0
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        nonlocal count
-        count += 1
-        if count >= 2:
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, handle)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

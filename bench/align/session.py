@@ -22,7 +22,6 @@ from bench.align.open_bench import (
     Confirmation,
     OpenDevices,
     close_bench,
-    failures_of,
     follow,
     open_bench,
     open_devices,
@@ -158,11 +157,6 @@ class Session:
             return None
         self._close_bench()
         return self.open()
-
-    def failures(self) -> list[Failure]:
-        """Return why stage or light cannot be used now; empty if both answer, or are still being opened."""
-        bench = self._bench
-        return [] if bench is None else failures_of(bench)
 
     def close(self) -> list[Confirmation]:
         """Leave the bench safe, once; return what stage, light and camera confirmed, each if it was open."""

@@ -208,9 +208,11 @@ _RESEND_AFTER_S = 0.05
 
 
 @contextmanager
-def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
-    """Turn SIGINT, SIGTERM and SIGHUP into a request to stop, with its reason. Only for the main thread."""
-    received = 0
+def stop_on_signals(request_stop: Callable[[str], None], *, received: int = 0) -> Iterator[None]:
+    """Turn SIGINT, SIGTERM and SIGHUP into a request to stop, with its reason. Only for the main thread.
+
+    The third SIGINT ends the process at once; ``received`` is how many signals came before.
+    """
 
     def ask(number: int, _frame: FrameType | None) -> None:
         nonlocal received

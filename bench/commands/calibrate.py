@@ -58,7 +58,7 @@ def calibrate_each(
     task = Task(options, forms()["program"], kept)
     who = open_workers(workers)
     as_json = wants_json()  # other threads, which call below, cannot ask
-    progress = _CountedProgress(quiet=as_json)
+    progress = LiveLine(quiet=as_json)
 
     def say(text: str, *, err: bool = False) -> None:
         progress.clear()
@@ -66,6 +66,10 @@ def calibrate_each(
 
     def ended(row: RunRow) -> None:
         say(run_text(row), err=as_json)
+
+    def counted(counts: Counts, left_s: float | None) -> None:
+        if progress.due():
+            progress.show(_progress_text(counts, left_s))
 
     with reliable_interrupts(), ExitStack() as stack:
         stack.callback(who.close)
@@ -80,7 +84,7 @@ def calibrate_each(
             who,
             results,
             ended=ended,
-            progress=progress.counted,
+            progress=counted,
             remark=lambda text: say(text, err=True),
         )
         try:
@@ -146,16 +150,11 @@ def change_text(row: DoneRow) -> str:
     return f"largest change since the run: {name} by {changes[name]:.2g} sigma"
 
 
-class _CountedProgress(LiveLine):
-    """Shows how far a recalculation is."""
-
-    def counted(self, counts: Counts, left_s: float | None) -> None:
-        """Show the counts, if it is time; ``left_s`` is None if unknown."""
-        if not self.due():
-            return
-        left = "" if left_s is None else f", {clock_text(left_s)} left"
-        failed = f", {counts.failed} failed" if counts.failed else ""
-        self.show(f"{counts.ended} of {counts.runs} runs{failed}, {counts.recordings} recordings{left}")
+def _progress_text(counts: Counts, left_s: float | None) -> str:
+    """Return how far a recalculation is; ``left_s`` is None if unknown."""
+    left = "" if left_s is None else f", {clock_text(left_s)} left"
+    failed = f", {counts.failed} failed" if counts.failed else ""
+    return f"{counts.ended} of {counts.runs} runs{failed}, {counts.recordings} recordings{left}"
 
 
 def sum_text(counts: Counts) -> str:

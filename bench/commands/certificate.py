@@ -28,13 +28,12 @@ from bench.commands.options import (
     OutputFolder,
     epilog,
 )
-from bench.commands.output import JSON, ask_passphrase, show, wants_json
+from bench.commands.output import JSON, ask_passphrase, print_findings, show
 from bench.evidence.findings import Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
-from bench.evidence.verify import verify_folder
 from bench.records.ledger import Ledger, bench_ledger
 from bench.records.run_folder import MANIFEST
 from bench.records.storage import read_bounded, sha256_of, storage_errors, write_atomic
@@ -244,7 +243,7 @@ def show_command(folder: Path | None) -> int:
         rows = _rows(ledger, is_known=not faults)
         data = {"schema": "starbench/certificates/1", "certificates": rows, "faults": faults, "notes": notes}
         show(data, [*_list_lines(rows), *(f"Note: {note}" for note in notes)])
-        return _told(faults)
+        return print_findings(faults)
 
     path = folder / CERTIFICATE
     if not path.is_file():
@@ -269,15 +268,7 @@ def show_command(folder: Path | None) -> int:
         lambda: {"state": state, "certificate": parse_json(content), "faults": faults, "notes": notes},
         [*_summary(certificate, state), *(f"Note: {note}" for note in notes)],
     )
-    return _told(faults)
-
-
-def _told(faults: Sequence[str]) -> int:
-    """Tell the faults of the ledger, if the output is for people; return the exit status: 1 if there is one."""
-    if not wants_json():
-        for fault in faults:
-            click.echo(f"FAULT: {fault}", err=True)
-    return 1 if faults else 0
+    return print_findings(faults)
 
 
 def _rows(ledger: Ledger, *, is_known: bool) -> list[dict[str, Any]]:
@@ -370,10 +361,9 @@ def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory
 
 def verify_sealed(folder: Path, *, again: bool) -> Verification:
     """Verify a folder as the command `verify` does."""
-    from bench.commands.verify import derivations
+    from bench.commands.verify import verify_one
 
-    trust = read_trust(home_folder())
-    return verify_folder(folder, trust, derivations=derivations(trust, again=again), again=again)
+    return verify_one(folder, read_trust(home_folder()), again=again)
 
 
 def _stated(reason: str) -> str:

@@ -14,7 +14,15 @@ import click
 
 from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
-from bench.commands.options import ExistingFile, ExistingFolder, NewFile, command, status_text
+from bench.commands.options import (
+    ALLOWED_SIGNERS,
+    TSA_CERTIFICATES,
+    ExistingFile,
+    ExistingFolder,
+    NewFile,
+    command,
+    status_text,
+)
 from bench.commands.output import JSON, STOPPED, ask_passphrase, confirm, show, wants_json
 from bench.evidence.authorisation import authorise as sign
 from bench.evidence.authorisation import (
@@ -40,7 +48,6 @@ from bench.evidence.timestamp import (
     read_authorities,
 )
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
-from bench.evidence.verify import verify_folder
 from bench.records.ledger import bench_ledger
 from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
 from bench.records.storage import read_json, storage_errors, write_atomic
@@ -64,11 +71,7 @@ _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
     type=click.Choice(["seal", "authorisation"]),
     help="Which signature to stamp.  [default: the authorisation if there is one, else the seal]",
 )
-@click.option(
-    "--tsa-certificates",
-    type=ExistingFile(),
-    help="Root certificates of trusted time stamping authorities, PEM.  [default: this bench's own]",
-)
+@TSA_CERTIFICATES
 @JSON
 def timestamp(
     folder: Path,
@@ -217,9 +220,7 @@ _KINDS = {"certificate": "Certificate", "run": "Run", "results": "Recalculated r
     help="Your private key; or, for a key in ssh-agent, its public key or fingerprint.  [default: the key that the"
     " certificate names, else the only one in ssh-agent]",
 )
-@click.option(
-    "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
-)
+@ALLOWED_SIGNERS
 @click.option("--yes", is_flag=True, help="Do not ask; for scripts.")
 @JSON
 def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: bool) -> int:
@@ -301,9 +302,9 @@ def facts_of(folder: Path) -> dict[str, str]:
 
 def _refuse_unverified(folder: Path, trust: Trust) -> None:
     """Refuse a folder in which the verification finds a fault: a person must not sign it."""
-    from bench.commands.verify import derivations
+    from bench.commands.verify import verify_one
 
-    found = verify_folder(folder, trust, derivations=derivations(trust, again=False))
+    found = verify_one(folder, trust, again=False)
     others = [fault for fault in found.faults if fault.kind != "authorisation"]
     for fault in found.faults:
         if fault not in others:  # there is none yet, so the ledger names one that was removed

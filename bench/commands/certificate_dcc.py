@@ -22,7 +22,7 @@ from bench.certificate.dcc_xml import (
     schema_faults,
     schema_folder,
 )
-from bench.commands.options import ExistingFile, ExistingPath, command
+from bench.commands.options import TRUSTED, ExistingFile, ExistingPath, command
 from bench.commands.output import JSON, show, wants_json
 from bench.records.storage import storage_errors
 
@@ -57,12 +57,7 @@ class _Found:
     metavar="FOLDER",
     help="Folder with PTB's schemas dcc.xsd and SI_Format.xsd.  [default: $STARBENCH_DCC_SCHEMAS]",
 )
-@click.option(
-    "--trusted",
-    type=ExistingFile(),
-    metavar="PEM",
-    help="Certificates that you trust; the signature must lead to one of them.",
-)
+@TRUSTED
 @JSON
 def check(path: Path, schemas: Path | None, trusted: Path | None) -> int:
     """Check a digital calibration certificate: an XML FILE, or the folder of a certificate.
@@ -118,12 +113,7 @@ def _read(file: Path) -> bytes:
 @click.option(
     "--quantity", metavar="NAME", default="", help="Id, label or name of the length.  [default: focal length]"
 )
-@click.option(
-    "--trusted",
-    type=ExistingFile(),
-    metavar="PEM",
-    help="Certificates that you trust; the signature must lead to one of them.",
-)
+@TRUSTED
 @JSON
 def from_dcc(path: Path, quantity: str, trusted: Path | None) -> int:
     """Read the focal length of a collimator from its digital calibration certificate, an XML FILE.

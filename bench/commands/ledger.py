@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ import click
 
 from bench.base.errors import BenchError, UsageError
 from bench.commands.options import OPERATOR, command, status_text
-from bench.commands.output import JSON, show, wants_json
+from bench.commands.output import JSON, print_findings, show
 from bench.evidence.authorisation import known_authorisations, lost_authorisations
 from bench.evidence.ledger_check import sealed_strangers
 from bench.records.ledger import Ledger, bench_ledger
@@ -20,8 +18,6 @@ from bench.records.ledger_marks import EXPLAIN, Break, OwnMark, ask_anchor, read
 from bench.terminal.encoding import counted
 
 _LONGEST_REASON = 2000
-_MOST_SHOWN = 40
-"""Most faults that are printed as text."""
 
 
 @command(
@@ -97,10 +93,7 @@ def _check() -> int:
         facts |= {"lines": None, "runs": None, "head": None}
     facts |= {"second_places": _second_places(found)}
     show({**facts, "faults": faults, "notes": notes}, _check_lines(facts, notes))
-    if not wants_json():
-        for fault in faults:
-            click.echo(f"FAULT: {fault}", err=True)
-    return 1 if faults else 0
+    return print_findings(faults)
 
 
 def _check_lines(facts: Mapping[str, Any], notes: Sequence[str]) -> Iterator[str]:
@@ -154,34 +147,3 @@ def _forget_place(place: str, reason: str, by: str | None) -> int:
         f"The ledger is no longer written to {place}; the reason is in the ledger.",
     )
     return 0
-
-
-@dataclass(frozen=True)
-class RunChoice:
-    """Which runs a command is about."""
-
-    folder: Path | None  # Folder whose runs to list; all runs of the ledger where None
-    # Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
-    ledgers: Sequence[Path] = ()
-    camera: str | None = None
-    # since, until: Only runs that began at or after ``since`` and before ``until``, UTC.
-    since: datetime | None = None
-    until: datetime | None = None
-    sequence: str | None = None  # Text that the name of the sequence must contain
-    how: str | None = None
-
-    @property
-    def filters(self) -> dict[str, Any]:
-        """The filters as `bench.records.run_index.RunIndex.runs` takes them."""
-        return {name: getattr(self, name) for name in ("camera", "since", "until", "sequence", "how")}
-
-
-def print_findings(notes: Sequence[str], faults: Sequence[str]) -> None:
-    """Print notes and faults to the standard error stream; of very many, the first ones and their number."""
-    if wants_json():
-        return
-    for word, sentences in (("Note", notes), ("FAULT", faults)):
-        for sentence in sentences[:_MOST_SHOWN]:
-            click.echo(f"{word}: {sentence}", err=True)
-        if len(sentences) > _MOST_SHOWN:
-            click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from click.shell_completion import CompletionItem
 from bench.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 _INVALID = "2 invalid argument or file"
 _CTRL_C = "130 ended by Ctrl-C."
@@ -308,6 +309,20 @@ class CheckedStation(_NameOrFile):
         return super().convert(value, param, ctx)
 
 
+ALLOWED_SIGNERS = click.option(
+    "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
+)
+TSA_CERTIFICATES = click.option(
+    "--tsa-certificates",
+    type=ExistingFile(),
+    help="Root certificates of trusted time stamping authorities, PEM.  [default: this bench's own]",
+)
+TRUSTED = click.option(
+    "--trusted",
+    type=ExistingFile(),
+    metavar="PEM",
+    help="Certificates that you trust; the signature must lead to one of them.",
+)
 STATION = click.option(
     "--station",
     "-s",
@@ -369,6 +384,16 @@ BEGIN = click.option(
     metavar="DATETHH:MM",
     help="Time at which the night begins, in the time zone of the queue.  [default: now]",
 )
+
+
+@dataclass(frozen=True)
+class RunChoice:
+    """Which runs a command is about."""
+
+    folder: Path | None  # Folder whose runs to list; all runs of the ledger where None
+    # Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
+    ledgers: Sequence[Path]
+    filters: Mapping[str, Any]  # As `bench.records.run_index.RunIndex.runs` takes them
 
 
 def settings_of(texts: tuple[str, ...]) -> Mapping[str, str]:

@@ -67,6 +67,20 @@ def show(
         click.echo(line, err=err)
 
 
+_MOST_SHOWN = 40
+"""Most notes or faults that are printed as text."""
+
+
+def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:
+    """Print notes and faults on standard error, of very many the first ones; return the exit status, 1 with a fault."""
+    for word, sentences in () if wants_json() else (("Note", notes), ("FAULT", faults)):
+        for sentence in sentences[:_MOST_SHOWN]:
+            click.echo(f"{word}: {sentence}", err=True)
+        if len(sentences) > _MOST_SHOWN:
+            click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)
+    return 1 if faults else 0
+
+
 def print_json(value: Mapping[str, Any]) -> None:
     """Print one object on standard output. Raises ValueError when a number is not finite."""
     click.echo(json.dumps(value, indent=1, allow_nan=False))

@@ -12,9 +12,9 @@ import click
 
 from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
-from bench.commands.ledger import RunChoice, ledger_findings, print_findings
-from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, command, status_text
-from bench.commands.output import JSON, show
+from bench.commands.ledger import ledger_findings
+from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, RunChoice, command, status_text
+from bench.commands.output import JSON, print_findings, show
 from bench.evidence.authorisation import known_authorisations, lost_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.records.ledger import Ledger, bench_ledger
@@ -119,15 +119,14 @@ def runs(
     The command names runs that occur twice, are missing or were changed. Option --ledger merges the runs of several
     benches. A chart never mixes simulated and real runs, different targets, or different models.
     """
-    choice = RunChoice(
-        folder,
-        ledgers,
-        camera=serial,
-        since=since.replace(tzinfo=UTC) if since else None,
-        until=until.replace(tzinfo=UTC) if until else None,
-        sequence=sequence,
-        how=how,
-    )
+    filters = {
+        "camera": serial,
+        "since": since.replace(tzinfo=UTC) if since else None,
+        "until": until.replace(tzinfo=UTC) if until else None,
+        "sequence": sequence,
+        "how": how,
+    }
+    choice = RunChoice(folder, ledgers, filters)
     if compare and (chart or output):
         raise UsageError(
             "--compare cannot be used with --chart or --output.", remedy="Call the command once for each."
@@ -164,26 +163,15 @@ def _show_runs(choice: RunChoice, *, compare: bool) -> int:
         found, faults, notes = merged.runs, merged.faults, merged.notes
     else:
         found, faults, notes = _runs_of_bench(choice)
+    findings = {"faults": faults, **({"notes": notes} if notes else {})}
     if compare:
         solved = [run for run in found if run.parameters]
         compared = compare_runs(solved)
-        show(
-            lambda: {
-                **_runs_dict(found),
-                "compared": [one.to_dict() for one in compared],
-                "of": [run.folder for run in solved],
-                "faults": faults,
-                **({"notes": notes} if notes else {}),
-            },
-            _agreement_lines(solved, compared),
-        )
+        more = {"compared": [one.to_dict() for one in compared], "of": [run.folder for run in solved]}
+        show(lambda: {**_runs_dict(found), **more, **findings}, _agreement_lines(solved, compared))
     else:
-        show(
-            lambda: {**_runs_dict(found), "faults": faults, **({"notes": notes} if notes else {})},
-            _runs_lines(found),
-        )
-    print_findings(notes, faults)
-    return 1 if faults else 0
+        show(lambda: {**_runs_dict(found), **findings}, _runs_lines(found))
+    return print_findings(faults, notes)
 
 
 def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list[str]]:

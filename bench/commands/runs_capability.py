@@ -12,8 +12,8 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
-from bench.commands.ledger import RunChoice, print_findings
-from bench.commands.output import show
+from bench.commands.options import RunChoice
+from bench.commands.output import print_findings, show
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.history.chart_findings import find_charts, needs_attention
@@ -70,8 +70,7 @@ def export_runs(choice: RunChoice, path: Path) -> int:
         {**facts, "rows": count, "faults": merged.faults, "notes": merged.notes},
         f"{path}: {counted(count, 'run')}, schema {SCHEMA}.",
     )
-    print_findings(merged.notes, merged.faults)
-    return 1 if merged.faults else 0
+    return print_findings(merged.faults, merged.notes)
 
 
 def _rows(merged: MergedRuns) -> Iterator[Row]:
@@ -110,8 +109,8 @@ def chart_runs(
         },
         f"{_verdict_text(found['groups'])}\nCharts: {page}",
     )
-    print_findings(notes, merged.faults)
-    return 1 if merged.faults or any(map(needs_attention, found["groups"])) else 0
+    status = print_findings(merged.faults, notes)
+    return status or int(any(map(needs_attention, found["groups"])))
 
 
 def _require_page(page: Path) -> None:
@@ -239,8 +238,7 @@ def show_capability(choice: RunChoice, words: str) -> int:
         lambda: _as_json(chosen, cameras, levels, found),
         _lines(chosen, cameras, levels, found),
     )
-    print_findings(merged.notes, merged.faults)
-    return 1 if merged.faults else 0
+    return print_findings(merged.faults, merged.notes)
 
 
 def _factors(words: str) -> list[str]:

@@ -13,7 +13,15 @@ import click
 from bench.base.home import forms, home_folder
 from bench.cluster.verifications import VERIFIED, Check, Checked, check_one, derivations_of
 from bench.cluster.work import Finished, KeptRows, Workers, map_work
-from bench.commands.options import ExistingFile, OutputFolder, RunFolder, command, status_text
+from bench.commands.options import (
+    ALLOWED_SIGNERS,
+    TSA_CERTIFICATES,
+    ExistingFile,
+    OutputFolder,
+    RunFolder,
+    command,
+    status_text,
+)
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 from bench.evidence.authorisation import compare_authorisation, known_authorisations
@@ -45,19 +53,13 @@ _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "
     ),
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=RunFolder(journal=False))
-@click.option(
-    "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
-)
+@ALLOWED_SIGNERS
 @click.option(
     "--revoked-keys",
     type=ExistingFile(),
     help="File of revoked keys.  [default: the one beside the trusted keys]",
 )
-@click.option(
-    "--tsa-certificates",
-    type=ExistingFile(),
-    help="Root certificates of trusted time stamping authorities, PEM.  [default: this bench's own]",
-)
+@TSA_CERTIFICATES
 @click.option(
     "--at",
     metavar="DATE",
@@ -108,15 +110,15 @@ def verify(
         who = open_workers(workers, most=len(folders))
         check = Check(trust, moment, serial, again, forms()["program"])
         return _verify_many(folders, check, who, output)
-    found = verify_folder(
-        folders[0],
-        trust,
-        at=moment,
-        camera_serial=serial,
-        derivations=derivations(trust, again=again),
-        again=again,
-    )
-    return show_verification(found)
+    return show_verification(verify_one(folders[0], trust, again=again, at=moment, camera_serial=serial))
+
+
+def verify_one(
+    folder: Path, trust: Trust, *, again: bool, at: datetime | None = None, camera_serial: str | None = None
+) -> Verification:
+    """Verify a folder with the ledger of this bench, and with ``again`` with its recordings."""
+    checks = derivations(trust, again=again)
+    return verify_folder(folder, trust, at=at, camera_serial=camera_serial, derivations=checks, again=again)
 
 
 def show_verification(found: Verification) -> int:
@@ -233,7 +235,7 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
     """Return the checks of a certificate; with --again also that of its run, from the recordings."""
 
     def verify_run(run: Path) -> Verification:
-        return verify_folder(run, trust, derivations=derivations(trust, again=True), again=True)
+        return verify_one(run, trust, again=True)
 
     def of_run(folder: Path) -> Findings:
         from bench.certificate.sealed_run import check_run_of_certificate

@@ -78,6 +78,21 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(aligned, capsy
     ]
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_does_not_break_off_the_leaving(aligned, number):
+    session, devices = fake_session()
+    real = devices.light.off
+
+    def off():
+        os.kill(os.getpid(), number)
+        real()
+
+    devices.light.off = off
+    assert aligned(session, lambda: session.is_open) == 0
+    assert devices.light.calls[-1] == "off"
+    assert devices.closed
+
+
 def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(aligned, capsys):
     session, devices = fake_session()
     devices.stage.stop_fails = True
