@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from bench.align.controls import StageControl
 from bench.align.live_figures import LiveSetting
@@ -33,6 +33,7 @@ from drivers.light import Light, LightSettings
 from sequences.schema import FlickerConfig
 from sequences.script import Flicker
 
+T = TypeVar("T")
 ANSWER_S = 20.0
 """Longest wait for the camera between two slices, s."""
 
@@ -105,13 +106,9 @@ class CameraControl:
         with self._lock:
             # The names are those of the station; other biases keep the value that was read back.
             wanted = {one: now for one, now in self.biases.items() if one in ranges} | {name: value}
+            settings = CameraSettings(wanted, trigger_in=True, roi=config.roi)
             event_camera = cast("EventCamera", self._camera)
-
-            def change() -> CameraSettings:
-                return event_camera.apply(CameraSettings(wanted, trigger_in=True, roi=config.roi))
-
-            assert self._loop is not None
-            found = self._loop.on_camera(change).result(timeout=ANSWER_S)
+            found = self._between_slices(lambda: event_camera.apply(settings))
             self.settings = {**self.settings, "biases": dict(found.biases)}
         self._on_change()
         return self.biases
@@ -127,11 +124,14 @@ class CameraControl:
         with self._lock:
             wanted = FrameSettings(**{**self.frame_settings, name: value})
             frame_camera = cast("FrameCamera", self._camera)
-            assert self._loop is not None
-            found = self._loop.on_camera(lambda: frame_camera.apply(wanted)).result(timeout=ANSWER_S)
+            found = self._between_slices(lambda: frame_camera.apply(wanted))
             self.settings = {**self.settings, **asdict(found)}
         self._on_change()
         return self.frame_settings
+
+    def _between_slices(self, apply: Callable[[], T]) -> T:
+        assert self._loop is not None
+        return self._loop.on_camera(apply).result(timeout=ANSWER_S)
 
     def as_data(self) -> dict[str, Any]:
         """Return the camera as the page shows it."""

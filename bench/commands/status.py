@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -245,7 +245,7 @@ def status(run_folder: Path, follow: bool, summary: bool) -> int:
     if not follow:
         return _show_batch(run_folder) if of_batch else _show_run(run_folder)
     try:
-        ended = (_follow_batch if of_batch else _follow_run)(run_folder)
+        ended = _follow(run_folder, of_batch=of_batch)
     except KeyboardInterrupt:
         noun = "batch" if of_batch else "run"
         click.echo(f"\nNo longer following. The {noun} is not affected.", err=True)
@@ -278,56 +278,54 @@ def _show_batch(folder: Path) -> int:
     return 0
 
 
-def _follow_run(folder: Path) -> str:
-    """Follow a run; return how it ended, empty if it was interrupted."""
-    from bench.run.status import head_lines
+class _Shown(NamedTuple):
+    """A status that is followed."""
+
+    status: Status | BatchStatus
+    block: tuple[Sequence[str], Sequence[str], Sequence[str]]  # As `Block.draw` takes it
+    new: Sequence[str]  # Lines that the status before did not have
+
+
+def _follow(folder: Path, *, of_batch: bool) -> str:
+    """Follow a run or a batch; return how it ended, empty if it was interrupted."""
     from bench.terminal.progress import Block
 
-    now: Status
-    if wants_json():
-        for now, _ in follow(folder):
-            click.echo(json.dumps(now.to_dict(), allow_nan=False))
-            if output_is_lost():
-                break
-        return now.ended
-    block = Block()
-    if block.can_redraw:
-        for now, _ in follow(folder, ticks=True):
-            block.draw(head_lines(now), [f"  {line}" for line in now.last], [now.advice])
-        return now.ended
-    advice = ""
-    for now, lines in follow(folder):
-        shown = [f"  {line}" for line in lines]
-        if not advice or not now.running:
-            shown = head_lines(now) + shown
-        if now.advice != advice:
-            shown.append(now.advice)
-        advice = now.advice
-        if shown:
-            click.echo("\n".join(shown))
-        if output_is_lost():
-            break
-    return now.ended
-
-
-def _follow_batch(folder: Path) -> str:
-    """Follow a batch; return how it ended, empty if it was interrupted."""
-    from bench.batch.batch_summary import batch_status_text, follow_batch
-    from bench.terminal.progress import Block
-
-    block, before, as_json = Block(), "", wants_json()
-    now: BatchStatus
-    for now in follow_batch(folder, ticks=block.can_redraw and not as_json):
-        text = batch_status_text(now)
+    block, as_json = Block(), wants_json()
+    redraws = block.can_redraw and not as_json
+    for shown in (_batch_shown if of_batch else _run_shown)(folder, ticks=redraws):
         if as_json:
-            click.echo(json.dumps(now.to_dict(), allow_nan=False))
-        elif block.can_redraw:
-            head, *rest = text.splitlines()
-            block.draw([head], [], rest)
-        elif text != before:
-            known = set(before.splitlines())
-            click.echo("\n".join(line for line in text.splitlines() if line not in known))
-        before = text
+            click.echo(json.dumps(shown.status.to_dict(), allow_nan=False))
+        elif redraws:
+            block.draw(*shown.block)
+        elif shown.new:
+            click.echo("\n".join(shown.new))
         if output_is_lost():
             break
-    return now.ended
+    return shown.status.ended
+
+
+def _run_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
+    """Yield a run's status; its head is new at the begin and at the end."""
+    from bench.run.status import head_lines
+
+    advice = ""
+    for now, lines in follow(folder, ticks=ticks):
+        head, tail = head_lines(now), [now.advice]
+        new = [*(head if not advice or not now.running else ()), *(f"  {line}" for line in lines)]
+        yield _Shown(
+            now,
+            (head, [f"  {line}" for line in now.last], tail),
+            new if now.advice == advice else [*new, *tail],
+        )
+        advice = now.advice
+
+
+def _batch_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
+    """Yield a batch's status."""
+    from bench.batch.batch_summary import batch_status_text, follow_batch
+
+    before: list[str] = []
+    for now in follow_batch(folder, ticks=ticks):
+        lines = batch_status_text(now).splitlines()
+        yield _Shown(now, (lines[:1], [], lines[1:]), [line for line in lines if line not in before])
+        before = lines

@@ -8,7 +8,7 @@ import time
 
 import pytest
 from align_browser import NEEDS_CHROMIUM, running_chromium
-from journals import MadeRun, at_work
+from journals import MadeRun, at_work, made_batch
 from pages import served
 from quick_runs import write_sequence, write_station
 from running import end_when, entering, journal, start
@@ -18,7 +18,6 @@ from bench.records.journal import read_journal
 from bench.web.guard import PageToken
 
 PATIENCE_S = 60.0
-QUEUE = "format: starbench/queue/1\nname: Night\njobs:\n  - {name: cam, sequence: three_pose, station: simulated}\n"
 
 pytestmark = NEEDS_CHROMIUM
 
@@ -127,9 +126,7 @@ def test_a_killed_panel_leaves_no_gap(run, tabs):
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
 def test_nothing_is_cut_on_a_phone(run, chromium, page):
     root = run.folder.parent
-    batch = MadeRun(root / "night")
-    (batch.folder / "queue.yaml").write_text(QUEUE)
-    batch.write("batch_begun", queue="Night", files={})
+    made_batch(root / "night")
     MadeRun(root / ("a-run-with-a-very-long-name-" * 3)).begin().end(
         "failed", "a_reason_without_any_space_" * 8
     )

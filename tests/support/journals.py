@@ -163,3 +163,13 @@ def at_work(run: MadeRun) -> Iterator[tuple[RunLog, BenchClock]]:
                 yield log, clock
     finally:
         os.close(lock)
+
+
+def made_batch(folder: Path, *, jobs: tuple[str, ...] = ("cam",)) -> MadeRun:
+    """A batch folder with a queue and a journal that has begun; each job is one run."""
+    batch = MadeRun(folder)
+    lines = [f"  - {{name: {name}, sequence: three_pose, station: simulated}}" for name in jobs]
+    queue = "\n".join(["format: starbench/queue/1", "name: Night", "jobs:", *lines])
+    (folder / "queue.yaml").write_text(f"{queue}\n")
+    batch.write("batch_begun", queue="Night", files={})
+    return batch

@@ -196,6 +196,9 @@ def test_a_page_that_beats_is_left_alone(opened):
 
 def test_the_light_is_read_back_and_its_range_is_kept(opened):
     session, devices = opened
+    session.light(frequency_hz=100.0)  # a value alone does not switch it on
+    assert not devices.light.lit
+    assert "on" not in devices.light.calls
     shown = session.light(on=True, frequency_hz=50.0, level_percent=40.0)
     assert shown["on"] is True
     assert shown["read_back"]["frequency_hz"] == 50
@@ -210,13 +213,6 @@ def test_the_light_is_read_back_and_its_range_is_kept(opened):
         session.light(waveform="saw")
     assert devices.light.calls == before
     assert session.light(on=False)["on"] is False
-
-
-def test_values_alone_do_not_switch_the_light_on(opened):
-    session, devices = opened
-    session.light(frequency_hz=100.0)
-    assert not devices.light.lit
-    assert "on" not in devices.light.calls
 
 
 GONE = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")

@@ -99,14 +99,7 @@ def test_a_camera_that_did_not_change_is_right_within_u(capsys, points, camera_i
 
 
 def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, points, camera_info):
-    words = [
-        "check",
-        str(points[0]),
-        "--image-size",
-        "1280x720",
-        "--calibration",
-        str(camera_info(longer=1.01)),
-    ]
+    words = ["check", points[0], "--image-size", "1280x720", "--calibration", camera_info(longer=1.01)]
     told = json.loads(out_of(capsys, *words, "--json", status=1))
     assert (told["right"], told["cause"]) == (False, "scale")
     assert max(one["normalised"] for one in told["regions"]) > 1
@@ -138,22 +131,8 @@ def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, p
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"
-    out_of(
-        capsys,
-        "passport",
-        "make",
-        folder,
-        "--image-size",
-        "1280x720",
-        "-o",
-        file,
-        "--model",
-        "spherical",
-        "--collimator",
-        "C7",
-        "--temperature",
-        21.5,
-    )
+    conditions = ("--model", "spherical", "--collimator", "C7", "--temperature", 21.5)
+    out_of(capsys, "passport", "make", folder, "--image-size", "1280x720", "-o", file, *conditions)
     shown = out_of(capsys, "passport", "show", file)
     assert "collimator: C7" in shown
     assert "temperature_c: 21.5" in shown

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from journals import MadeRun
+from journals import MadeRun, made_batch
 
 from bench.panel import helper_process, panel_app
 from bench.panel.helper_process import (
@@ -25,24 +25,13 @@ from bench.run.heartbeat import LastView
 from bench.views.measure import StoredImage
 from calib.target import StarTarget
 
-QUEUE = """\
-format: starbench/queue/1
-name: Night
-jobs:
-  - {name: one, sequence: three_pose, station: simulated}
-  - {name: two, sequence: three_pose, station: simulated}
-"""
+
+@pytest.fixture
+def batch(tmp_path):
+    return made_batch(tmp_path / "night", jobs=("one", "two"))
 
 
-def _batch(folder):
-    batch = MadeRun(folder / "night")
-    (batch.folder / "queue.yaml").write_text(QUEUE)
-    batch.write("batch_begun", queue="Night", files={})
-    return batch
-
-
-def test_a_batch_is_told_again_only_when_something_is_new(tmp_path, monkeypatch):
-    batch = _batch(tmp_path)
+def test_a_batch_is_told_again_only_when_something_is_new(batch, monkeypatch):
     batch.write("item_begun", item="one-001", again=False, attempt=1, recorded=0)
     made = []
     real = panel_app.summarise
@@ -59,19 +48,18 @@ def test_a_batch_is_told_again_only_when_something_is_new(tmp_path, monkeypatch)
     assert found["status"]["running"] is False
 
 
-def test_a_damaged_batch_says_so(tmp_path):
-    batch = _batch(tmp_path)
+def test_a_damaged_batch_says_so(batch):
     batch.path.write_bytes(batch.path.read_bytes().replace(b"Night", b"Day!!"))
     assert "does not match its hash" in json.loads(BatchView(batch.folder).text()[0])["fault"]
 
 
-def test_failures_come_first_and_what_has_not_begun_last(tmp_path, monkeypatch):
+def test_failures_come_first_and_what_has_not_begun_last(batch, monkeypatch):
     items = [
         {"item": str(n), "how": how}
         for n, how in enumerate(("finished", "not begun", "died", "aborted", "failed"))
     ]
     monkeypatch.setattr(panel_app, "summarise", lambda *_: {"items": items})
-    shown = json.loads(BatchView(_batch(tmp_path).folder).text()[0])
+    shown = json.loads(BatchView(batch.folder).text()[0])
     assert [item["how"] for item in shown["items"]] == [
         "died",
         "failed",

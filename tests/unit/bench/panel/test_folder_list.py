@@ -6,14 +6,12 @@ import json
 import os
 
 import pytest
-from journals import MadeRun
+from journals import MadeRun, made_batch
 
 from bench.base.errors import RunFolderError
 from bench.batch.batch_summary import batch_status_text, read_batch_status
 from bench.panel.folder_list import FolderList
 from bench.records.storage import lock_folder
-
-QUEUE = "format: starbench/queue/1\nname: Night\njobs:\n  - {name: cam, sequence: three_pose, station: simulated}\n"
 
 
 def _look(root):
@@ -79,9 +77,7 @@ def test_a_damaged_run_is_listed_with_its_fault(tmp_path):
 
 
 def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
-    batch = MadeRun(tmp_path / "night")
-    (batch.folder / "queue.yaml").write_text(QUEUE)
-    batch.write("batch_begun", queue="Night", files={})
+    batch = made_batch(tmp_path / "night")
     MadeRun(batch.folder / "runs" / "cam-001").begin()
     found = _look(tmp_path)
     assert found["runs"] == []
@@ -89,12 +85,17 @@ def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
     assert found["batches"][0]["ended_utc"] == ""
 
 
-def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path):
-    batch = MadeRun(tmp_path / "night")
-    (batch.folder / "queue.yaml").write_text(QUEUE)
-    batch.write("batch_begun", queue="Night", files={})
+@pytest.fixture
+def begun(tmp_path):
+    """A batch whose only run has begun, and the name of the run."""
+    batch = made_batch(tmp_path / "night")
     (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
     batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
+    return batch, name
+
+
+def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path, begun):
+    batch, name = begun
     batch.write("item_ended", item=name, how="finished", why="", noticed_s=0.0, unsafe=[])
     assert _look(tmp_path)["batches"][0]["ended_utc"] == ""
     last = read_batch_status(batch.folder).last_end
@@ -103,12 +104,8 @@ def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path):
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_a_batch_with_a_simulated_run_is_marked(tmp_path, simulated):
-    batch = MadeRun(tmp_path / "night")
-    (batch.folder / "queue.yaml").write_text(QUEUE)
-    batch.write("batch_begun", queue="Night", files={})
-    (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
-    batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
+def test_a_batch_with_a_simulated_run_is_marked(tmp_path, begun, simulated):
+    batch, name = begun
     plan = MadeRun(batch.folder / "runs" / name).folder / "plan.json"
     plan.write_text(json.dumps({**json.loads(plan.read_text()), "simulated": simulated}))
     assert _look(tmp_path)["batches"][0]["simulated"] is simulated

@@ -161,11 +161,6 @@ def test_the_users_of_this_computer_are_told_apart():
     assert name == f"127.0.0.1 {os.getuid()}"
 
 
-def test_a_program_signs_in_by_a_header():
-    client = _client(token=PageToken(TOKEN))
-    assert (_bears(client, TOKEN), _bears(client, "no")) == (200, 401)
-
-
 @pytest.mark.parametrize("length", [1000, 5000])
 def test_a_number_of_any_length_is_answered(length):
     body = b'{"token": ' + b"9" * length + b"}"

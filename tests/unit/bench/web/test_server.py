@@ -97,12 +97,6 @@ def test_the_server_ends_at_once_although_streams_are_open():
     assert counter.closed == 1
 
 
-def test_the_host_is_checked_over_the_wire_too():
-    with served(_Counter().app()) as server:
-        assert httpx.get(server.url).text == "page"
-        assert httpx.get(server.url, headers={"Host": "evil.example"}).status_code == 421
-
-
 def test_a_port_in_use_is_one_clear_error():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
