@@ -31,8 +31,8 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from bench.base.errors import UsageError
-from bench.web.pages import read_object
+from bench.base.errors import Failure, UsageError
+from bench.web.pages import error_answer, read_object
 
 # The token that a browser needs for the pages, and how many wrong tokens a client may send.
 #
@@ -101,12 +101,15 @@ def is_loopback(host: str) -> bool:
     >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
     (True, True, False)
     """
-    if host.rstrip(".").lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    address = address_of(host)
+    return host.rstrip(".").lower() == "localhost" or (address is not None and address.is_loopback)
+
+
+def address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Return the address that a text is; None for a name."""
+    with suppress(ValueError):
+        return ipaddress.ip_address(host)
+    return None
 
 
 def session_of(token: str) -> str:
@@ -261,7 +264,8 @@ class Guard:
             return False
         if name.rstrip(".") in self._names:
             return True
-        return self._addresses_allowed and _is_address(name)
+        # No other site can have an address of ours as its name.
+        return self._addresses_allowed and address_of(name) is not None
 
     def _refusal_of(self, given: str, request: Request) -> Response | None:
         """Return the answer to a wrong token, or to any token of a client that sent many; None for the right one."""
@@ -311,15 +315,6 @@ def _own_names(host: str) -> frozenset[str]:
     return frozenset({name, name.partition(".")[0], f"{name.partition('.')[0]}.local"})
 
 
-def _is_address(name: str) -> bool:
-    """Return whether a name is an address. No other site can have an address of ours as its name."""
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
-
-
 def _same_origin(headers: Headers, host: str) -> bool:
     scheme, separator, netloc = headers.get("origin", "").partition("://")
     return bool(separator) and scheme in {"http", "https"} and netloc.lower() == host.lower()
@@ -340,5 +335,4 @@ def known_by(request: Request) -> Literal["token", "typed"]:
 
 
 def _refusal(status: int, what: str, remedy: str) -> Response:
-    error = {"kind": "UsageError", "what": what, "where": "", "remedy": remedy}
-    return JSONResponse({"error": error}, status_code=status)
+    return error_answer(Failure("UsageError", what, "", remedy), status)

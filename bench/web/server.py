@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import html
-import ipaddress
 import os
 import signal
 import socket
@@ -25,7 +24,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.errors import UsageError
-from bench.web.guard import SIGN_IN, Guard, PageToken, require_token
+from bench.web.guard import SIGN_IN, Guard, PageToken, address_of, require_token
 from bench.web.pages import CLOSING
 
 LOOPBACK = "127.0.0.1"
@@ -254,9 +253,8 @@ def _bind_error(error: OSError, host: str, port: int) -> UsageError:
 
 def _shown(host: str) -> str:
     """Return the host as it stands in a URL; the computer's name if all addresses are served."""
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
+    address = address_of(host)
+    if address is None:
         return host
     if address.is_unspecified:
         return socket.gethostname()
