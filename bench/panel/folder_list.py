@@ -49,33 +49,40 @@ class FolderList:
         self._lock = threading.Lock()
 
     def look(self) -> FolderContent:
-        """Look at the folder."""
-        with self._lock:
-            faults: list[str] = []
-            runs: list[ListedRun] = []
-            batches: list[ListedBatch] = []
-            seen = set()
-            for folder in self._folders(faults):
-                seen.add(folder)
-                try:
-                    self.inside(folder / JOURNAL)
-                    if (folder / QUEUE_COPY).is_file():
-                        batches.append(self._batch(folder))
-                    else:
-                        runs.append(self._run(folder))
-                except Exception as error:  # noqa: BLE001 - one folder must not hide the others
-                    message = Failure.of(error).message
-                    faults.append(message if str(folder) in message else f"{folder}: {message}")
-            for known in (self._runs, self._batches):
-                for gone in known.keys() - seen:
-                    known.pop(gone)
-        return {
+        """Look at the folder; what cannot be read is a fault."""
+        found: FolderContent = {
             "root": str(self.root),
-            "exists": self.root.is_dir(),
-            "runs": sorted(runs, key=_begin, reverse=True),
-            "batches": sorted(batches, key=_begin, reverse=True),
-            "faults": faults,
+            "exists": True,
+            "runs": [],
+            "batches": [],
+            "faults": [],
         }
+        with self._lock:
+            try:
+                found["exists"] = self.root.is_dir()
+                folders = list(self._folders(found["faults"]))
+            except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
+                found["faults"].append(Failure.of(error).message)
+                return found
+            for folder in folders:
+                self._look_at(folder, found)
+            for known in (self._runs, self._batches):
+                for gone in known.keys() - set(folders):
+                    known.pop(gone)
+        found["runs"].sort(key=_begin, reverse=True)
+        found["batches"].sort(key=_begin, reverse=True)
+        return found
+
+    def _look_at(self, folder: Path, found: FolderContent) -> None:
+        try:
+            self.inside(folder / JOURNAL)
+            if (folder / QUEUE_COPY).is_file():
+                found["batches"].append(self._batch(folder))
+            else:
+                found["runs"].append(self._run(folder))
+        except Exception as error:  # noqa: BLE001 - one folder must not hide the others
+            message = Failure.of(error).message
+            found["faults"].append(message if str(folder) in message else f"{folder}: {message}")
 
     def folder_of(self, key: str) -> Path:
         """Return the folder that a page names by its path relative to the root, with slashes; ``.`` for the root."""

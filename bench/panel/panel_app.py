@@ -18,12 +18,12 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from bench.base.errors import BenchError, Failure, RunFolderError, UsageError
+from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.batch.batch_summary import PAGE, RUNS, read_batch, read_batch_status, summarise
 from bench.panel.folder_list import FolderList
 from bench.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
 from bench.panel.line import Line
-from bench.panel.shown_run import FolderContent, LogLine
+from bench.panel.shown_run import LogLine
 from bench.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY
@@ -229,16 +229,7 @@ class Panel:
         """Return the list as JSON; the folder is looked at once for all pages, so not for the server's own thread."""
         with self._list_lock:
             if time.monotonic() - self._listed_at_s >= 0.9 * LIST_S:
-                try:
-                    found = self._list.look()
-                except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
-                    found = FolderContent(
-                        root=str(self._list.root),
-                        exists=True,
-                        runs=[],
-                        batches=[],
-                        faults=[Failure.of(error).message],
-                    )
+                found = self._list.look()
                 self._list_text = json.dumps(found, separators=(",", ":"), allow_nan=False)
                 self._listed_at_s = time.monotonic()
             return self._list_text, 0

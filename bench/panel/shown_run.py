@@ -209,6 +209,6 @@ class FolderContent(TypedDict):
 
     root: str
     exists: bool
-    runs: Sequence[ListedRun]
-    batches: Sequence[ListedBatch]
-    faults: Sequence[str]
+    runs: list[ListedRun]
+    batches: list[ListedBatch]
+    faults: list[str]

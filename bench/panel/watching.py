@@ -275,7 +275,6 @@ class Helper:
 
 CELLS = (32, 18)
 """Columns and rows in which the coverage is counted."""
-_MOST_GRIDS = 500
 _MOST_FORECASTS = 8
 _MOST_POSES_TO_FORECAST = 60
 
@@ -286,11 +285,10 @@ class Extras:
     def __init__(self, watch: RunWatch, helper: Helper) -> None:
         self._watch = watch
         self._helper = helper
-        self._generation = 0
-        self._covered = 0
-        self._counts = [0] * (CELLS[0] * CELLS[1])
+        self._covered = self._planned = 0, 0
+        """Generation of the journal, with the number of recordings counted, and of poses planned."""
         self._forecast: list[Forecast] = []
-        self._forecast_left: list[int] | None = None
+        self._forecast_left: list[int] = []
 
     async def keep_up(self) -> None:
         """Add to the page whatever can be calculated, until cancelled."""
@@ -301,43 +299,33 @@ class Extras:
                 await changes.after(number)
 
     async def _cover(self) -> bool:
-        """Count the stars of the recordings accepted since; return whether there were any."""
+        """Count the stars of the accepted recordings if there are new ones; return whether there were."""
         model = self._watch.model
         with self._watch.lock:
-            if model.generation != self._generation:
-                self._generation, self._covered = model.generation, 0
-                self._counts = [0] * len(self._counts)
-                self._forecast, self._forecast_left = [], None
-            grids = _grids(model.history)[self._covered : self._covered + _MOST_GRIDS]
-            size = _image_size(model)
-            poses = sum(1 for pose in model.plan.poses.values() if pose["angles_deg"])
-        if self._forecast_left is None and poses:
-            self._forecast_left = forecast_poses(poses)
-        if not grids or size is None:
+            grids, size = _grids(model.history), _image_size(model)
+            now = model.generation, len(grids)
+        if not grids or size is None or now == self._covered:
             return False
-        request = CoverageRequest(model.folder, size, CELLS, grids)
-        counts = await asyncio.to_thread(self._helper.ask, request)
-        self._covered += len(grids)
+        counts = await asyncio.to_thread(self._helper.ask, CoverageRequest(model.folder, size, CELLS, grids))
+        self._covered = now
         if not isinstance(counts, str):
-            self._counts = [a + b for a, b in zip(self._counts, counts, strict=True)]
-            share = sum(count > 0 for count in self._counts) / len(self._counts)
-            coverage: Coverage = {
-                "cells": CELLS,
-                "counts": self._counts,
-                "share": round(share, 4),
-                "size": size,
-                "poses": self._covered,
-            }
+            share = round(sum(count > 0 for count in counts) / len(counts), 4)
+            coverage = Coverage(cells=CELLS, counts=counts, share=share, size=size, poses=len(grids))
             self._watch.tell({"coverage": coverage})
         return True
 
     async def _foresee(self) -> bool:
         """Forecast the uncertainty after one more number of poses; return whether there was one left."""
+        model = self._watch.model
+        with self._watch.lock:
+            planned = model.generation, sum(1 for pose in model.plan.poses.values() if pose["angles_deg"])
+        if planned[1] and planned != self._planned:
+            self._planned = planned
+            self._forecast, self._forecast_left = [], forecast_poses(planned[1])
         if not self._forecast_left:
             return False
         poses = self._forecast_left.pop(0)
-        request = ForecastRequest(self._watch.model.folder, poses)
-        now = await asyncio.to_thread(self._helper.ask, request)
+        now = await asyncio.to_thread(self._helper.ask, ForecastRequest(model.folder, poses))
         if now and not isinstance(now, str):
             self._forecast.append({"poses": poses, "now": now})
             self._forecast.sort(key=lambda one: one["poses"])
