@@ -3,7 +3,7 @@
 import json
 import shutil
 import stat
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 import pytest
 from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen
@@ -14,7 +14,7 @@ from bench.commands.cli import cli
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.seal import seal
-from bench.evidence.signers import read_signers
+from bench.evidence.signers import RevokedKey, read_signers, revoke
 from bench.evidence.states import home_trust, shown_state
 from bench.records.ledger import Ledger
 from bench.records.run_folder import RunFolder
@@ -40,6 +40,14 @@ def run(home, make_run, tmp_path):
     with make_run(tmp_path / "run") as folder:
         seal(folder, load_key(home))
     return tmp_path / "run"
+
+
+@pytest.fixture
+def ada(home, tmp_path):
+    """The path of a key that the bench trusts for authorisations."""
+    path = make_key(tmp_path)
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+    return path
 
 
 def call(*arguments, answer=None, fails=None):
@@ -80,19 +88,17 @@ def test_a_person_authorises_what_is_shown(run, home, tmp_path):
 
 
 @pytest.fixture
-def authorised(run, home, tmp_path, monkeypatch):
+def authorised(run, home, ada, monkeypatch):
     """The run, authorised by Ada and entered in the ledger of the bench; and the path of her key."""
     from bench.commands import verify as verify_command
 
     monkeypatch.setattr(
         verify_command, "derivations", lambda *_, **__: {"run": [verify_command.check_authorisation]}
     )
-    path = make_key(tmp_path)
-    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
     Ledger(home, utc_now=lambda: datetime(2026, 3, 1, tzinfo=UTC), monotonic=lambda: 0.0).append("begun")
-    shown = json.loads(call("certificate", "authorise", run, "--key", path, "--json", "--yes"))
+    shown = json.loads(call("certificate", "authorise", run, "--key", ada, "--json", "--yes"))
     assert shown["in_ledger"] is True
-    return run, path
+    return run, ada
 
 
 def with_a_fault(*arguments):
@@ -149,29 +155,23 @@ def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home,
     assert what in with_a_fault("verify", run)
 
 
-def test_a_computer_without_a_ledger_says_that_nothing_was_entered(run, home, tmp_path):
-    path = make_key(tmp_path)
-    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
-    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(path), "--yes"])
+def test_a_computer_without_a_ledger_says_that_nothing_was_entered(run, home, ada):
+    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(ada), "--yes"])
     assert "Not entered in a ledger, so nobody would notice that it was removed" in done.output
     assert not (home / "ledger.jsonl").exists()
 
 
-def test_a_script_authorises_with_json(run, home, tmp_path):
-    path = make_key(tmp_path)
-    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
-    call("certificate", "authorise", run, "--key", path, "--json", fails="--json cannot ask")
-    shown = json.loads(call("certificate", "authorise", run, "--key", path, "--json", "--yes"))
+def test_a_script_authorises_with_json(run, ada):
+    call("certificate", "authorise", run, "--key", ada, "--json", fails="--json cannot ask")
+    shown = json.loads(call("certificate", "authorise", run, "--key", ada, "--json", "--yes"))
     assert (shown["state"], shown["person"]) == ("AUTHORISED", "ada@lab.example")
     assert shown["facts"]["Devices"] == "SIMULATED"
 
 
-def test_a_folder_with_a_fault_is_not_authorised(run, home, tmp_path):
-    path = make_key(tmp_path)
-    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+def test_a_folder_with_a_fault_is_not_authorised(run, ada):
     (run / "results.json").chmod(0o644)
     (run / "results.json").write_text("{}")
-    call("certificate", "authorise", run, "--key", path, "--yes", fails="the file was changed after sealing")
+    call("certificate", "authorise", run, "--key", ada, "--yes", fails="the file was changed after sealing")
     assert not (run / "SHA256SUMS.authorised.sig").exists()
 
 
@@ -291,38 +291,23 @@ def test_keys_show_asks_for_no_passphrase(tmp_path, monkeypatch):
 # ------------------------------------------------------------------ the key before the run
 
 
-@pytest.mark.parametrize("trouble", ["readable", "locked", "expired", "revoked", "list", "folder"])
-def test_a_key_that_cannot_seal_stops_a_run_before_its_folder_is_made(home, tmp_path, trouble, monkeypatch):
-    from bench.evidence.signers import RevokedKey, replace_lines, revoke
+RUN = ("run", "three_pose", "--station", "simulated", "-o", "new")
 
-    key, now = load_key(home), datetime.now(UTC)
-    says = "Other users can"
-    if trouble == "readable":
-        (home / "bench_key").chmod(0o644)
-    elif trouble == "list":
-        (home / "allowed_signers").chmod(0o666)
-    elif trouble == "folder":
-        home.chmod(0o777)
-    elif trouble == "locked":
+
+@pytest.mark.parametrize("words", [RUN, ("batch", "queue.yaml", "-o", "new")], ids=["run", "batch"])
+@pytest.mark.parametrize("trouble", ["locked", "revoked"])
+def test_a_key_that_cannot_seal_stops_a_run_before_its_folder_is_made(
+    home, tmp_path, monkeypatch, trouble, words
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "queue.yaml").write_text("format: starbench/queue/1\n")
+    says = "cannot seal: the key was revoked"
+    if trouble == "revoked":
+        revoke(home, RevokedKey(load_key(home).public_key, datetime.now(UTC), "laptop stolen"))
+    else:
         (home / "bench_key").unlink()
         create_key(home, passphrase=b"a secret")
         says = "there is no terminal to ask for it"
-    elif trouble == "expired":
-        replace_lines(home, key.public_key, now - timedelta(days=1), [])
-        says = "cannot seal: the key expired"
-    else:
-        revoke(home, RevokedKey(key.public_key, now, "laptop stolen"))
-        says = "cannot seal: the key was revoked"
     monkeypatch.setattr(RunFolder, "create", None)  # it would fail otherwise than expected
-    call("run", "three_pose", "--station", "simulated", "-o", tmp_path / "new", fails=says)
+    call(*words, fails=says)
     assert not (tmp_path / "new").exists()
-
-
-def test_a_locked_key_stops_a_batch_before_its_folder_is_made(home, tmp_path):
-    (home / "bench_key").unlink()
-    create_key(home, passphrase=b"a secret")
-    (tmp_path / "queue.yaml").write_text("format: starbench/queue/1\n")
-    call(
-        "batch", tmp_path / "queue.yaml", "-o", tmp_path / "night", fails="there is no terminal to ask for it"
-    )
-    assert not (tmp_path / "night").exists()
