@@ -78,7 +78,7 @@ class View:
             raise InputMismatch(
                 f"The view has {n} ids, but its arrays have shapes {shapes}.", where=f"view {self.name}"
             )
-        if len(np.unique(self.ids)) != n:
+        if len(set(self.ids.tolist())) != n:  # np.unique would load NumPy's masked arrays
             raise InputMismatch("The view holds a star twice.", where=f"view {self.name}")
         if not all(np.isfinite(a).all() for a in (self.points_px, self.target_mm, self.covariances_px2)):
             raise InputMismatch("The view holds numbers that are not finite.", where=f"view {self.name}")

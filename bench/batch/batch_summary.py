@@ -53,27 +53,6 @@ from sequences.reader import read_document
 RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
-_NO_RUN = IndexedRun(
-    folder="",
-    id="",
-    sequence="",
-    station="",
-    camera="",
-    operator=None,
-    simulated=False,
-    rehearsal=False,
-    begun_utc="",
-    how="",
-    sealed=False,
-    accepted=0,
-    recordings=0,
-    deviations=0,
-    temperature_c=None,
-    model=None,
-    rms_px=None,
-    parameters={},
-)
-"""What is stated of a run without a journal of its own."""
 
 
 def read_batch(folder: Path) -> BatchRecord:
@@ -160,7 +139,7 @@ def _item(
 ) -> ItemData:
     item, attempts = state.item, state.ended
     path = f"{RUNS}/{item.key}"
-    stated = run or _NO_RUN
+    stated = run or IndexedRun()
     return {
         "item": item.key,
         "job": item.job.name,

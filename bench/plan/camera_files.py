@@ -29,12 +29,22 @@ _LARGEST = 1e15
 """Of any value: a lens of long focal length has coefficients of 1e9."""
 _NEGATIVE = 1e-6
 """Least eigenvalue of a covariance, as a share of the largest: rounding."""
-_OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+"""What reading a file of another form raises."""
 _RESULTS = "results.json"
 _STORAGE = b"%YAML"
 #: Number of coefficients of each distortion model of ROS, and of Kalibr's.
 _ROS = {"plumb_bob": BROWN[:5], "rational_polynomial": BROWN[:8], "equidistant": FISHEYE, "fisheye": FISHEYE}
 _KALIBR = {"radtan": BROWN[:4], "equidistant": FISHEYE, "none": ()}
+
+
+def form_text(error: Exception) -> str:
+    """Return what one of `OF_OTHER_FORM` says of a file, as a part of a sentence."""
+    return (
+        f"it has no {error}"
+        if isinstance(error, KeyError)
+        else str(error).strip() or "its form is another one"
+    )
 
 
 class NotACamera(BenchError):
@@ -64,14 +74,9 @@ def parse_camera(data: bytes, file: Path) -> CameraFile:
     try:
         kind, camera, covariance = _recognised(data, file)
         _require_possible(camera, covariance)
-    except (*_OF_OTHER_FORM, cv2.error, SystemError) as error:  # OpenCV raises SystemError at a torn file
-        what = (
-            f"it has no {error}"
-            if isinstance(error, KeyError)
-            else str(error).strip() or "its form is another one"
-        )
+    except (*OF_OTHER_FORM, cv2.error, SystemError) as error:  # OpenCV raises SystemError at a torn file
         raise NotACamera(
-            f"This file does not hold a calibrated camera: {what}.",
+            f"This file does not hold a calibrated camera: {form_text(error)}.",
             where=str(file),
             remedy="Known are results.json of a run, OpenCV's YAML, ROS's camera_info, Kalibr's camchain, and"
             " intrinsics.json and camera-geometry.json of the Metavision SDK.",

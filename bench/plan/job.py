@@ -144,16 +144,6 @@ class Job:
         return {"station": self.station.limits, "sequence": self.plan.sequence.value.limits}
 
     @property
-    def lens(self) -> str | None:
-        """The camera's lens, as the station file states it."""
-        return self.station.camera.lens
-
-    @property
-    def laboratory(self) -> str | None:
-        """The laboratory, as the station file states it."""
-        return self.station.laboratory
-
-    @property
     def simulated(self) -> bool:
         """Whether any device is simulated."""
         return self.station.is_simulated

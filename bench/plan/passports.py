@@ -19,7 +19,6 @@ import numpy as np
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
-from bench.records.run_folder import PASSPORT_COPY
 from bench.records.storage import storage_errors
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
@@ -39,6 +38,17 @@ def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word
     """Return the path of a step's setting in the file."""
     places = ((*path, key), ("defaults", word, key))
     return next((place for place in places if place in document.tree.values), path)
+
+
+def require_copy(copy: Path) -> Path:
+    """Return the copy that the folder of a run keeps of a file, which must be there."""
+    if not copy.is_file():
+        raise UsageError(
+            f"The run folder has no {copy.name}, which this run uses.",
+            where=str(copy),
+            remedy="Restore it from a copy of the run.",
+        )
+    return copy
 
 
 _MOST = 1e6
@@ -407,22 +417,14 @@ class _Named:
     def read(self, copy: Path | None) -> PassportInUse:
         """Read the copy if there is one, else the named file; raises UsageError or StorageError."""
         name = self.file.name if self.file else "certificate"
-        if copy is not None:
-            if not copy.is_file():
-                raise UsageError(
-                    f"The run folder has no {PASSPORT_COPY}, which this run uses.",
-                    where=str(copy),
-                    remedy="Restore it from a copy of the run.",
-                )
-            passport, data = read_passport_file(copy)
-        elif self.file is not None:
-            passport, data = read_passport_file(self.file)
-        else:
+        path = self.file if copy is None else require_copy(copy)
+        if path is None:
             assert self.certificate is not None
             data = passport_bytes(self.certificate)
             return PassportInUse(self.certificate, data, self.source, name, self.other_accepted)
         from bench.evidence.seal import read_passport_seal
 
+        passport, data = read_passport_file(path)
         return PassportInUse(passport, data, self.source, name, self.other_accepted, read_passport_seal(data))
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import BenchError, UsageError
-from bench.plan.passports import setting_path
-from bench.records.run_folder import CHECKED_COPY
+from bench.plan.passports import require_copy, setting_path
 from bench.stations.station import ExpectedConfig
 from sequences.reader import Located
 from sequences.schema import Sequence
@@ -77,15 +76,9 @@ def _read(file: Path, copy: Path | None) -> CameraFile:
     """Read the copy if there is one, else the named file; raises BenchError."""
     from bench.plan.camera_files import read_camera_file
 
-    if copy is not None and not copy.is_file():
-        raise UsageError(
-            f"The run folder has no {CHECKED_COPY}, which this run uses.",
-            where=str(copy),
-            remedy="Restore it from a copy of the run.",
-        )
     if copy is None and not file.exists():
         raise UsageError("There is no such file or folder.", where=str(file), remedy="Check the path.")
-    return read_camera_file(file if copy is None else copy)
+    return read_camera_file(file if copy is None else require_copy(copy))
 
 
 def _require_same_sensor(file: CameraFile, expected: tuple[int, int]) -> None:

@@ -115,7 +115,7 @@ class Ledger:
 
     def _write_own_mark(self, entries: Sequence[Entry]) -> None:
         own = self._own_mark()
-        counts = tuple(sorted(highest_counts(entries).items()))
+        counts = dict(sorted(highest_counts(entries).items()))
         mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc, counts)
         self._store(replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark))
 

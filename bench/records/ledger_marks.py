@@ -38,16 +38,15 @@ class LedgerMark:
     runs: int  # Highest number of a run
     head: str  # Hash of the last line
     utc: str  # Time of the last line, ISO 8601
-    counts: tuple[tuple[str, int], ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict, hash=False)  # The highest of each series
 
     def to_line(self) -> bytes:
         """Return the mark as one line of JSON."""
         return (json.dumps(self.to_dict(), separators=(",", ":")) + "\n").encode()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the mark as JSON carries it: all attributes; ``counts`` as a mapping, left out if it is empty."""
-        facts = {"lines": self.lines, "runs": self.runs, "head": self.head, "utc": self.utc}
-        return {**facts, "counts": dict(self.counts)} if self.counts else facts
+        """Return the mark as JSON carries it: all attributes; ``counts`` is left out if it is empty."""
+        return {name: value for name, value in vars(self).items() if name != "counts" or value}
 
     def disagreement(self, entries: Sequence[Entry]) -> str:
         """Return how a ledger contradicts this mark: the end of a sentence that begins with "The ledger", or empty."""
@@ -65,10 +64,6 @@ def parse_mark(line: bytes) -> LedgerMark:
     found = parse_json(line)
     if not isinstance(found, dict):
         raise ValueError(_MARK_FORM)  # noqa: TRY004 - a fault of the file, not of an argument
-    return _mark_of(found)
-
-
-def _mark_of(found: Mapping[str, Any]) -> LedgerMark:
     lines, runs, head, utc = (found.get(name) for name in ("lines", "runs", "head", "utc"))
     numbers = [n for n in (lines, runs) if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
     if len(numbers) != 2 or not lines or not (isinstance(head, str) and isinstance(utc, str)):
@@ -76,7 +71,7 @@ def _mark_of(found: Mapping[str, Any]) -> LedgerMark:
     counts = found.get("counts", {})
     if not (isinstance(counts, dict) and all(isinstance(count, int) for count in counts.values())):
         raise ValueError(_MARK_FORM)
-    return LedgerMark(numbers[0], numbers[1], head, utc, tuple(sorted(counts.items())))
+    return LedgerMark(numbers[0], numbers[1], head, utc, counts)
 
 
 @dataclass(frozen=True)

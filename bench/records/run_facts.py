@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
@@ -115,34 +115,34 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True)
 class IndexedRun:
-    """A run as a list of runs states it."""
+    """A run as a list of runs states it; the defaults are those of a run without a journal."""
 
-    folder: str
-    id: str
+    folder: str = ""
+    id: str = ""
     # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
     # number, empty while no camera has answered.
-    sequence: str
-    station: str
-    camera: str
-    operator: str | None
-    simulated: bool
-    rehearsal: bool
-    begun_utc: str  # Time of the start, ISO 8601
-    how: str  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
-    sealed: bool  # Whether it is sealed
+    sequence: str = ""
+    station: str = ""
+    camera: str = ""
+    operator: str | None = None
+    simulated: bool = False
+    rehearsal: bool = False
+    begun_utc: str = ""  # Time of the start, ISO 8601
+    how: str = ""  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
+    sealed: bool = False  # Whether it is sealed
     # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
     # ones), and of deviations from the sequence.
-    accepted: int
-    recordings: int
-    deviations: int
+    accepted: int = 0
+    recordings: int = 0
+    deviations: int = 0
     # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
     # report it.
-    temperature_c: float | None
+    temperature_c: float | None = None
     # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
     # calibration.
-    model: str | None
-    rms_px: float | None
-    parameters: Mapping[str, Estimate]  # By name
+    model: str | None = None
+    rms_px: float | None = None
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)  # By name
     # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     coverage_factor: float | None = None
     # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
@@ -174,7 +174,6 @@ def run_facts(history: History, folder: Path) -> IndexedRun:
         rehearsal=bool(started.get("rehearsal", False)),
         begun_utc=history.started_utc,
         how=history.ended,
-        sealed=False,
         accepted=len(history.accepted()),
         recordings=len(history.attempts) + sum(history.lost.values()),
         deviations=len(history.deviations),
@@ -416,7 +415,7 @@ def conformity(
     checks: bool = False,
 ) -> ConformityData | None:
     """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
-    statements = [_statement(calibration, stated_by, one) for stated_by, one in _each(limits)]
+    statements = [_statement(calibration, by, rule) for by, rules in limits.items() for rule in rules]
     if not statements and not checks:
         return None
     reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
@@ -425,29 +424,21 @@ def conformity(
     return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
 
 
-def _each(
-    limits: Mapping[str, Sequence[ResultLimitConfig]],
-) -> Iterator[tuple[str, ResultLimitConfig]]:
-    for stated_by, rules in limits.items():
-        for one in rules:
-            yield stated_by, one
-
-
 def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
     name, sigma = rule.result, calibration["sigma"]
     values = {**calibration["camera"], **(calibration["collimator"] or {})}
-    said: StatementData = {
+    value = expanded = None
+    verdict: Verdict = "fail"
+    if name in values and sigma.get(name, 0.0) > 0:
+        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
+        verdict = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
+    return {
         "result": name,
         "specification": rule.specification,
         "stated_by": stated_by,
         "lower": rule.lower,
         "upper": rule.upper,
-        "value": None,
-        "expanded": None,
-        "verdict": "fail",
+        "value": value,
+        "expanded": expanded,
+        "verdict": verdict,
     }
-    if name in values and sigma.get(name, 0.0) > 0:
-        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
-        said["value"], said["expanded"] = value, expanded
-        said["verdict"] = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
-    return said

@@ -204,11 +204,6 @@ def _results_mtime_ns(folder: Path) -> int:
         return 0
 
 
-def read_run(folder: Path) -> IndexedRun:
-    """Read one run from its folder, without an index."""
-    return read_run_and_details(folder)[0]
-
-
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
     """Read one run and its details (`bench.records.run_facts.run_details`) from its folder, without an index."""
     run, details = _read(folder)

@@ -87,12 +87,8 @@ def make_folder(folder: Path) -> None:
         for path in reversed(missing):
             path.mkdir(exist_ok=True)
             sync_folder(path.parent)
-        _require_folder(folder)
-
-
-def _require_folder(path: Path) -> None:
-    if not path.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
 
 
 def write_all(descriptor: int, data: bytes) -> None:

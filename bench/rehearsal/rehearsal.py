@@ -26,7 +26,7 @@ from bench.rehearsal.virtual_devices import VirtualDevices, read_view
 from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
 from bench.results.results_content import plugins_of_run, run_software
-from bench.results.solution import compare_with_truth, main_numbers, measure_again
+from bench.results.solution import accepted_measurements, compare_with_truth, main_numbers, views_in
 from bench.results.solve_options import solve_options
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
@@ -105,18 +105,15 @@ class RehearsedResults(ResultWriter):
         self,
         step: SolveStep,
         history: History,
-        measured: Mapping[int, Measurement],
+        measured: MutableMapping[int, Measurement],
         check: Callable[[], None],
     ) -> Solved:
         """See `ResultWriter.solve`. Without checks and planar comparison."""
         check()
         self._clock.sleep(SOLVE_S)
-        accepted = sorted(history.accepted().items())
-        folder = self._folder.path
-        found = [measured.get(i) or measure_again(self._job, folder, attempt) for i, attempt in accepted]
-        readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
+        found, readings = accepted_measurements(self._job, self._folder.path, history, measured)
         options = solve_options(self._job, step, readings)
-        self._calibration = calibrate([m.view for m in found if m.view is not None], options)
+        self._calibration = calibrate(views_in(found), options)
         return main_numbers(self._calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:

@@ -300,9 +300,7 @@ def _judged(job: Job, attempt: Attempt, again: Measurement) -> dict[str, Any]:
     return {**judged, "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})}}
 
 
-def _made_again(
-    evidence: _Evidence, measured: Mapping[int, Measurement], found: Findings
-) -> MadeAgain | None:
+def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Findings) -> MadeAgain | None:
     """Calibrate again, as the run did; None if that fails, which ``found`` then tells."""
     job, history, step = evidence.job, evidence.history, evidence.solve_step
     if step is None:

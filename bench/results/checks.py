@@ -65,6 +65,7 @@ def gimbal_check(
         )
     except CalibrationError:  # too few poses, or axes that did not move
         return None
+    entered = calibration.gimbal is not None and calibration.gimbal.entered
     faults = [_fault(one) for one in check.faults]
     slips = [fault for fault in faults if fault["kind"] == "slip"]
     return {
@@ -74,16 +75,11 @@ def gimbal_check(
         "agrees": check.consistent,
         "excess_arcsec": check.excess_arcsec,
         "verdict": check.verdict.kind,
-        "says": [*check.verdict.says, *(_NOT_INDEPENDENT if _entered(calibration) else ())],
+        "says": [*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],
         "pairs": _pairs(check.pairs) if check.pairs is not None else None,
         "slip": slips[0] if slips else None,
         "faults": faults,
     }
-
-
-def _entered(calibration: Calibration) -> bool:
-    """Return whether the readings took part in the calibration."""
-    return calibration.gimbal is not None and calibration.gimbal.entered
 
 
 def _focal_uncertainty(calibration: Calibration) -> float | None:

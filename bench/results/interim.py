@@ -16,7 +16,7 @@ from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import History
 from bench.report.text import meaning_of_goal
 from bench.results.next_pose import Choice, Wish, choose_pose, fixed_parts
-from bench.results.solution import measure_again
+from bench.results.solution import accepted_measurements, views_in
 from bench.results.solve_options import limited_numbers, solve_options
 from bench.views.expected_grid import engine_angles_deg
 from bench.views.measure import Measurement, aligned_poses
@@ -58,15 +58,10 @@ class Decisions:
         check: Callable[[], None],
     ) -> UntilDecided:
         """Calibrate from the accepted recordings, and decide what follows; ``check`` raises to stop the run."""
-        accepted = sorted(history.accepted().items())
-        for index, attempt in accepted:
-            check()
-            if index not in measured:
-                measured[index] = measure_again(self._job, self._folder, attempt)
-        found = [measured[index] for index, _ in accepted]
-        options = solve_options(self._job, step.solve, [a.stored["measured_deg"] for _, a in accepted])
+        found, readings = accepted_measurements(self._job, self._folder, history, measured, check)
+        options = solve_options(self._job, step.solve, readings)
         try:
-            calibration, why = calibrate([m.view for m in found if m.view is not None], options), ""
+            calibration, why = calibrate(views_in(found), options), ""
         except CalibrationError as error:
             calibration, why = None, str(error)
         check()

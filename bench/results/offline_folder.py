@@ -167,7 +167,7 @@ def _run_facts(result: OfflineResult, name: str, sealed_by: SealedBy | None) -> 
         "sequence": started.get("sequence"),
         "station": started.get("station"),
         "operator": started.get("operator"),
-        "laboratory": job.laboratory if job else None,
+        "laboratory": job.station.laboratory if job else None,
         "collimator": collimator_data(job) if job else None,
         **({"board": str(result.board)} if result.board is not None else {}),
         **({"target": stated} if job and (stated := target_data(job)) else {}),

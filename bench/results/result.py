@@ -6,10 +6,10 @@ The truth of a simulated world is used only at the end, for a comparison, after 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,14 +21,7 @@ from bench.records.events import Solved
 from bench.records.history import History, RunLog
 from bench.records.ledger import Ledger, bench_ledger
 from bench.records.ledger_marks import LedgerRun
-from bench.records.results import (
-    CalibrationData,
-    CameraData,
-    ChangeData,
-    CovarianceData,
-    PreviousData,
-    Results,
-)
+from bench.records.results import CameraData, ChangeData, PreviousData, Results
 from bench.records.run_facts import coverage_factor
 from bench.records.run_folder import EXPORTS, MANIFEST, REPORT, RESULTS, RunFolder
 from bench.report.html import ReportData, render_report
@@ -86,7 +79,7 @@ class ResultWriter:
         self,
         step: SolveStep,
         history: History,
-        measured: Mapping[int, Measurement],
+        measured: MutableMapping[int, Measurement],
         check: Callable[[], None],
     ) -> Solved:
         """Calibrate from the accepted recordings; ``check`` is called between pieces of work, and raises to stop."""
@@ -140,12 +133,8 @@ def shown_files(
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
 
 
-class _Sealed(NamedTuple):
-    """Results as sealed, with the hash of the seal and of the file."""
-
-    results: Results
-    seal: str
-    sha256: str
+class _NotComparableError(Exception):
+    """Why an earlier calibration cannot be compared, as the end of a sentence."""
 
 
 _MOST_READ = 20
@@ -167,77 +156,76 @@ def previous_calibration(
     own = next((run for run in runs if run.number == place.get("number")), None)
     if own is None:
         return None
-    earlier = [run for run in runs[: own.number - 1] if _is_comparable(run, own)]
+    earlier = [
+        run
+        for run in runs[: own.number - 1]
+        if (run.camera, run.simulated) == (own.camera, own.simulated) and run.how == "finished" and run.seal
+    ]
     if not earlier:
         return {"run": None, "why_not": FIRST}
     why = ""
     for run in list(reversed(earlier))[:_MOST_READ]:
-        found, why_not = _read(Path(run.folder), run.seal or "")
-        if found is not None:
-            why_not = _not_comparable(found.results, results)
-            if not why_not:
-                return _compared(run, found, results)
-        why = why or f"The last calibration of this camera, {run.run_id}, cannot be compared: {why_not}"
+        try:
+            return _compared(run, *_read(Path(run.folder), run.seal or ""), results)
+        except _NotComparableError as error:
+            why = why or f"The last calibration of this camera, {run.run_id}, cannot be compared: {error}"
     return {"run": None, "why_not": why}
 
 
-def _is_comparable(run: LedgerRun, own: LedgerRun) -> bool:
-    """Return whether a run calibrated the same camera in the same world, and was sealed."""
-    same = (run.camera, run.simulated) == (own.camera, own.simulated)
-    return same and run.how == "finished" and run.seal is not None
-
-
-def _read(folder: Path, seal: str) -> tuple[_Sealed | None, str]:
-    """Read sealed results; return why it cannot be done if the ledger, the seal and the file do not agree."""
+def _read(folder: Path, seal: str) -> tuple[Results, str]:
+    """Read sealed results, with the hash of their file; ledger, seal and file must agree."""
     try:
         manifest = (folder / MANIFEST).read_bytes()
-        is_sealed = _sha256(manifest) == seal
-        listed = read_manifest(manifest).get(RESULTS) if is_sealed else None
+        if _sha256(manifest) != seal:
+            raise _NotComparableError("its folder has another seal than the ledger.")
+        listed = read_manifest(manifest).get(RESULTS)
         if listed is None:
-            return None, "it has no result." if is_sealed else "its folder has another seal than the ledger."
+            raise _NotComparableError("it has no result.")
         data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
         found = parse_json(data) if _sha256(data) == listed else None
-    except OSError:
-        return None, "its folder cannot be read."
-    except (BenchError, ValueError):
-        return None, "its results are not readable."
+    except OSError as error:
+        raise _NotComparableError("its folder cannot be read.") from error
+    except (BenchError, ValueError) as error:
+        raise _NotComparableError("its results are not readable.") from error
     if not isinstance(found, dict):
-        return None, "its results were changed after sealing."
-    return _Sealed(cast("Results", found), seal, listed or ""), ""
+        raise _NotComparableError("its results were changed after sealing.")
+    return cast("Results", found), listed
 
 
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _not_comparable(found: Results, results: Results) -> str:
-    """Return why two results cannot be compared; empty if they can."""
-    try:
-        then, now = found["calibration"], results["calibration"]
-        if not then["converged"]:
-            return "it did not converge."
-        if list(then["image_size"]) != list(now["image_size"]):
-            return "its images had another size."
-        if is_fisheye(then["camera"]) != is_fisheye(now["camera"]):
-            return "it used another kind of lens model."
-        lenses = [(one.get("devices") or {}).get("camera", {}).get("lens") for one in (found, results)]
-        if lenses[0] != lenses[1]:
-            return f"the camera had another lens: {lenses[0] or 'not stated'}."
-        return "" if camera_covariance(then) is not None else "its uncertainties are not complete."
-    except (KeyError, TypeError, AttributeError):
-        return "its results are not readable."
+def _refuse_other_camera(found: Results, results: Results) -> None:
+    """Refuse a result whose images, lens or lens model are others."""
+    then, now = found["calibration"], results["calibration"]
+    if not then["converged"]:
+        raise _NotComparableError("it did not converge.")
+    if list(then["image_size"]) != list(now["image_size"]):
+        raise _NotComparableError("its images had another size.")
+    if is_fisheye(then["camera"]) != is_fisheye(now["camera"]):
+        raise _NotComparableError("it used another kind of lens model.")
+    lens, own = ((one.get("devices") or {}).get("camera", {}).get("lens") for one in (found, results))
+    if lens != own:
+        raise _NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
 
 
-def _compared(run: LedgerRun, found: _Sealed, results: Results) -> PreviousData:
+def _compared(run: LedgerRun, found: Results, sha256: str, results: Results) -> PreviousData:
     """Return the earlier calibration with the change of the projection, in px and in units of its uncertainty."""
-    then, now, run_of = found.results["calibration"], results["calibration"], found.results["run"]
-    conditions = found.results.get("conditions")
+    try:
+        _refuse_other_camera(found, results)
+        covariance = camera_covariance(found["calibration"])
+    except (KeyError, TypeError, AttributeError) as error:
+        raise _NotComparableError("its results are not readable.") from error
+    if covariance is None:
+        raise _NotComparableError("its uncertainties are not complete.")
+    then, run_of, conditions = found["calibration"], found["run"], found.get("conditions")
     earlier: CameraData = {
         "image_size": list(then["image_size"]),
         "model": then["model"],
         "camera": dict(then["camera"]),
         "sigma": {name: then["sigma"][name] for name in then["camera"]},
-        "covariance": _of_camera(then),
+        "covariance": {"names": list(then["camera"]), "matrix": covariance.tolist()},
         "coverage_factor": coverage_factor(then),
         "coverage_factors": then.get("coverage_factors", {}),
     }
@@ -247,17 +235,11 @@ def _compared(run: LedgerRun, found: _Sealed, results: Results) -> PreviousData:
         "finished_utc": run_of.get("finished_utc"),
         "sequence": run_of.get("sequence"),
         "temperature_c": conditions["camera"].get("temperature_c") if conditions else None,
-        "seal": found.seal,
-        "results_sha256": found.sha256,
+        "seal": run.seal or "",
+        "results_sha256": sha256,
         "calibration": earlier,
-        "change": change_since(earlier, now),
+        "change": change_since(earlier, results["calibration"]),
     }
-
-
-def _of_camera(calibration: CalibrationData) -> CovarianceData:
-    covariance = camera_covariance(calibration)
-    assert covariance is not None
-    return {"names": list(calibration["camera"]), "matrix": covariance.tolist()}
 
 
 def change_since(then: CameraData, now: CameraData) -> ChangeData | None:

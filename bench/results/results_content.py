@@ -49,11 +49,6 @@ _CORNERS = {
 }
 
 
-def point_factor(calibration: Calibration) -> float:
-    """Return the k of an image point: that of the worst corner, else the common one."""
-    return calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)
-
-
 def projection_facts(
     camera: CameraModel, covariance: Array, k: float, points: Sequence[Array]
 ) -> ProjectionData | None:
@@ -166,7 +161,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
             "finished_utc": history.states[-1]["utc"],
             "seed": started["seed"],
             "operator": started["operator"],
-            "laboratory": job.laboratory,
+            "laboratory": job.station.laboratory,
             "collimator": collimator_data(job),
             **({"target": stated} if (stated := target_data(job)) else {}),
             **({"board": str(job.board)} if job.board is not None else {}),
@@ -191,7 +186,8 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
 
 def projection(calibration: Calibration, views: Sequence[View]) -> ProjectionData | None:
     """Return ``projection`` of results.json; None if no corner of the sensor has an uncertainty."""
-    camera, k = calibration.camera, point_factor(calibration)
+    camera = calibration.camera
+    k = calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)
     return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
-from bench.plan.camera_files import CameraFile, read_camera_file
+from bench.plan.camera_files import OF_OTHER_FORM, CameraFile, form_text, read_camera_file
 from bench.records.storage import read_bounded
 from bench.results.exports import (
     NOT_WRITTEN,
@@ -151,7 +151,6 @@ Array = NDArray[np.float64]
 _MOST_BYTES = 20_000_000
 _FARTHEST_MM = 1e6
 _LARGEST_VARIANCE = 1e12
-_OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
 
 
 class NotARig(BenchError):
@@ -174,12 +173,9 @@ def read_rig_file(path: Path) -> StatedRig:
         content = parse_json(read_bounded(path, _MOST_BYTES))
         stated = _of_sdk(content) if "T_slave_master" in content else _own(content)
         _require_possible(stated)
-    except _OF_OTHER_FORM as error:
-        what = (
-            f"it has no {error}" if isinstance(error, KeyError) else str(error) or "its form is another one"
-        )
+    except OF_OTHER_FORM as error:
         raise NotARig(
-            f"This file does not hold a rig: {what}.",
+            f"This file does not hold a rig: {form_text(error)}.",
             where=str(path),
             remedy="Known are rig.json of this command, and extrinsics.json of the Metavision SDK.",
         ) from error

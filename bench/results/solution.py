@@ -6,7 +6,7 @@ It follows from the run folder alone; a run, and a verification that calculates 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -118,6 +118,31 @@ def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
     return found
 
 
+def accepted_measurements(
+    job: Job,
+    folder: Path,
+    history: History,
+    measured: MutableMapping[int, Measurement],
+    check: Callable[[], None] = lambda: None,
+) -> tuple[list[Measurement], list[Mapping[str, float]]]:
+    """Return the measurements of the accepted recordings by pose, and the readings of the stage there.
+
+    A recording that ``measured`` lacks is measured again; ``check``, called between them, raises to stop.
+    """
+    accepted = sorted(history.accepted().items())
+    for index, attempt in accepted:
+        check()
+        if index not in measured:
+            measured[index] = measure_again(job, folder, attempt)
+    readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
+    return [measured[index] for index, _ in accepted], readings
+
+
+def views_in(measurements: Iterable[Measurement]) -> list[View]:
+    """Return the views of measurements."""
+    return [one.view for one in measurements if one.view is not None]
+
+
 @dataclass(frozen=True)
 class Solution:
     """A calibration, the data that it was made of, and how it was judged."""
@@ -139,17 +164,12 @@ def solve_run(
     folder: Path,
     step: SolveStep,
     history: History,
-    measured: Mapping[int, Measurement],
+    measured: MutableMapping[int, Measurement],
     check: Callable[[], None] = lambda: None,
 ) -> Solution:
     """Calibrate from a run's accepted recordings; ``check``, called between pieces of work, raises to stop."""
-    measurements = []
-    accepted = sorted(history.accepted().items())
-    for index, attempt in accepted:
-        check()
-        measurements.append(measured.get(index) or measure_again(job, folder, attempt))
-    views = [m.view for m in measurements if m.view is not None]
-    readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
+    measurements, readings = accepted_measurements(job, folder, history, measured, check)
+    views = views_in(measurements)
     options = solve_options(job, step, readings)
     notes = _notes(job, step, history, measurements)
     calibration, planar = calibrated(views, options, words_for(job.board), notes, check)
@@ -226,7 +246,11 @@ def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[M
     """Return what a reader must know besides the engine's notes: about the recordings and about the passport."""
     notes = []
     if aligned := aligned_poses(m.facts for m in measurements):
-        notes.append(_alignment_note(aligned, len(measurements)))
+        notes.append(
+            f"In {aligned} of {len(measurements)} recordings the stars' edges run along the pixels' rows or diagonals, "
+            "and neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by "
+            "about 10 degrees against the target."
+        )
     in_use = job.plan.passport.in_use
     if in_use is not None and job.plan.passport_for(step) is not None:
         day = datetime.fromisoformat(history.started_utc).date()
@@ -240,12 +264,3 @@ def _stored_views(measurements: Sequence[Measurement], calibration: Calibration)
         for m, residuals in zip(measurements, calibration.residuals_px, strict=True)
         if m.view is not None
     ]
-
-
-def _alignment_note(aligned: int, total: int) -> str:
-    """Return the note on recordings that show that the stated uncertainties may be too small."""
-    return (
-        f"In {aligned} of {total} recordings the stars' edges run along the pixels' rows or diagonals, and "
-        "neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by about "
-        "10 degrees against the target."
-    )

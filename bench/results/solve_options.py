@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.plan.passports import determines_one_view
-from bench.records import results
 from bench.stations.station import Station
 from bench.views.expected_grid import engine_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
@@ -22,6 +21,7 @@ from sequences.script import SolveStep
 
 if TYPE_CHECKING:
     from bench.plan.job import Job
+    from bench.records import results
 
 NO_SECTION = (
     "The station file has no gimbal section, so the uncertainty of the gimbal's readings is not known."

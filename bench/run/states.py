@@ -63,7 +63,7 @@ def preflight(devices: Devices, job: Job) -> events.Devices:
         )
     stated = {name: value for name, value in asdict(camera).items() if name not in OPTIONAL or value}
     found: events.Devices = {
-        "camera": cast("events.CameraDeviceData", {**stated, "lens": job.lens}),
+        "camera": cast("events.CameraDeviceData", {**stated, "lens": job.station.camera.lens}),
         "stage": [cast("events.DeviceData", asdict(axis)) for axis in stage],
         "light": cast("events.DeviceData", asdict(light)),
         "camera_settings": settings,

@@ -406,10 +406,17 @@ class Plugin:
 
 
 @functools.cache
+def _brought() -> Mapping[Kind, Sequence[EntryPoint]]:
+    """Return the entry points of packages by kind; to read those of one kind takes as long as to read all."""
+    every = entry_points()
+    return {kind: tuple(every.select(group=group)) for kind, group in GROUPS.items()}
+
+
+@functools.cache
 def plugins(kind: Kind) -> tuple[Plugin, ...]:
     """Load the plug-ins of a kind, by name, once a process. No exception of a plug-in passes through."""
     found: dict[str, Plugin] = {}
-    for entry in sorted(entry_points(group=GROUPS[kind]), key=lambda entry: entry.name):
+    for entry in sorted(_brought()[kind], key=lambda entry: entry.name):
         plugin = _load(kind, entry)
         if (other := found.get(entry.name)) is not None and other.package != plugin.package:
             trouble = f"two packages bring this driver: {other.package} and {plugin.package}"

@@ -10,8 +10,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from bench.records.events import RecordedData, RecordingCounts
-from bench.records.results import CameraConditions
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
 from bench.views.gates import FILTERS_TO_DISABLE, Gate, at_least, recording_gates, rejection_reasons
@@ -21,7 +19,9 @@ from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
 from sequences.script import Flicker, RecordStep
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a plan needs none of these
+    from bench.records.events import RecordedData, RecordingCounts
+    from bench.records.results import CameraConditions
     from bench.stations.devices import Camera
     from bench.views.measure import ExpectedGrid, Measurement
 

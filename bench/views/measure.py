@@ -280,6 +280,28 @@ class Measurement:
         return 0 if self.view is None else len(self.view)
 
 
+@dataclass
+class Observed:
+    """What is known of a recording while its view is looked for: numbers, and the image."""
+
+    facts: MeasuredFacts = field(default_factory=MeasuredFacts)
+    image: StoredImage | None = None
+
+    def keep(self, image: NDArray[Any]) -> None:
+        """Keep an image, (H, W) of any dtype, for people."""
+        self.image = StoredImage.from_image(image)
+
+
+def measurement_of(find: Callable[[Observed], View]) -> Measurement:
+    """Return what ``find`` finds; a file that cannot be read, or in which it finds no view, gives its fault."""
+    seen = Observed()
+    try:
+        view, fault = find(seen), ""
+    except (CalibrationError, RecordingFileError) as error:
+        view, fault = None, str(error)
+    return Measurement(view, seen.image, without_nan(seen.facts), fault)
+
+
 def measure(
     path: Path,
     *,
@@ -297,11 +319,12 @@ def measure(
     ``motion``, the shift between the halves, what else only gates and report need is left out, and half the time; the
     view stays the same.
     """
-    facts: MeasuredFacts = {}
-    stored: StoredImage | None = None
-    try:
+
+    def find(seen: Observed) -> View:
+        facts = seen.facts
         whole = whole_image(read_events(path), image, periods, expected_hz, facts, compare_flicker=motion)
-        stored = StoredImage.from_image(whole.image) if motion else None
+        if motion:
+            seen.keep(whole.image)
         try:
             found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
         except TargetNotFound as error:
@@ -309,9 +332,9 @@ def measure(
         view = downweight_vignetted(found, target)
         if motion:
             facts["motion_px"] = motion_px(whole.halves(), target, facts)
-    except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, stored, without_nan(facts), str(error))
-    return Measurement(view, stored, without_nan(facts))
+        return view
+
+    return measurement_of(find)
 
 
 def find_stars(
@@ -402,25 +425,24 @@ def measure_frames(
 
     Facts are ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
     """
-    facts: MeasuredFacts = {}
-    image: StoredImage | None = None
-    try:
-        mean, halves = mean_frames(path, facts)
-        image = StoredImage.from_image(mean)
-        view = downweight_vignetted(find_stars(mean, target, name, expected_grid, facts), target)
-        facts["motion_px"] = motion_px(halves, target, facts) if halves else None
-    except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, image, facts, str(error))
-    return Measurement(view, image, facts)
+
+    def find(seen: Observed) -> View:
+        mean, halves = mean_frames(path, seen)
+        view = downweight_vignetted(find_stars(mean, target, name, expected_grid, seen.facts), target)
+        seen.facts["motion_px"] = motion_px(halves, target, seen.facts) if halves else None
+        return view
+
+    return measurement_of(find)
 
 
-def mean_frames(path: Path, facts: MeasuredFacts) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
-    """Return the mean of all frames, and the means of both halves unless there is one frame; state the image."""
+def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
+    """Return the mean of all frames, and the means of both halves unless there is one frame; keep and state it."""
     frames = read_frames(path)
     kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
-    facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-    half = len(frames) // 2
-    return _mean(frames), [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
+    seen.facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
+    half, mean = len(frames) // 2, _mean(frames)
+    seen.keep(mean)
+    return mean, [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
 
 
 def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:

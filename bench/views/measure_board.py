@@ -6,16 +6,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bench.base.bounded_json import without_nan
 from bench.base.errors import UsageError
 from bench.records.events import MeasuredFacts
 from bench.records.history import Attempt, History
-from bench.views.measure import EventData, Measurement, StoredImage, mean_frames, read_events, whole_image
+from bench.views.measure import (
+    EventData,
+    Measurement,
+    Observed,
+    mean_frames,
+    measurement_of,
+    read_events,
+    whole_image,
+)
 from calib.boards.blinking_dots import detect_blinking_dots
 from calib.boards.board import Board
 from calib.boards.detect import detect_board, relocate_board
@@ -25,7 +31,6 @@ from calib.events.reconstruction import ReconstructedPicture, reconstruct
 from calib.model.homography import fit_homography
 from calib.view import View
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingFileError
 from sequences.script import PromptStep
 
 if TYPE_CHECKING:
@@ -168,50 +173,46 @@ def measure_board(
 
     ``image`` is a kind, or ``auto``; blinking dots have their own. ``periods`` None stands for all whole ones.
     """
-    facts: MeasuredFacts = {}
-    stored: list[StoredImage] = []
-    try:
+
+    def find(seen: Observed) -> View:
         data = read_events(path)
         if board.kind == "blinking-dots":
-            view, halves = _of_dots(data, board, name, stored)
+            view, halves = _of_dots(data, board, name, seen)
         else:
-            view, halves = _of_image(data, board, name, stored, facts, (image, periods, expected_hz))
-        _state(view, halves, board, facts)
-    except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, stored[0] if stored else None, without_nan(facts), str(error))
-    return Measurement(view, stored[0], without_nan(facts))
+            view, halves = _of_image(data, board, name, seen, (image, periods, expected_hz))
+        _state(view, halves, board, seen.facts)
+        return view
+
+    return measurement_of(find)
 
 
 def measure_board_frames(path: Path, *, name: str, board: Board) -> Measurement:
     """Read the frames of a placement and find a board, not of blinking dots, in their mean; else the fault."""
-    facts: MeasuredFacts = {}
-    stored: StoredImage | None = None
-    try:
-        mean, halves = mean_frames(path, facts)
-        stored = StoredImage.from_image(mean)
+
+    def find(seen: Observed) -> View:
+        mean, halves = mean_frames(path, seen)
         view = detect_board(mean, board, name=name)
-        _state(view, [relocate_board(half, view, board) for half in halves], board, facts)
-    except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, stored, facts, str(error))
-    return Measurement(view, stored, facts)
+        _state(view, [relocate_board(half, view, board) for half in halves], board, seen.facts)
+        return view
+
+    return measurement_of(find)
 
 
 def _of_image(
     data: EventData,
     board: Board,
     name: str,
-    stored: list[StoredImage],
-    facts: MeasuredFacts,
+    seen: Observed,
     wanted: tuple[str, int | None, float | None],
 ) -> tuple[View, list[View]]:
     """Find a board in the event image of whole periods, and in the images of the halves of the window."""
     # Without sync edges, the board is a screen of its own, which may be drawn line by line.
-    whole = whole_image(data, *wanted, facts, one_phase=len(data.triggers.t) > 0)
-    stored.append(StoredImage.from_image(whole.image))
+    whole = whole_image(data, *wanted, seen.facts, one_phase=len(data.triggers.t) > 0)
+    seen.keep(whole.image)
     try:
         view = detect_board(whole.image, board, name=name)
     except TargetNotFound as error:
-        lit = facts["image"]["lit_pixels"]
+        lit = seen.facts["image"]["lit_pixels"]
         if lit < _LEAST_LIT * whole.image.size:
             raise FlickerNotFound(
                 f"Nothing in view flickers: {lit} pixels fire with the light.",
@@ -225,10 +226,10 @@ def _of_image(
         return view, []
 
 
-def _of_dots(data: EventData, board: Board, name: str, stored: list[StoredImage]) -> tuple[View, list[View]]:
+def _of_dots(data: EventData, board: Board, name: str, seen: Observed) -> tuple[View, list[View]]:
     """Find blinking dots, in the whole recording and in its halves."""
     t, x, y, p = data.events
-    found = detect_blinking_dots(t, x, y, p, data.size, board, name=name, keep_image=stored_image(stored))
+    found = detect_blinking_dots(t, x, y, p, data.size, board, name=name, keep_image=seen.keep)
     middle = int(np.searchsorted(t, 0.5 * (float(t[0]) + float(t[-1]))))
     halves = []
     try:
@@ -238,15 +239,6 @@ def _of_dots(data: EventData, board: Board, name: str, stored: list[StoredImage]
     except CalibrationError:
         return found, []
     return found, halves
-
-
-def stored_image(stored: list[StoredImage]) -> Any:
-    """Return a function that keeps an image, (H, W) float32, in ``stored``."""
-
-    def keep(image: NDArray[np.float32]) -> None:
-        stored.append(StoredImage.from_image(image))
-
-    return keep
 
 
 def _state(view: View, halves: list[View], board: Board, facts: MeasuredFacts) -> None:

@@ -14,7 +14,6 @@ import os
 import platform
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -27,7 +26,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
 from bench.base.home import home_folder
 from bench.records.storage import sha256_of
@@ -41,6 +39,8 @@ from drivers.errors import DriverError, NotARecording
 VIEWS = "views.h5"
 FORMAT = "starbench/views/1"
 
+_ARRAYS = {"ids": np.int64, "points_px": np.float64, "target_mm": np.float64, "covariances_px2": np.float64}
+_RIM = ("points_mm", "sigmas_mm", "lit_mm")
 _MOST_BYTES = 1 << 30
 _REMEDY = "Delete the file; `starbench.load` then finds the stars again in the captures."
 
@@ -68,15 +68,8 @@ def views_file(views: Iterable[StoredView]) -> bytes:
     with h5py.File(memory, "w") as file:
         file.attrs["format"] = FORMAT
         for number, stored in enumerate(views, 1):
-            view = stored.view
             group = file.create_group(_group_name(number))
-            group.attrs["name"] = view.name
-            group.attrs["image_size"] = view.image_size
-            for name in ("ids", "points_px", "target_mm", "covariances_px2"):
-                group.create_dataset(name, data=getattr(view, name))
-            group.create_dataset("residuals_px", data=stored.residuals_px)
-            if view.rim is not None:
-                _write_rim(group, view.rim)
+            _write_view(group, stored.view, {"residuals_px": stored.residuals_px})
             if stored.picture is not None:
                 group.create_dataset("picture", data=stored.picture(), compression="gzip", compression_opts=4)
     return memory.getvalue()
@@ -120,26 +113,28 @@ def _array(group: h5py.Group, name: str) -> NDArray[Any]:
     return whole(dataset(group, name), _MOST_BYTES)
 
 
-def _write_rim(group: h5py.Group, rim: RimPoints) -> None:
-    for name, values in (
-        ("rim_points_mm", rim.points_mm),
-        ("rim_sigmas_mm", rim.sigmas_mm),
-        ("rim_lit_mm", rim.lit_mm),
-    ):
+def _write_view(group: h5py.Group, view: View, more: Mapping[str, NDArray[np.float64]]) -> None:
+    """Write a view and ``more`` arrays of its stars."""
+    group.attrs["name"] = view.name
+    group.attrs["image_size"] = view.image_size
+    arrays = {name: getattr(view, name) for name in _ARRAYS} | dict(more)
+    if view.rim is not None:
+        arrays |= {f"rim_{name}": getattr(view.rim, name) for name in _RIM}
+    for name, values in arrays.items():
         group.create_dataset(name, data=values)
-    group.attrs["rim_level_sigma_mm"] = rim.level_sigma_mm
+    if view.rim is not None:
+        group.attrs["rim_level_sigma_mm"] = view.rim.level_sigma_mm
 
 
-def _read_rim(group: h5py.Group) -> RimPoints | None:
-    """Read the rim; None if the image was not searched for it, as in files of earlier versions."""
-    if "rim_points_mm" not in group:
-        return None
-    return RimPoints(
-        points_mm=np.asarray(_array(group, "rim_points_mm"), np.float64),
-        sigmas_mm=np.asarray(_array(group, "rim_sigmas_mm"), np.float64),
-        lit_mm=np.asarray(_array(group, "rim_lit_mm"), np.float64),
-        level_sigma_mm=float(group.attrs["rim_level_sigma_mm"]),
-    )
+def _read_view(group: h5py.Group) -> View:
+    """Read a view; it has no rim if the image was not searched for it, as in files of earlier versions."""
+    rim = None
+    if "rim_points_mm" in group:
+        of_rim = {name: np.asarray(_array(group, f"rim_{name}"), np.float64) for name in _RIM}
+        rim = RimPoints(**of_rim, level_sigma_mm=float(group.attrs["rim_level_sigma_mm"]))
+    width, height = (int(side) for side in group.attrs["image_size"])
+    arrays: dict[str, Any] = {name: np.asarray(_array(group, name), kind) for name, kind in _ARRAYS.items()}
+    return View(name=str(group.attrs["name"]), image_size=(width, height), rim=rim, **arrays)
 
 
 def _group_name(number: int) -> str:
@@ -147,16 +142,7 @@ def _group_name(number: int) -> str:
 
 
 def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | None) -> StoredView:
-    width, height = (int(side) for side in group.attrs["image_size"])
-    view = View(
-        name=str(group.attrs["name"]),
-        image_size=(width, height),
-        ids=np.asarray(_array(group, "ids"), np.int64),
-        points_px=np.asarray(_array(group, "points_px"), np.float64),
-        target_mm=np.asarray(_array(group, "target_mm"), np.float64),
-        covariances_px2=np.asarray(_array(group, "covariances_px2"), np.float64),
-        rim=_read_rim(group),
-    )
+    view = _read_view(group)
     residuals_px = np.asarray(_array(group, "residuals_px"), np.float64)
     if residuals_px.shape != view.points_px.shape:
         raise InputMismatch(
@@ -173,7 +159,7 @@ def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | N
 
 _BUCKETS = 256
 _STALE_S = 3600.0
-_KEPT_FORMAT = "starbench/kept-view/1"
+_KEPT_FORMAT = "starbench/kept-view/2"
 FOLDER = "kept-views"
 MOST_BYTES = 1 << 30
 """Size of all entries together. The views of about 30,000 recordings have room."""
@@ -197,9 +183,6 @@ DETECTOR_SOURCES = (
 )
 """Sources of the program that decide which view a recording gives. If one changes, the detector has a new version."""
 _LIBRARIES = ("numpy", "opencv-python-headless", "numba", "scipy", "h5py")
-
-_ARRAYS = ("ids", "points_px", "target_mm", "covariances_px2")
-_RIM = ("points_mm", "sigmas_mm", "lit_mm")
 
 
 @dataclass
@@ -257,7 +240,7 @@ class KeptViews:
             self.remarks.append(
                 f"{path}: a kept view cannot be read ({error.strerror}); the stars are found again."
             )
-        except (ValueError, KeyError, TypeError, EOFError, InputMismatch, zipfile.BadZipFile) as error:
+        except (ValueError, KeyError, TypeError, InputMismatch) as error:
             self.remarks.append(f"{path}: a kept view is broken ({error}); the stars are found again.")
             with suppress(OSError):
                 path.unlink()
@@ -370,21 +353,12 @@ def source_files(root: Path) -> Iterable[Path]:
 
 
 def pack_view(view: View, key: str) -> bytes:
-    """Return a view as an entry: a line of JSON with the hash of the rest, then the arrays as a NumPy archive."""
-    arrays: dict[str, NDArray[Any]] = {name: getattr(view, name) for name in _ARRAYS}
-    head: dict[str, Any] = {
-        "format": _KEPT_FORMAT,
-        "key": key,
-        "name": view.name,
-        "image_size": list(view.image_size),
-    }
-    if view.rim is not None:
-        arrays |= {f"rim_{name}": getattr(view.rim, name) for name in _RIM}
-        head["rim_level_sigma_mm"] = view.rim.level_sigma_mm
+    """Return a view as an entry: the hash of the rest in a line, then an HDF5 file like a group of `views.h5`."""
     memory = io.BytesIO()
-    np.savez(memory, allow_pickle=False, **arrays)
-    body = json.dumps(head).encode() + b"\n" + memory.getvalue()
-    return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
+    with h5py.File(memory, "w") as file:
+        file.attrs["format"], file.attrs["key"] = _KEPT_FORMAT, key
+        _write_view(file, view, {})
+    return hashlib.sha256(memory.getvalue()).hexdigest().encode() + b"\n" + memory.getvalue()
 
 
 def unpack_view(data: bytes, key: str) -> View:
@@ -392,19 +366,7 @@ def unpack_view(data: bytes, key: str) -> View:
     stated, _, body = data.partition(b"\n")
     if hashlib.sha256(body).hexdigest().encode() != stated:
         raise ValueError("its hash does not match")
-    line, _, archive = body.partition(b"\n")
-    head = parse_json(line)
-    if (head["format"], head["key"]) != (_KEPT_FORMAT, key):
-        raise ValueError("it belongs to another recording")
-    with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
-        rim = None
-        if "rim_level_sigma_mm" in head:
-            of_rim = {name: arrays[f"rim_{name}"] for name in _RIM}
-            rim = RimPoints(**of_rim, level_sigma_mm=head["rim_level_sigma_mm"])
-        width, height = head["image_size"]
-        return View(
-            name=head["name"],
-            image_size=(width, height),
-            **{name: arrays[name] for name in _ARRAYS},
-            rim=rim,
-        )
+    with h5py.File(io.BytesIO(body), "r") as file:
+        if (file.attrs["format"], file.attrs["key"]) != (_KEPT_FORMAT, key):
+            raise ValueError("it belongs to another recording")
+        return _read_view(file)

@@ -12,7 +12,7 @@ from bench.batch.batch import Batch, rehearse_batch
 from bench.batch.batch_plan import plan_batch, read_queue
 from bench.batch.supervisor import WorkerEnd
 from bench.records.journal import read_journal
-from bench.records.run_index import read_run
+from bench.records.run_index import read_run_and_details
 from bench.rehearsal.rehearsal import rehearse_run
 from bench.run.launch import Launch, read_intentions, resume_run
 from bench.stations.station import SHIPPED_STATIONS
@@ -141,7 +141,7 @@ def test_mishaps_are_tried_again_skipped_and_told_as_in_a_run(tmp_path):
         seed=5, operator=None, folder=tmp_path / "run", clock=clock,
     )  # fmt: skip
     assert end.how == "finished", end.why
-    run = read_run(tmp_path / "run")
+    run, _ = read_run_and_details(tmp_path / "run")
     events = [entry.event for entry in read_journal(tmp_path / "run" / "journal.jsonl")[0]]
     refused = [e for e in read_journal(tmp_path / "run" / "journal.jsonl")[0] if e.event == "attempt_checked"]
     assert run.recordings > 12 >= run.accepted >= 6

@@ -12,7 +12,7 @@ from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_facts import Estimate
 from bench.records.run_folder import RunFolder
-from bench.records.run_index import INDEX, RunIndex, read_run, run_folders
+from bench.records.run_index import INDEX, RunIndex, read_run_and_details, run_folders
 from bench.results.trends import agreement, compare_runs
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
@@ -77,7 +77,7 @@ def test_runs_come_oldest_first_and_as_chosen(index, three):
 @pytest.mark.parametrize("name", ["a", "b", "c"])
 def test_the_journal_alone_says_the_same_as_the_index(index, three, name):
     folder = next(path for path in three if path.name == name)
-    assert read_run(folder) == index.runs([folder])[0][0]
+    assert read_run_and_details(folder)[0] == index.runs([folder])[0][0]
 
 
 def test_the_folders_of_runs_are_found_two_deep(tmp_path, three):
