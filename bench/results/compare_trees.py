@@ -40,16 +40,6 @@ from calib.view import View
 _BYTES_BY = ("starbench", "h5py", "numpy", "program")
 
 
-@dataclass(frozen=True)
-class SeenView:
-    """How a stored view differs from the one found again."""
-
-    name: str
-    seen: Sequence[str]  # What differs: ``other star ids``
-    # Whether another program found it, and its stars are the same (`compare_numbers.same_stars`).
-    excused: bool
-
-
 def compare_views(
     path: Path, again: Sequence[StoredView], used: Mapping[str, Any], source: str, found: Findings
 ) -> Sequence[StoredView] | None:
@@ -65,8 +55,19 @@ def compare_views(
     if names[0] != names[1]:
         found.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
         return None
-    other = bool(other_software(used))
-    tell_views([_seen(*pair, other=other) for pair in zip(held, again, strict=True)], source, found)
+    excused: dict[str, list[str]] = {}
+    for had, due in zip(held, again, strict=True):
+        seen, name = _views_differ(had, due), due.view.name
+        if seen and other_software(used) and same_stars(had.view, due.view):
+            excused[name] = seen
+        else:
+            for what in seen:
+                found.fault("views", VIEWS, f"the {source} of {name} give {what}")
+    if excused:
+        parts = ", ".join(dict.fromkeys(part for seen in excused.values() for part in seen))
+        found.not_compared.append(
+            f"{', '.join(excused)} of {VIEWS} with the {source}: another program found the stars, with {parts}"
+        )
     if path.read_bytes() != rewritten:  # a file with the same bytes holds nothing besides this content
         if by := other_software(used, _BYTES_BY):
             found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {by}")
@@ -76,9 +77,9 @@ def compare_views(
     return held
 
 
-def _seen(had: StoredView, again: StoredView, *, other: bool) -> SeenView:
-    """Compare one stored view."""
-    seen = [f"other {what}" for what in views_differ(had.view, again.view)]
+def _views_differ(had: StoredView, again: StoredView) -> list[str]:
+    """Return what differs between a stored view and the one found again: ``other star ids``."""
+    seen = [f"other {what}" for what in _stars_differ(had.view, again.view)]
     if not close(had.residuals_px, again.residuals_px):
         seen.append("other residuals")
     if (had.picture is None) != (again.picture is None):
@@ -89,27 +90,10 @@ def _seen(had: StoredView, again: StoredView, *, other: bool) -> SeenView:
             seen.append("an image of another size")
         elif differ := np.count_nonzero(stored != made):
             seen.append(f"another image: {differ} pixels differ")
-    return SeenView(again.view.name, seen, other and same_stars(had.view, again.view))
+    return seen
 
 
-def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
-    """Tell how stored views differ from those found again in ``source``, such as ``recordings``."""
-    excused = [view for view in views if view.seen and view.excused]
-    if excused:
-        parts = ", ".join(dict.fromkeys(part for view in excused for part in view.seen))
-        names = ", ".join(view.name for view in excused)
-        found.not_compared.append(
-            f"{names} of {VIEWS} with the {source}: another program found the stars, with {parts}"
-        )
-    for view in views:
-        if view.excused:
-            continue
-        for what in view.seen:
-            found.fault("views", VIEWS, f"the {source} of {view.name} give {what}")
-
-
-def views_differ(stored: View, again: View) -> list[str]:
-    """Return which parts of two views differ."""
+def _stars_differ(stored: View, again: View) -> list[str]:
     arrays: Sequence[tuple[str, Any, Any]] = [
         ("image sizes", stored.image_size, again.image_size),
         ("star ids", stored.ids, again.ids),

@@ -18,9 +18,7 @@ from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.plan.job import Job
-from bench.records.history import replay
-from bench.records.journal import read_journal
-from bench.records.run_folder import EXPORTS, JOURNAL, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
+from bench.records.run_folder import EXPORTS, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, write_atomic
 from bench.results import results_content
 from bench.results.offline import OfflineResult
@@ -150,7 +148,7 @@ def _run_facts(result: OfflineResult, name: str, sealed_by: SealedBy | None) -> 
     """Return section ``run`` of results.json: which runs were calculated again, when, and who seals the result."""
     jobs = _jobs(result)
     job = jobs[0] if len(jobs) == 1 else None
-    started = _started(result.sources[0]) if job is not None else {}
+    started: Mapping[str, Any] = (result.sources[0].started or {}) if job is not None else {}
     now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     frames = all(
         source.path.suffix.lower() in PHOTOGRAPHS or (source.job and source.job.camera_kind.name == "frame")
@@ -198,12 +196,6 @@ def _jobs(result: OfflineResult) -> list[Job]:
     return [job for job in jobs_of(result.sources) if job is not None]
 
 
-def _started(source: ViewSource) -> dict[str, Any]:
-    """Return the first line of the journal of the run that a recording is from."""
-    entries, _ = read_journal(source.path.resolve().parent.parent / JOURNAL)
-    return dict(replay(entries).started)
-
-
 def source_data(source: ViewSource, view: str) -> dict[str, Any]:
     """Return what sources.json states about the file of a view: name of the view, path, size and hash."""
     with storage_errors(source.path):
@@ -224,7 +216,7 @@ def _runs(result: OfflineResult) -> list[dict[str, Any]]:
         manifest = folder / MANIFEST
         with storage_errors(manifest):
             sealed = sha256_of(manifest) if is_sealed(folder) and manifest.is_file() else None
-        runs.append({"id": _started(source).get("id"), "folder": str(folder), "seal_sha256": sealed})
+        runs.append({"id": (source.started or {}).get("id"), "folder": str(folder), "seal_sha256": sealed})
     return runs
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.plan.job import Job
+from bench.records.events import RunStarted
 from bench.records.history import Attempt, replay
 from bench.records.journal import read_journal, stored_captures
 from bench.records.run_folder import JOURNAL
@@ -52,9 +53,10 @@ class ViewSource:
     path: Path
     read: Callable[[], View]
     sized: bool = True  # Whether the size of its image is known
-    # job, attempt: Task of the run and journal lines about the recording, if the file is a recording of a
-    # run.
+    # job, started, attempt: Task of the run, first line of its journal, and lines about the recording, if the
+    # file is a recording of a run.
     job: Job | None = None
+    started: RunStarted | None = None
     attempt: Attempt | None = None
     # What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose
     # views are not kept (`bench.views.views_file`).
@@ -119,7 +121,8 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
         step = job.record_step(index)
         step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
         read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
-        yield ViewSource(path, read, job=job, attempt=attempt, decided_by=decided_by_run(job, step, attempt))
+        decided_by = decided_by_run(job, step, attempt)
+        yield ViewSource(path, read, job=job, started=history.started, attempt=attempt, decided_by=decided_by)
 
 
 def decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, Any]:

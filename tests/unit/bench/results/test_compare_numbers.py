@@ -10,9 +10,10 @@ from report_sample import sample
 
 from bench.evidence.findings import Findings
 from bench.results.compare_numbers import check_numbers, differences, same_stars, tolerance
-from bench.results.compare_trees import SeenView, tell_views
+from bench.results.compare_trees import compare_views
 from bench.results.results_content import other_software, software
 from bench.results.solution import compare_with_truth
+from bench.views.views_file import StoredView, views_file
 from calib.view import View
 from simulators.config import bench_config
 
@@ -230,18 +231,32 @@ def test_stars_of_another_program_lie_at_the_same_places(other, same):
     assert same_stars(view(), other) == same
 
 
-def test_views_that_another_program_found_are_told_in_one_sentence():
+def stored_views(*views):
+    """Views named ``pose 1`` and so on, without residuals worth the name and without images."""
+    named = (replace(one, name=f"pose {number}") for number, one in enumerate(views, 1))
+    return [StoredView(one, np.zeros((len(one), 2))) for one in named]
+
+
+def test_views_that_another_program_found_are_told_in_one_sentence(tmp_path):
+    rounder = replace(view(), covariances_px2=2 * view().covariances_px2)
+    (tmp_path / "views.h5").write_bytes(views_file(stored_views(rounder, rounder, view())))
+    again, used = stored_views(view(), view(), view()), {**software(), "program": "an earlier one"}
     found = Findings()
-    seen = [
-        SeenView("pose 1", ["other covariances"], True),
-        SeenView("pose 2", ["other covariances"], True),
-        SeenView("pose 3", [], True),
-    ]
-    tell_views(seen, "recordings", found)
-    assert found.not_compared == [
-        "pose 1, pose 2 of views.h5 with the recordings: another program found the stars, with other covariances"
-    ]
-    tell_views([replace(seen[0], excused=False)], "recordings", found)
+    compare_views(tmp_path / "views.h5", again, used, "recordings", found)
+    assert (found.faults, found.not_compared) == (
+        [],
+        [
+            "pose 1, pose 2 of views.h5 with the recordings: another program found the stars, with other covariances"
+        ],
+    )
+    found = Findings()
+    compare_views(
+        tmp_path / "views.h5",
+        again[:2] + stored_views(view(), view(), view(1.0))[2:],
+        used,
+        "recordings",
+        found,
+    )
     assert [str(fault) for fault in found.faults] == [
-        "views.h5: the recordings of pose 1 give other covariances"
+        "views.h5: the recordings of pose 3 give other image points"
     ]

@@ -92,27 +92,26 @@ def moved(x, y):
     return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]]) @ GRID
 
 
-def test_before_the_first_placement_nothing_is_added():
+TURNED = moved(850, 480) @ np.linalg.inv(GRID) @ HALF_TURN @ GRID
+
+
+@pytest.mark.parametrize(
+    ("places", "said", "unsaid"),
+    [
+        ([GRID], "It covers", ("upside down", "cuts")),
+        ([GRID, moved(-300, -150)], "Placement 2: board found, 40 of 40 points, moved 335 px. It covers", ()),
+        ([GRID, moved(-300, -150)], "upper left corner. Next: move the board to the upper right corner", ()),
+        ([GRID, moved(3, 0)], "NOT MOVED since placement 1 (3.0 px)", ()),
+        ([TURNED], "upside down", ()),
+        ([moved(600, 0)], "the frame cuts the board", ()),
+    ],
+)
+def test_a_placement_is_described_and_the_next_one_named(places, said, unsaid):
     assert told() == ASKED
-
-
-def test_a_placement_is_described_and_the_next_one_named():
-    text = told(placed(1, GRID), placed(2, moved(-300, -150)))
-    assert "Placement 2: board found, 40 of 40 points, moved 335 px." in text
-    assert "upper left corner. Next: move the board to the upper right corner" in text
+    text = told(*(placed(number, grid) for number, grid in enumerate(places, 1)))
+    assert said in text
+    assert not any(words in text for words in unsaid)
     assert text.endswith(ASKED)
-
-
-def test_a_board_that_was_not_moved_is_named():
-    assert "NOT MOVED since placement 1 (3.0 px)" in told(placed(1, GRID), placed(2, moved(3, 0)))
-
-
-def test_a_board_upside_down_and_a_board_that_the_frame_cuts_are_named():
-    turned = moved(850, 480) @ np.linalg.inv(GRID) @ HALF_TURN @ GRID
-    assert "upside down" in told(placed(1, turned))
-    assert "upside down" not in told(placed(1, GRID))
-    assert "the frame cuts the board" in told(placed(1, moved(600, 0)))
-    assert "cuts" not in told(placed(1, GRID))
 
 
 @pytest.mark.parametrize("reason", ["No board was found.", "No board was found"])

@@ -111,24 +111,19 @@ def quality(roll_deg: float, kind: str) -> dict:
     return {"grid": grid, "image": {"kind": kind}}
 
 
-@pytest.mark.parametrize("roll_deg", [0.4, -2, 44, 46.5, 90, 181, -135])
-def test_edges_along_rows_or_diagonals_are_counted(roll_deg):
-    assert aligned_poses([quality(roll_deg, "fired-per-edge"), quality(10, "fired-per-edge")]) == 1
-
-
-@pytest.mark.parametrize("roll_deg", [10, -10, 22.5, 35, 100, 170])
-def test_a_rolled_camera_is_not_counted(roll_deg):
-    assert aligned_poses([quality(roll_deg, "fired-per-edge")]) == 0
-
-
-def test_images_with_levels_of_grey_may_be_aligned():
-    assert aligned_poses([quality(0, "lock-in"), quality(0, "picture")]) == 0
-
-
-def test_recordings_without_stars_are_left_out():
-    assert aligned_poses([{"image": {"kind": "last-polarity"}}, {}]) == 0
-    blinking_dots = {"grid": quality(0, "lock-in")["grid"]}  # they have no event image
-    assert aligned_poses([blinking_dots]) == 0
+@pytest.mark.parametrize(
+    ("seen", "aligned"),
+    [
+        *(([quality(roll, "fired-per-edge")], 1) for roll in (0.4, -2, 44, 46.5, 90, 181, -135)),
+        *(([quality(roll, "fired-per-edge")], 0) for roll in (10, -10, 22.5, 35, 100, 170)),
+        ([quality(44, "fired-per-edge"), quality(10, "fired-per-edge")], 1),
+        ([quality(0, "lock-in"), quality(0, "picture")], 0),  # levels of grey
+        ([{"image": {"kind": "last-polarity"}}, {}], 0),  # no stars
+        ([{"grid": quality(0, "lock-in")["grid"]}], 0),  # blinking dots have no event image
+    ],
+)
+def test_recordings_with_edges_along_rows_or_diagonals_are_counted(seen, aligned):
+    assert aligned_poses(seen) == aligned
 
 
 # ---------------------------------------------------------------- no stars
