@@ -196,8 +196,7 @@ def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
 
         found.append(check_recorded_with)
     if again:
-        from bench.results.again_recalculated import check_recalculated
-        from bench.results.again_run import check_run_again
+        from bench.results.again import check_recalculated, check_run_again
 
         found.append(check_run_again if kind_of(folder) == "run" else check_recalculated)
     return found

@@ -228,7 +228,7 @@ def _read_facts(results: Any, found: Verification) -> list[tuple[str, str]]:
 
 
 # An attacker who holds the bench's key can write the whole chain again. The checks here then still find
-# what he did not write consistently; `bench.results.again_run` compares the journal with what the
+# what he did not write consistently; `bench.results.again` compares the journal with what the
 # recordings give.
 
 _WRITTEN = {RESULTS: "results", REPORT: "report", "views.h5": "views"}

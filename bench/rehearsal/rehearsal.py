@@ -23,7 +23,7 @@ from bench.records.journal import Journal, UnsyncedJournal
 from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
 from bench.rehearsal.virtual_devices import VirtualDevices, read_view
-from bench.results.interim import Decisions
+from bench.results.interim import decide_until
 from bench.results.result import Outcome, ResultWriter
 from bench.results.results_content import plugins_of_run, run_software
 from bench.results.solution import accepted_measurements, compare_with_truth, main_numbers, views_in
@@ -36,7 +36,7 @@ from bench.views.measure import ExpectedGrid, Measurement
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from calib.target import StarTarget
-from sequences.script import ChooseStep, RecordStep, SolveStep
+from sequences.script import RecordStep, SolveStep
 
 SCHEMA = "starbench/rehearsal/1"
 
@@ -137,25 +137,6 @@ class RehearsedResults(ResultWriter):
         self.outcome = Outcome(cast("Results", results), self._folder.write_atomic(RESULTS, data))
 
 
-class RehearsedDecisions(Decisions):
-    """Decides for the ``until`` steps of a rehearsed run; the time for it passes on the clock of the rehearsal."""
-
-    def __init__(self, job: RehearsedJob, folder: Path) -> None:
-        super().__init__(job, folder)
-        self._clock = job.clock
-
-    def decide(
-        self,
-        step: ChooseStep,
-        history: History,
-        measured: MutableMapping[int, Measurement],
-        check: Callable[[], None],
-    ) -> UntilDecided:
-        """See `Decisions.decide`."""
-        self._clock.sleep(CHOOSE_S)
-        return super().decide(step, history, measured, check)
-
-
 def rehearse_run(
     sequence: str,
     station: str,
@@ -207,11 +188,13 @@ def rehearse_job(
             progress = Progress(
                 clock.monotonic, job.plan.duration_s, job.plan.most_poses, stream=io.StringIO()
             )
+
+            def decide(*given: Any) -> UntilDecided:
+                clock.sleep(CHOOSE_S)
+                return decide_until(job, held.path, *given)
+
             results = RehearsedResults(job, held)
-            decisions = RehearsedDecisions(job, held.path)
-            runner = Runner(
-                job, held, journal, open_devices, clock, progress, results=results, decisions=decisions
-            )
+            runner = Runner(job, held, journal, open_devices, clock, progress, results=results, decide=decide)
             return runner.run()
 
 

@@ -43,29 +43,27 @@ class Interim:
     passport: Passport | None = None  # Passport that the calibration uses, if any
 
 
-class Decisions:
-    """Decides for the ``until`` steps of one run; recordings may have to be measured again."""
+Decide = Callable[[ChooseStep, History, MutableMapping[int, Measurement], Callable[[], None]], UntilDecided]
+"""Decides for the ``until`` steps of one run: `decide_until` with the job and the folder of the run."""
 
-    def __init__(self, job: Job, folder: Path) -> None:
-        self._job = job
-        self._folder = folder
 
-    def decide(
-        self,
-        step: ChooseStep,
-        history: History,
-        measured: MutableMapping[int, Measurement],
-        check: Callable[[], None],
-    ) -> UntilDecided:
-        """Calibrate from the accepted recordings, and decide what follows; ``check`` raises to stop the run."""
-        found, readings = accepted_measurements(self._job, self._folder, history, measured, check)
-        options = solve_options(self._job, step.solve, readings)
-        try:
-            calibration, why = calibrate(views_in(found), options), ""
-        except CalibrationError as error:
-            calibration, why = None, str(error)
-        check()
-        return decide(step, self._job, history, Interim(found, calibration, why, options.passport))
+def decide_until(
+    job: Job,
+    folder: Path,
+    step: ChooseStep,
+    history: History,
+    measured: MutableMapping[int, Measurement],
+    check: Callable[[], None],
+) -> UntilDecided:
+    """Calibrate from the accepted recordings, and decide what follows; ``check`` raises to stop the run."""
+    found, readings = accepted_measurements(job, folder, history, measured, check)
+    options = solve_options(job, step.solve, readings)
+    try:
+        calibration, why = calibrate(views_in(found), options), ""
+    except CalibrationError as error:
+        calibration, why = None, str(error)
+    check()
+    return decide(step, job, history, Interim(found, calibration, why, options.passport))
 
 
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:

@@ -216,7 +216,13 @@ def _runs(result: OfflineResult) -> list[dict[str, Any]]:
         manifest = folder / MANIFEST
         with storage_errors(manifest):
             sealed = sha256_of(manifest) if is_sealed(folder) and manifest.is_file() else None
-        runs.append({"id": (source.started or {}).get("id"), "folder": str(folder), "seal_sha256": sealed})
+        runs.append(
+            {
+                "id": source.started["id"] if source.started else None,
+                "folder": str(folder),
+                "seal_sha256": sealed,
+            }
+        )
     return runs
 
 

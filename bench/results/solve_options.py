@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -129,12 +129,7 @@ def _bound(calibration: Calibration, readings: GimbalReadings | None) -> results
     bound = readings.parallax if readings else None
     if bound is None:
         return None
-    stated: results.ParallaxBound = {
-        "defocus": bound.defocus,
-        "defocus_sigma": bound.defocus_sigma,
-        "pupil_off_pivot_mm": bound.pupil_off_pivot_mm,
-        "pupil_off_pivot_sigma_mm": bound.pupil_off_pivot_sigma_mm,
-    }
+    stated = cast("results.ParallaxBound", asdict(bound))
     if calibration.collimator is None:
         return stated
     parallax, sigma = bound.mean_and_sigma(calibration.collimator.r)

@@ -13,7 +13,7 @@ from bench.records import events
 from bench.records.history import NOT_ASKED, DeviceEnd, RunLog, all_ends, lost_ends, unsafe_devices
 from bench.records.run_folder import RunFolder
 from bench.records.storage import storage_errors
-from bench.results.interim import Decisions
+from bench.results.interim import Decide
 from bench.results.result import ResultWriter
 from bench.run.interlocks import (
     CameraTemperature,
@@ -210,5 +210,5 @@ class RunContext:
     devices: RunDevices
     interlocks: Interlocks
     results: ResultWriter
-    decisions: Decisions  # Decides for the ``until`` steps
+    decide: Decide  # Decides for the ``until`` steps
     say: Callable[[str], None]  # Shows a line to the operator

@@ -21,7 +21,7 @@ from bench.records.history import DeviceEnd, RunLog, way_on
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.report.text import decision_text
-from bench.results.interim import Decisions
+from bench.results.interim import Decide, decide_until
 from bench.results.result import Outcome, ResultWriter
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
@@ -143,7 +143,7 @@ class Runner:
         progress: Progress,
         notify: Callable[[str, str, str], None] = lambda _occasion, _what, _key: None,
         results: ResultWriter | None = None,
-        decisions: Decisions | None = None,
+        decide: Decide | None = None,
     ) -> None:
         self._progress = progress
         self._notify = notify
@@ -158,7 +158,7 @@ class Runner:
             devices,
             Interlocks(interlocks_of(job.station.interlocks, folder.path, devices), clock),
             results or ResultWriter(job, folder),
-            decisions or Decisions(job, folder.path),
+            decide or partial(decide_until, job, folder.path),
             progress.say,
         )
         self._machine = RunMachine(StateWork(self.context).table(), self)

@@ -218,7 +218,7 @@ class StateWork:
         history = self._run.log.history
         if any(decided["step"] == step.number for decided in history.decisions):
             return
-        decided = self._run.decisions.decide(step, history, self._measured, self._run.clock.check)
+        decided = self._run.decide(step, history, self._measured, self._run.clock.check)
         self._run.log.write(events.UntilDecided, **decided)
 
     def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:

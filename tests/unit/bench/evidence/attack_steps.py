@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.evidence.verify import verify_folder
 from bench.plan.job import Job
-from bench.results.again_run import check_run_again
+from bench.results.again import check_run_again
 from bench.results.recorded_with import check_recorded_with
 from bench.views.views_file import read_views
 

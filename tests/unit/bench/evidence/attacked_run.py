@@ -65,7 +65,7 @@ def kept_in_memory():
         mock.patch("bench.report.plots.report_plots", report_plots),
         mock.patch.object(Job, "read_truth", read_truth),
         mock.patch.object(EventKind, "measure", measure_one),
-        mock.patch("bench.results.again_run.solve_run", solve_one),
+        mock.patch("bench.results.again.solve_run", solve_one),
     ):
         yield
 

@@ -16,7 +16,7 @@ from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
-from bench.results.again_recalculated import check_recalculated
+from bench.results.again import check_recalculated
 from bench.results.offline import calibrate_paths, views_of_one_size
 from bench.results.offline_folder import require_new, write_offline_results
 from bench.results.offline_options import OfflineOptions, read_point_file

@@ -10,7 +10,7 @@ import pytest
 
 from bench.base.bounded_json import canonical_json
 from bench.evidence.verify import verify_folder
-from bench.results.again_recalculated import check_recalculated
+from bench.results.again import check_recalculated
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import write_offline_results
 from bench.results.offline_options import OfflineOptions, options_data, options_of_data

@@ -1,14 +1,15 @@
-"""Makes the results of a sealed run again from its recordings, and compares the trees: `verify --again` of a run.
+"""Makes results again from their sources, and compares the trees: `verify --again` of a sealed folder.
 
-The run's own writer makes results, views, exports, report and plan again; the journal is compared, too. Nothing is
-written.
+A run: its own writer makes results, views, exports, report and plan again from the recordings; the journal is compared,
+too. Recalculated results: they are calibrated again from their sources; where a source has gone, or is another file
+now, it says that the numbers were not compared. Nothing is written.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +17,7 @@ from typing import Any, cast
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
+from bench.evidence.sshsig import fingerprint, read_signature
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
@@ -28,12 +30,22 @@ from bench.records.run_folder import (
     REPORT,
     RESULTS,
     SEQUENCE_COPY,
+    SIGNATURE,
     STATION_COPY,
     WIRE_LOG,
 )
-from bench.records.storage import read_bounded, read_json
+from bench.records.storage import read_bounded, read_json, sha256_of
 from bench.results.compare_numbers import MOST_SHOWN, add_faults, differences, is_excused, tolerance
-from bench.results.compare_trees import MadeAgain, compare_instructions, compare_plan, compare_trees
+from bench.results.compare_trees import (
+    MadeAgain,
+    compare_file,
+    compare_instructions,
+    compare_plan,
+    compare_trees,
+)
+from bench.results.offline import OfflineResult, calibrate_paths
+from bench.results.offline_folder import SOURCES, SealedBy, offline_files, source_data
+from bench.results.offline_options import StationFile, options_of_data, passport_of_file
 from bench.results.result import change_since
 from bench.results.results_content import (
     other_engine,
@@ -45,9 +57,12 @@ from bench.results.results_content import (
     software,
 )
 from bench.results.solution import main_numbers, solve_run
+from bench.stations.station import load_station
 from bench.views.measure import Measurement
 from calib.errors import CalibrationError
+from calib.target import StarTarget
 from drivers.errors import DriverError
+from sequences.errors import SequencesError
 from sequences.script import RecordStep, SolveStep
 
 _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
@@ -343,3 +358,113 @@ def _check_solved(
     if other_software(evidence.used):
         seen = [one for one in seen if not is_excused(one, sigma)]
     add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, found)
+
+
+# Recalculated results: the sources are calibrated again.
+
+
+def check_recalculated(folder: Path) -> Findings:
+    """Calibrate the sources of recalculated results again, with the same options, and compare every file."""
+    found = Findings()
+    try:
+        described, stored = read_json(folder / SOURCES), read_json(folder / RESULTS)
+        used = stored["run"]["software"]
+        compare_instructions(folder, used, found)
+        _check_station(described, found)
+        if stored["sources"] != described["sources"]:
+            found.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
+            return found
+        if why := other_engine(stored) or _cannot(described):
+            found.not_compared.append(f"{RESULTS} with its sources: {why}")
+            return found
+        again = _calibrated(folder, described)
+        pairs = zip(again.sources, again.views, strict=True)
+        sources = [source_data(source, view.name) for source, view in pairs]
+        if sources != described["sources"]:
+            found.not_compared.append(
+                f"{RESULTS} with its sources: the paths hold other files now than those that were calculated from"
+            )
+            return found
+        files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)
+        results = parse_json(files[RESULTS])
+        results["run"] |= {name: stored["run"][name] for name in ("calibrated_utc", "software")}
+    except (BenchError, CalibrationError, DriverError) as error:
+        found.fault("results", RESULTS, f"its sources cannot be calibrated again: {error}")
+        return found
+    except (StorageError, *UNREADABLE) as error:
+        found.fault("results", RESULTS, f"it cannot be compared with its sources ({error!r})")
+        return found
+    for name in (SOURCES, PASSPORT_COPY):
+        compare_file(
+            folder / name, name, files.get(name), "results", other_software(used), found, "the sources"
+        )
+    made = MadeAgain(
+        results,
+        again.stored_views,
+        str(described["camera_name"]),
+        again.board or again.target,
+        used,
+        source="sources",
+    )
+    compare_trees(folder, made, found)
+    return found
+
+
+def _check_station(described: Mapping[str, Any], found: Findings) -> None:
+    """Compare the station file of the command line, if it is still there, with its hash and its target."""
+    stated = described["station"]
+    if stated is None:
+        return
+    path = Path(str(stated["path"]))
+    if not path.is_file():
+        found.remarks.append(f"the station file {path}, whose target was used, is not there any more")
+        return
+    if sha256_of(path) != stated["sha256"]:
+        found.remarks.append(
+            f"{path}: another station file lies there now than the one whose target was used"
+        )
+        return
+    try:
+        target = asdict(load_station(str(path)).value.target.pattern())
+    except (BenchError, SequencesError) as error:
+        found.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
+        return
+    for one in differences(described["option_target"], target):
+        found.fault("results", SOURCES, f"option_target: {one}, by the station file {path}")
+
+
+def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:
+    """Return who sealed the results, by the key of their signature; None if they name nobody. Raises ``UNREADABLE``."""
+    stated = stored["run"].get("sealed_by")
+    if stated is None:
+        return None
+    key = read_signature((folder / SIGNATURE).read_bytes()).public_key
+    return SealedBy(str(stated["principal"]), fingerprint(key))
+
+
+def _cannot(described: Mapping[str, Any]) -> str:
+    """Return why the calibration cannot be made again; empty if it can."""
+    gone = [path for path in described["paths"] if not Path(path).exists()]
+    if gone:
+        return f"{gone[0]} is not there any more" + (f", and {len(gone) - 1} more" if len(gone) > 1 else "")
+    for source in described["sources"]:
+        path = Path(str(source["path"]))
+        if not path.is_file():
+            return f"{path} is not there any more"
+        if sha256_of(path) != source["sha256"]:
+            return f"{path} is another file now"
+    return ""
+
+
+def _calibrated(folder: Path, described: Mapping[str, Any]) -> OfflineResult:
+    """Calibrate the sources again. Raises the errors of the reader and of the engine, and one of ``UNREADABLE``."""
+    stored, passport = described["options"], None
+    if stored["passport"] is not None:
+        passport = passport_of_file(folder / PASSPORT_COPY, str(stored["passport"]))
+    given = described["option_target"]
+    target = StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
+    station = described["station"]
+    options = replace(
+        options_of_data(stored, passport, target), station=None if station is None else StationFile(**station)
+    )
+    return calibrate_paths([Path(path) for path in described["paths"]], options)
