@@ -13,29 +13,11 @@ import sys
 
 import numpy as np
 import pytest
+from exported_camera import calibration
 
 from bench.results.exports import exports
-from calib.calibration import Calibration, ViewSummary
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
 
 RAYS = [[0.0, 0.0, 1.0], [0.15, -0.1, 1.0], [-0.2, 0.08, 1.1], [0.05, 0.11, 0.9], [0.19, 0.1, 1.0]]
-LENSES = {
-    "k1k2": {"k1": 0.06, "k2": -0.9},
-    "k1k2k3p1p2": {"k1": 0.06, "k2": -0.9, "p1": 1e-5, "p2": -0.0002, "k3": 0.3},
-    "rational": {
-        "k1": 0.06,
-        "k2": -0.9,
-        "p1": 1e-5,
-        "p2": -0.0002,
-        "k3": 0.3,
-        "k4": 0.01,
-        "k5": 0.02,
-        "k6": -0.1,
-    },
-    "fisheye": {"kb1": 0.03, "kb2": -0.02, "kb3": 1e-5, "kb4": 0.004},
-}
-
 MRCAL = """
 import json, sys, mrcal, numpy as np
 model = mrcal.cameramodel(sys.argv[1])
@@ -89,30 +71,7 @@ def ask(module, program, *arguments):
     return json.loads(answer.stdout.splitlines()[-1])
 
 
-def calibration(lens):
-    camera = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), LENSES[lens])
-    return Calibration(
-        model="spherical",
-        camera=camera,
-        collimator=Collimator(96.0, 144.0, 255.0),
-        rotations=np.eye(3)[None],
-        centres=np.array([[96.0, 144.0, -255.0]]),
-        parameter_names=camera.parameter_names,
-        values=camera.values,
-        covariance=np.eye(len(camera.values)),
-        residuals_px=[],
-        weights=[],
-        rms_px=0.08,
-        mean_px=0.07,
-        variance_factor=1.0,
-        degrees_of_freedom=100,
-        views=(ViewSummary("one", 300, 0.08, 0.07),),
-        converged=True,
-        iterations=5,
-    )
-
-
-@pytest.fixture(params=LENSES)
+@pytest.fixture(params=["k1k2", "k1k2k3p1p2", "rational", "fisheye"])
 def exported(request, tmp_path):
     """A calibration, and the folder of its exports."""
     made = calibration(request.param)

@@ -4,9 +4,9 @@ import hashlib
 import json
 import shutil
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
+from expected_stars import THREE, expected_views, write_points
 
 from bench.base.home import forms
 from bench.cluster.recalculation import TABLE, Recalculation, ResultsFolders
@@ -16,31 +16,18 @@ from bench.commands.cli import cli
 from bench.evidence.keys import create_key
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.verify import verify_folder
-from bench.plan.plan import load_documents, make_plan
-from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
 from bench.results.offline_options import OfflineOptions
-from calib.studies.predicted_views import predicted_view
 
-POSES = (("left", -6, 2), ("right", 6, 2), ("below", 0, -3))
 CHOICES = OfflineOptions(model="spherical", distortion="k1", image_size=(1280, 720))
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Three folders of point files with different noise."""
-    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
-    views = [predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)[0] for name, pan, tilt in POSES]
     root = tmp_path_factory.mktemp("recordings")
     for number in (1, 2, 10):
-        rng = np.random.default_rng(number)
-        folder = root / f"cam{number}"
-        folder.mkdir()
-        for view in views:
-            every = slice(None, None, 3)
-            seen = (view.points_px + rng.normal(0, 0.05, view.points_px.shape) + 0.5)[every]
-            rows = np.column_stack([seen, view.target_mm[every], view.ids[every]])
-            np.savetxt(folder / f"{view.name}.csv", rows, fmt=["%.6f"] * 4 + ["%d"])
+        write_points(root / f"cam{number}", expected_views(THREE, sigma_px=0.05, seed=number), every=3)
     return root
 
 

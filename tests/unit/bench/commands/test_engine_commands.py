@@ -6,11 +6,12 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from calling import out_of, refusal
+from expected_stars import expected_views, write_points
 
 from bench.plan.plan import load_documents, make_plan
 from bench.results.forecasts import expected_bench, expected_uncertainty, suggest_poses
+from bench.stations.station import load_station
 from calib.studies.monte_carlo import Repetition, study_of
-from calib.studies.predicted_views import predicted_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 
@@ -18,17 +19,11 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 @pytest.fixture(scope="module")
 def points(tmp_path_factory):
     """Point files of five imagined views with 0.03 px of noise, and the truth they were made of."""
-    folder = tmp_path_factory.mktemp("points")
-    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
-    rng = np.random.default_rng(4)
-    for number, (pan, tilt) in enumerate(POSES, 1):
-        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))
-        seen = view.points_px + rng.normal(0, 0.03, view.points_px.shape) + 0.5
-        rows = [
-            f"{u} {v} {x} {y} {i}" for (u, v), (x, y), i in zip(seen, view.target_mm, view.ids, strict=True)
-        ]
-        (folder / f"view{number}.txt").write_text("\n".join(rows))
-    return folder, bench
+    poses = [(f"view{number}", *angles) for number, angles in enumerate(POSES, 1)]
+    views = expected_views(poses, sigma_px=0.03, seed=4)
+    return write_points(tmp_path_factory.mktemp("points"), views), expected_bench(
+        load_station("simulated_ideal")
+    )
 
 
 def test_other_methods_are_compared_on_the_same_points(capsys, points):
@@ -58,7 +53,7 @@ def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp
     folder, bench = points
     made = tmp_path / "collimator.json"
     out_of(capsys, "passport", "make", folder, "--image-size", "1280x720", "--output", made)
-    words = ("calibrate", folder / "view1.txt", "--image-size", "1280x720", "--passport", made, "--compare")
+    words = ("calibrate", folder / "view1.csv", "--image-size", "1280x720", "--passport", made, "--compare")
     ours, published, opencv = json.loads(out_of(capsys, *words, "--json"))["compared"]
     assert abs(ours["camera"]["fx"] - bench.camera.fx) < 10
     assert "camera" in published
@@ -108,7 +103,7 @@ def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, poin
 
 
 def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info):
-    words = ["check", points[0] / "view1.txt", "--image-size", "1280x720", "--calibration"]
+    words = ["check", points[0] / "view1.csv", "--image-size", "1280x720", "--calibration"]
     shown = out_of(capsys, *words, camera_info())
     assert shown.startswith(
         "One view without a known collimator: judged is only what no other pose explains."
@@ -143,7 +138,7 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain
     assert held["conditions"]["made_utc"].startswith("20")
     assert held["conditions"]["model"] == "spherical"
     sizes = ("--image-size", "1280x720", "--json")
-    alone = json.loads(out_of(capsys, "calibrate", folder / "view4.txt", "--passport", file, *sizes))
+    alone = json.loads(out_of(capsys, "calibrate", folder / "view4.csv", "--passport", file, *sizes))
     assert abs(alone["camera"]["fx"] - bench.camera.fx) < 3 * alone["sigma"]["fx"]
     without = json.loads(out_of(capsys, "calibrate", folder, "--views", "1,2,3", *sizes))
     with_it = json.loads(out_of(capsys, "calibrate", folder, "--views", "1,2,3", "--passport", file, *sizes))

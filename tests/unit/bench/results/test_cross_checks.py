@@ -4,28 +4,19 @@ import json
 
 import numpy as np
 import pytest
+from expected_stars import expected_views
 
-from bench.plan.plan import load_documents, make_plan
 from bench.results.checks import gimbal_check, split_half_check
-from bench.results.forecasts import expected_bench
 from bench.results.results_content import projection_facts
 from calib.engine import CalibrationOptions, calibrate
 from calib.model.camera import CameraModel
-from calib.studies.predicted_views import predicted_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 
 
 @pytest.fixture(scope="module")
 def views():
-    bench = expected_bench(make_plan(*load_documents("nine_pose", "simulated_ideal")).station)
-    rng = np.random.default_rng(3)
-    seen = []
-    for pan, tilt in POSES:
-        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, f"{pan} {tilt}")
-        view.points_px[:] += rng.normal(0, 0.02, view.points_px.shape)
-        seen.append(view)
-    return seen
+    return expected_views([(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES], sigma_px=0.02, seed=3)
 
 
 def test_halves_differ_by_no_more_than_their_uncertainties_say(views):

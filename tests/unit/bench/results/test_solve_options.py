@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from expected_stars import expected_views
 
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import readings_rows
-from bench.results.forecasts import expected_bench, forecast_bench
+from bench.results.forecasts import forecast_bench
 from bench.results.solve_options import (
     NO_SECTION,
     gimbal_readings,
@@ -18,7 +18,6 @@ from bench.results.solve_options import (
 )
 from bench.views.gates import solution_gates
 from calib.engine import calibrate
-from calib.studies.predicted_views import predicted_view
 from sequences.script import SolveStep
 
 GIMBAL = "{reading_sigma_deg: 0.002, scale_sigma: 1e-4, source: G-3%s}"
@@ -40,13 +39,8 @@ def job(gimbal: str | None, defocus: str | None = DEFOCUS) -> Job:
 
 def solved(task: Job, measured_deg=None, **settings):
     """Calibrate nine predicted poses as the task's solve step does, with other settings of the step."""
-    bench = expected_bench(task.plan.station)
-    rng = np.random.default_rng(3)
-    views = []
-    for pan, tilt in POSES:
-        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, f"{pan} {tilt}")
-        noise = rng.normal(0, 0.02, view.points_px.shape)
-        views.append(replace(view, points_px=view.points_px + noise))
+    poses = [(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES]
+    views = expected_views(poses, sigma_px=0.02, seed=3, station=task.plan.station)
     (step,) = (step for step in task.steps if isinstance(step, SolveStep))
     step = replace(step, **{"model": "auto", **settings})
     read = measured_deg or [{"pan": float(pan), "tilt": float(tilt)} for pan, tilt in POSES]
