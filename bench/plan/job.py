@@ -99,8 +99,6 @@ class Job:
     ) -> Job:
         """Read, check and expand a sequence on a station; ``settings`` replace values of the files."""
         planned = make_plan(*load_documents(sequence, station, settings))
-        if planned.faults:
-            raise ScriptError([str(fault) for fault in planned.faults])
         return cls.from_plan(planned, seed=seed, operator=operator)
 
     @classmethod
@@ -108,13 +106,13 @@ class Job:
         """Read the task of a run that has begun from the copies in its folder."""
         documents = load_documents(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY))
         planned = make_plan(*documents, passport_copy=folder / PASSPORT_COPY)
-        if planned.faults:
-            raise ScriptError([str(fault) for fault in planned.faults])
         return cls.from_plan(planned, seed=seed, operator=operator)
 
     @classmethod
     def from_plan(cls, plan: Plan, *, seed: int, operator: str | None) -> Job:
-        """Return the task of a plan without faults."""
+        """Return the task of a plan, which must have no faults."""
+        if plan.faults:
+            raise ScriptError([str(fault) for fault in plan.faults])
         return cls(plan, with_parking(plan.script), seed, operator or plan.station.value.operator)
 
     @property

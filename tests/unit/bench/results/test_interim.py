@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bench.plan.job import Job
-from bench.plan.plan import load_documents, make_plan
 from bench.records.history import History
 from bench.results import interim, next_pose
 from bench.results.forecasts import expected_bench
@@ -33,8 +32,7 @@ WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
 @pytest.fixture(scope="module")
 def job():
     goals = {f"sequence.steps.1.until.{name}": str(goal) for name, goal in WANTED.items()}
-    plan = make_plan(*load_documents("until_good", "simulated", goals))
-    return Job.from_plan(plan, seed=1, operator=None)
+    return Job.from_files("until_good", "simulated", seed=1, operator=None, settings=goals)
 
 
 @pytest.fixture

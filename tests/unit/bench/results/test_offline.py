@@ -53,14 +53,9 @@ def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_larg
 
 @pytest.mark.parametrize("word", ["0x0", "0x720", "1280x0", "1280", "-1280x720"])
 def test_an_image_without_pixels_is_no_size(word):
-    def parsed(image_size):
-        return OfflineOptions.from_command_line(
-            model=None, distortion=None, image_size=image_size, views=None, origin="corner", station=None
-        )
-
     with pytest.raises(UsageError, match="not an image size"):
-        parsed(word)
-    assert parsed("1280x720").image_size == (1280, 720)
+        OfflineOptions.from_command_line(image_size=word)
+    assert OfflineOptions.from_command_line(image_size="1280x720").image_size == (1280, 720)
     assert OfflineOptions().image_size is None
 
 
@@ -148,16 +143,13 @@ def passport(tmp_path_factory):
     return str(path)
 
 
-def options(points, **given):
-    common = dict.fromkeys(("model", "distortion", "loss", "views", "station"))
-    return OfflineOptions.from_command_line(
-        **{**common, "image_size": "1280x720", "image": "auto", "origin": "corner", **given}
-    )
+def options(**given):
+    return OfflineOptions.from_command_line(image_size="1280x720", **given)
 
 
 def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(points, passport, tmp_path):
     out = tmp_path / "out"
-    result = calibrate_paths([points], options(points, passport=passport))
+    result = calibrate_paths([points], options(passport=passport))
     write_offline_results(result, out)
     found = json.loads((out / "results.json").read_text())
     assert found["schema"] == "starbench/results/1"
@@ -184,7 +176,7 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(po
 
 def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(points, tmp_path, key, signers):
     out = tmp_path / "out"
-    write_offline_results(calibrate_paths([points], options(points)), out, key)
+    write_offline_results(calibrate_paths([points], options()), out, key)
     run = json.loads((out / "results.json").read_text())["run"]
     assert run["sealed_by"] == {"principal": key.principal, "fingerprint": key.fingerprint}
     assert "a recalculation" in run["statement"]
@@ -218,7 +210,7 @@ OWN_TARGET = PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20
 def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
     station = tmp_path / "station.yaml"
     station.write_text(OWN_TARGET)
-    write_offline_results(calibrate_paths([points], options(points, station=str(station))), tmp_path / "out")
+    write_offline_results(calibrate_paths([points], options(station=str(station))), tmp_path / "out")
     pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
 
@@ -226,7 +218,7 @@ def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path)
 def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path, key):
     station, sources = tmp_path / "station.yaml", tmp_path / "out" / "sources.json"
     station.write_text(PLAIN)
-    result = calibrate_paths([points], options(points, station=str(station)))
+    result = calibrate_paths([points], options(station=str(station)))
     write_offline_results(result, tmp_path / "out", key)
     described = json.loads(sources.read_text())
     hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
@@ -248,11 +240,11 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     assert "is not there any more" in found()[0]
 
 
-def test_an_included_station_is_stated_and_none_is_none(points):
-    read = options(points, station="simulated").station
+def test_an_included_station_is_stated_and_none_is_none():
+    read = options(station="simulated").station
     assert read.name == "simulated"
     assert hashlib.sha256(Path(read.path).read_bytes()).hexdigest() == read.sha256
-    assert options(points).station is None
+    assert options().station is None
 
 
 def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(points, tmp_path):
@@ -266,20 +258,20 @@ def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(p
 
 
 def test_a_passport_is_used_and_none_switches_it_off(points, passport):
-    assert calibrate_paths([points], options(points, passport=passport)).calibration.model == "joint"
-    assert calibrate_paths([points], options(points, passport="none")).passport is None
-    spherical = calibrate_paths([points], options(points, passport=passport, model="spherical"))
+    assert calibrate_paths([points], options(passport=passport)).calibration.model == "joint"
+    assert calibrate_paths([points], options(passport="none")).passport is None
+    spherical = calibrate_paths([points], options(passport=passport, model="spherical"))
     assert spherical.calibration.model == "spherical"
-    planar = calibrate_paths([points], options(points, passport=passport, model="planar"))
+    planar = calibrate_paths([points], options(passport=passport, model="planar"))
     assert (planar.calibration.model, planar.passport) == ("planar", None)
 
 
 def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, passport, tmp_path):
     for given in (None, passport):
         with pytest.raises(DegenerateViews) as caught:
-            calibrate_paths([points / "left.csv"], options(points, passport=given))
+            calibrate_paths([points / "left.csv"], options(passport=given))
         assert ONE_VIEW in str(caught.value)
-    whole = calibrate_paths([points], options(points)).calibration.passport()
+    whole = calibrate_paths([points], options()).calibration.passport()
     write_passport(tmp_path / "whole.json", whole)
-    one = calibrate_paths([points / "left.csv"], options(points, passport=str(tmp_path / "whole.json")))
+    one = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
     assert one.calibration.sigma["fx"] < 0.02 * one.calibration.camera.fx

@@ -6,7 +6,6 @@ import pytest
 from expected_stars import expected_views
 
 from bench.plan.job import Job
-from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import readings_rows
 from bench.results.forecasts import forecast_bench
 from bench.results.solve_options import (
@@ -32,9 +31,7 @@ def job(gimbal: str | None, defocus: str | None = DEFOCUS) -> Job:
         "station.collimator.defocus": defocus or "",
         "station.collimator.certificate": "",
     }
-    planned = make_plan(*load_documents("nine_pose", "simulated_ideal", settings))
-    assert planned.faults == ()
-    return Job.from_plan(planned, seed=1, operator=None)
+    return Job.from_files("nine_pose", "simulated_ideal", seed=1, operator=None, settings=settings)
 
 
 def solved(task: Job, measured_deg=None, **settings):
@@ -117,9 +114,7 @@ def test_a_stated_bow_and_distortion_bound_the_radial_term():
         "station.gimbal": "",
     }
     flat, unknown = (
-        Job.from_plan(
-            make_plan(*load_documents("nine_pose", "simulated_ideal", chosen)), seed=1, operator=None
-        )
+        Job.from_files("nine_pose", "simulated_ideal", seed=1, operator=None, settings=chosen)
         for chosen in (settings, {**settings, "station.budget": "{}"})
     )
     bounded, options, _ = solved(flat, model="auto")

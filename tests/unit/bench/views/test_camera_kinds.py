@@ -52,12 +52,12 @@ def test_the_station_s_camera_determines_the_camera_kind():
 
 
 def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():
-    job = Job.from_plan(make_plan(*load_documents("three_pose", "simulated_frames")), seed=1, operator=None)
+    job = Job.from_files("three_pose", "simulated_frames", seed=1, operator=None)
     [flicker] = [s.flicker for s in job.steps if isinstance(s, LightStep) and s.flicker is not None]
     settings = job.light_settings(flicker)
     assert (settings.waveform, settings.high_v) == ("steady", 5.0)
     assert job.camera_name == "opencv"
-    event = Job.from_plan(make_plan(*load_documents("three_pose", "simulated")), seed=1, operator=None)
+    event = Job.from_files("three_pose", "simulated", seed=1, operator=None)
     assert event.light_settings(flicker).waveform == "square"
 
 
