@@ -7,6 +7,7 @@ import threading
 import grimp
 import numpy as np
 import pytest
+from made_views import made_rim, made_view
 from solved_run import write_solved_run
 
 from bench.plan.job import Job
@@ -26,23 +27,8 @@ from bench.views.views_file import (
     read_views,
     view_key,
 )
-from calib.view import RimPoints, View
 
 OPTIONS = {"kind": "recording", "name": "left", "image": "auto"}
-
-
-def a_view(seed=1, stars=50, *, rim=True, name="left"):
-    rng = np.random.default_rng(seed)
-    found = RimPoints(rng.normal(size=(7, 2)), rng.random(7), np.empty((0, 2)), 0.25) if rim else None
-    return View(
-        name,
-        (1280, 720),
-        np.arange(stars),
-        rng.normal(size=(stars, 2)),
-        rng.normal(size=(stars, 2)),
-        rng.normal(size=(stars, 2, 2)),
-        found,
-    )
 
 
 def same(one, other):
@@ -77,9 +63,9 @@ def recording(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("rim", [True, False])
+@pytest.mark.parametrize("rim", [made_rim(), None], ids=["rim", "no rim"])
 def test_stars_are_found_once_and_are_equal_to_the_last_bit(kept, recording, rim):
-    find = Finder(a_view(rim=rim))
+    find = Finder(made_view(rim=rim))
     assert same(kept.view(recording, OPTIONS, find), find.view)
     again = KeptViews(kept.folder)
     assert same(again.view(recording, OPTIONS, find), find.view)
@@ -87,7 +73,7 @@ def test_stars_are_found_once_and_are_equal_to_the_last_bit(kept, recording, rim
 
 
 def test_other_bytes_other_options_and_another_detector_are_found_again(kept, recording, monkeypatch):
-    find = Finder(a_view())
+    find = Finder(made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     kept.view(recording, {**OPTIONS, "image": "accumulated"}, find)
     assert find.calls == 2
@@ -101,13 +87,13 @@ def test_other_bytes_other_options_and_another_detector_are_found_again(kept, re
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "of another"])
 def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
-    find = Finder(a_view())
+    find = Finder(made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     (entry,) = kept.folder.glob("*/*.view")
     data = bytearray(entry.read_bytes())
     data[len(data) // 2] ^= 1
     broken = {"flip": bytes(data), "cut": bytes(data[:-10]), "empty": b""}
-    broken["of another"] = pack_view(a_view(2), "0" * 64)
+    broken["of another"] = pack_view(made_view(seed=2), "0" * 64)
     entry.write_bytes(broken[damage])
     assert same(kept.view(recording, OPTIONS, find), find.view)
     assert find.calls == 2
@@ -119,7 +105,7 @@ def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
 
 
 def test_an_entry_larger_than_any_is_not_read(kept, recording):
-    find = Finder(a_view())
+    find = Finder(made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     (entry,) = kept.folder.glob("*/*.view")
     with entry.open("r+b") as file:
@@ -132,32 +118,32 @@ def test_an_entry_larger_than_any_is_not_read(kept, recording):
 def test_a_recording_that_is_replaced_meanwhile_is_not_kept(kept, recording):
     def find():
         recording.write_bytes(b"other events")
-        return a_view()
+        return made_view(rim=made_rim())
 
     kept.view(recording, OPTIONS, find)
     assert not list(kept.folder.glob("*/*.view"))
 
 
 def test_the_size_is_bounded_and_what_was_used_last_stays(tmp_path):
-    size = len(pack_view(a_view(), "0" * 64))
+    size = len(pack_view(made_view(rim=made_rim()), "0" * 64))
     kept = KeptViews(tmp_path / "views", most_bytes=256 * (3 * size + 10))
     keys = [f"ab{number:062x}" for number in range(5)]
     for age, key in enumerate(keys[:3]):
-        kept.write(key, a_view())
+        kept.write(key, made_view(rim=made_rim()))
         os.utime(kept.folder / "ab" / f"{key}.view", (1000 + age, 1000 + age))
     assert kept.read(keys[0]) is not None
     stale = kept.folder / "ab" / ".left.tmp"
     stale.write_bytes(b"")
     os.utime(stale, (1000, 1000))
-    kept.write(keys[3], a_view())
+    kept.write(keys[3], made_view(rim=made_rim()))
     assert [kept.read(key) is not None for key in keys] == [True, False, True, True, False]
     assert not stale.exists()
-    kept.write(keys[4], a_view(stars=500))
+    kept.write(keys[4], made_view(stars=500))
     assert kept.read(keys[4]) is None, "an entry above its share is not kept"
 
 
 def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
-    find = Finder(a_view())
+    find = Finder(made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     (entry,) = kept.folder.glob("*/*.view")
     assert [path.stat().st_mode & 0o777 for path in (kept.folder, entry.parent, entry)] == [
@@ -175,7 +161,7 @@ def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
 def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
     (tmp_path / "file").write_text("")
     kept = KeptViews(tmp_path / "file" / "views")
-    find = Finder(a_view())
+    find = Finder(made_view(rim=made_rim()))
     for _ in range(3):
         kept.view(recording, OPTIONS, find)
     assert find.calls == 3
@@ -187,7 +173,7 @@ def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatc
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("pathlib.Path.replace", full)
-    find = Finder(a_view())
+    find = Finder(made_view(rim=made_rim()))
     for _ in range(2):
         assert same(kept.view(recording, OPTIONS, find), find.view)
     assert [remark.count("No space left") for remark in kept.remarks] == [1]
@@ -196,7 +182,7 @@ def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatc
 
 def test_several_writers_of_one_entry_leave_it_whole(kept):
     key = view_key("0" * 64, OPTIONS)
-    view, torn = a_view(stars=2000), []
+    view, torn = made_view(stars=2000), []
 
     def work():
         own = KeptViews(kept.folder, most_bytes=1 << 34)

@@ -1,7 +1,6 @@
 """`views.h5`: what is written is read again, and a damaged file is refused in one message."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -9,24 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_views import made_rim, made_view
 
 from bench.base.errors import RunFolderError
 from bench.views.views_file import StoredView, read_picture, read_views, views_file
-from calib.view import RimPoints, View
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "run-folder.md"
-RNG = np.random.default_rng(5)
-
-
-def view_of(name, stars, size=(64, 48)):
-    return View(
-        name,
-        size,
-        np.arange(100, 100 + stars),
-        RNG.random((stars, 2)),
-        RNG.random((stars, 2)),
-        RNG.random((stars, 2, 2)),
-    )
+RNG, SIZE = np.random.default_rng(5), (64, 48)
 
 
 def stored_of(view):
@@ -38,7 +26,9 @@ def stored_of(view):
 @given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
 def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, stars, name):
     name = name.encode("utf-8", "replace").decode()
-    views = [view_of(f"{name} {number}", count) for number, count in enumerate(stars)]
+    views = [
+        made_view(f"{name} {number}", count, size=SIZE, seed=number) for number, count in enumerate(stars)
+    ]
     written = [stored_of(view) for view in views]
     path = tmp_path_factory.mktemp("views") / "views.h5"
     path.write_bytes(views_file(written))
@@ -56,20 +46,16 @@ def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, 
 
 
 def test_a_thousand_poses_keep_their_order(tmp_path):
-    views = [view_of(str(number), 4, (2, 2)) for number in range(1, 1002)]
+    views = [made_view(str(number), 4, size=(2, 2)) for number in range(1, 1002)]
     path = tmp_path / "views.h5"
     path.write_bytes(views_file([stored_of(view) for view in views]))
     assert [stored.view.name for stored in read_views(path)] == [view.name for view in views]
 
 
-def rim_of(points, lit):
-    return RimPoints(RNG.random((points, 2)), RNG.random(points), RNG.random((lit, 2)), 0.25)
-
-
 @pytest.mark.parametrize(("points", "lit"), [(3, 2), (0, 2), (0, 0)])
 def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, lit):
-    rim = rim_of(points, lit)
-    views = [replace(view_of("one", 5), rim=rim), view_of("two", 5)]
+    rim = made_rim(points, lit)
+    views = [made_view("one", 5, size=SIZE, rim=rim), made_view("two", 5, size=SIZE)]
     path = tmp_path / "views.h5"
     path.write_bytes(views_file([stored_of(view) for view in views]))
     found, none = (stored.view.rim for stored in read_views(path))
@@ -82,7 +68,7 @@ def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, li
 
 @pytest.fixture
 def path(tmp_path):
-    view = replace(view_of("one", 5), rim=rim_of(3, 2))
+    view = made_view("one", 5, size=SIZE, rim=made_rim(3, 2))
     path = tmp_path / "views.h5"
     path.write_bytes(views_file([stored_of(view)]))
     return path
