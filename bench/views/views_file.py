@@ -14,6 +14,7 @@ import os
 import platform
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
 from bench.base.home import home_folder
 from bench.records.storage import sha256_of
@@ -68,8 +70,13 @@ def views_file(views: Iterable[StoredView]) -> bytes:
     with h5py.File(memory, "w") as file:
         file.attrs["format"] = FORMAT
         for number, stored in enumerate(views, 1):
-            group = file.create_group(_group_name(number))
-            _write_view(group, stored.view, {"residuals_px": stored.residuals_px})
+            view, group = stored.view, file.create_group(_group_name(number))
+            group.attrs["name"] = view.name
+            group.attrs["image_size"] = view.image_size
+            for name, values in _arrays_of(view, {"residuals_px": stored.residuals_px}).items():
+                group.create_dataset(name, data=values)
+            if view.rim is not None:
+                group.attrs["rim_level_sigma_mm"] = view.rim.level_sigma_mm
             if stored.picture is not None:
                 group.create_dataset("picture", data=stored.picture(), compression="gzip", compression_opts=4)
     return memory.getvalue()
@@ -113,28 +120,25 @@ def _array(group: h5py.Group, name: str) -> NDArray[Any]:
     return whole(dataset(group, name), _MOST_BYTES)
 
 
-def _write_view(group: h5py.Group, view: View, more: Mapping[str, NDArray[np.float64]]) -> None:
-    """Write a view and ``more`` arrays of its stars."""
-    group.attrs["name"] = view.name
-    group.attrs["image_size"] = view.image_size
-    arrays = {name: getattr(view, name) for name in _ARRAYS} | dict(more)
-    if view.rim is not None:
-        arrays |= {f"rim_{name}": getattr(view.rim, name) for name in _RIM}
-    for name, values in arrays.items():
-        group.create_dataset(name, data=values)
-    if view.rim is not None:
-        group.attrs["rim_level_sigma_mm"] = view.rim.level_sigma_mm
+def _arrays_of(view: View, more: Mapping[str, NDArray[np.float64]] | None = None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a view by name, with ``more`` of its stars."""
+    arrays = {name: getattr(view, name) for name in _ARRAYS} | dict(more or {})
+    if view.rim is None:
+        return arrays
+    return arrays | {f"rim_{name}": getattr(view.rim, name) for name in _RIM}
 
 
-def _read_view(group: h5py.Group) -> View:
-    """Read a view; it has no rim if the image was not searched for it, as in files of earlier versions."""
+def _view_of(
+    name: str, size: Iterable[int], arrays: Callable[[str], NDArray[Any]], level_sigma_mm: float | None
+) -> View:
+    """Return the view of arrays by name; it has no rim without the uncertainty of its level."""
     rim = None
-    if "rim_points_mm" in group:
-        of_rim = {name: np.asarray(_array(group, f"rim_{name}"), np.float64) for name in _RIM}
-        rim = RimPoints(**of_rim, level_sigma_mm=float(group.attrs["rim_level_sigma_mm"]))
-    width, height = (int(side) for side in group.attrs["image_size"])
-    arrays: dict[str, Any] = {name: np.asarray(_array(group, name), kind) for name, kind in _ARRAYS.items()}
-    return View(name=str(group.attrs["name"]), image_size=(width, height), rim=rim, **arrays)
+    if level_sigma_mm is not None:
+        of_rim = {name: np.asarray(arrays(f"rim_{name}"), np.float64) for name in _RIM}
+        rim = RimPoints(**of_rim, level_sigma_mm=float(level_sigma_mm))
+    width, height = (int(side) for side in size)
+    stars: dict[str, Any] = {name: np.asarray(arrays(name), kind) for name, kind in _ARRAYS.items()}
+    return View(name=name, image_size=(width, height), rim=rim, **stars)
 
 
 def _group_name(number: int) -> str:
@@ -142,7 +146,11 @@ def _group_name(number: int) -> str:
 
 
 def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | None) -> StoredView:
-    view = _read_view(group)
+    # Files of earlier versions have no rim.
+    level_sigma_mm = group.attrs["rim_level_sigma_mm"] if "rim_points_mm" in group else None
+    view = _view_of(
+        str(group.attrs["name"]), group.attrs["image_size"], partial(_array, group), level_sigma_mm
+    )
     residuals_px = np.asarray(_array(group, "residuals_px"), np.float64)
     if residuals_px.shape != view.points_px.shape:
         raise InputMismatch(
@@ -159,7 +167,7 @@ def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | N
 
 _BUCKETS = 256
 _STALE_S = 3600.0
-_KEPT_FORMAT = "starbench/kept-view/2"
+_KEPT_FORMAT = "starbench/kept-view/1"
 FOLDER = "kept-views"
 MOST_BYTES = 1 << 30
 """Size of all entries together. The views of about 30,000 recordings have room."""
@@ -240,7 +248,7 @@ class KeptViews:
             self.remarks.append(
                 f"{path}: a kept view cannot be read ({error.strerror}); the stars are found again."
             )
-        except (ValueError, KeyError, TypeError, InputMismatch) as error:
+        except (ValueError, KeyError, TypeError, EOFError, InputMismatch, zipfile.BadZipFile) as error:
             self.remarks.append(f"{path}: a kept view is broken ({error}); the stars are found again.")
             with suppress(OSError):
                 path.unlink()
@@ -353,12 +361,19 @@ def source_files(root: Path) -> Iterable[Path]:
 
 
 def pack_view(view: View, key: str) -> bytes:
-    """Return a view as an entry: the hash of the rest in a line, then an HDF5 file like a group of `views.h5`."""
+    """Return a view as an entry: a line of JSON with the hash of the rest, then the arrays as a NumPy archive."""
+    head: dict[str, Any] = {
+        "format": _KEPT_FORMAT,
+        "key": key,
+        "name": view.name,
+        "image_size": list(view.image_size),
+    }
+    if view.rim is not None:
+        head["rim_level_sigma_mm"] = view.rim.level_sigma_mm
     memory = io.BytesIO()
-    with h5py.File(memory, "w") as file:
-        file.attrs["format"], file.attrs["key"] = _KEPT_FORMAT, key
-        _write_view(file, view, {})
-    return hashlib.sha256(memory.getvalue()).hexdigest().encode() + b"\n" + memory.getvalue()
+    np.savez(memory, allow_pickle=False, **_arrays_of(view))
+    body = json.dumps(head).encode() + b"\n" + memory.getvalue()
+    return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
 
 
 def unpack_view(data: bytes, key: str) -> View:
@@ -366,7 +381,9 @@ def unpack_view(data: bytes, key: str) -> View:
     stated, _, body = data.partition(b"\n")
     if hashlib.sha256(body).hexdigest().encode() != stated:
         raise ValueError("its hash does not match")
-    with h5py.File(io.BytesIO(body), "r") as file:
-        if (file.attrs["format"], file.attrs["key"]) != (_KEPT_FORMAT, key):
-            raise ValueError("it belongs to another recording")
-        return _read_view(file)
+    line, _, archive = body.partition(b"\n")
+    head = parse_json(line)
+    if (head["format"], head["key"]) != (_KEPT_FORMAT, key):
+        raise ValueError("it belongs to another recording")
+    with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
+        return _view_of(head["name"], head["image_size"], arrays.__getitem__, head.get("rim_level_sigma_mm"))

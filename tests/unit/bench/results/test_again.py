@@ -145,8 +145,6 @@ ATTACKS = {
     "source left out": (in_json("sources.json", lambda s: s["sources"].pop()), "results.json"),
     "other camera": (in_json("sources.json", lambda s: s.update(camera_name="other")), "exports/opencv.yaml"),
     "export": (edit("exports/opencv.yaml", "avg_reprojection_error", "best_reprojection_error"), "exports/opencv.yaml"),
-    "report": (edit("report.html", "<main>", "<main hidden>"), "report.html"),
-    "plot": (edit("report.html", "</text>", "9</text>"), "report.html"),
     "stars": (lambda f: (f / "views.h5").write_bytes(b"x"), "views.h5"),
     "passport added": (lambda f: (f / "passport.json").write_bytes(b"{}"), "passport.json"),
     "instructions": (edit("VERIFY.txt", "status 0", "status 1"), "VERIFY.txt"),
