@@ -1,9 +1,9 @@
 """The step `check` of a sequence: the run compares its calibration with a stated one, and says PASS or FAIL."""
 
 import json
+from dataclasses import replace
 
 import pytest
-import yaml
 from solved_run import write_solved_run
 
 from bench.base.errors import ScriptError
@@ -12,6 +12,7 @@ from bench.plan.plan import load_documents, make_plan
 from bench.records.run_folder import CHECKED_COPY
 from bench.report.run_tables import check_rows
 from bench.report.text import conformity_headline, conformity_sentences
+from bench.results.exports import camera_info
 from bench.results.run_reader import stored_camera
 
 END = "  - check: {calibration: %s, model: spherical, distortion: [k1]}\n  - report\n"
@@ -32,14 +33,8 @@ def solved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stated")
     run = write_solved_run(folder)
     camera = stored_camera(results_of(run)["calibration"])
-    content = {
-        "image_width": camera.image_size[0],
-        "image_height": camera.image_size[1],
-        "distortion_model": "plumb_bob",
-        "camera_matrix": {"data": (camera.matrix * [[1.01], [1.01], [1.0]]).ravel().tolist()},
-        "distortion_coefficients": {"data": camera.coefficients[:5].tolist()},
-    }
-    (folder / "longer.yaml").write_text(yaml.safe_dump(content))
+    longer = replace(camera, fx=1.01 * camera.fx, fy=1.01 * camera.fy)
+    (folder / "longer.yaml").write_bytes(camera_info(longer, "camera", longer.matrix))
     return run, folder / "longer.yaml"
 
 
