@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import sqlite3
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -145,6 +144,8 @@ def failure_of(error: Exception) -> Failure:
         remedy = _DISK_REMEDIES.get(error.errno or 0, "Check the path and the disk.")
         where = str(error.filename) if error.filename else ""
         return Failure(type(error).__name__, f"{_quoted(error.strerror or error)}.", where, remedy)
+    import sqlite3  # most commands need none
+
     if isinstance(error, sqlite3.Error):
         remedy = "Make room, check the permissions, or name another folder in STARBENCH_HOME."
         what = f"The bench's own files cannot be used: {_quoted(error)}."

@@ -17,7 +17,6 @@ from bench.base.errors import ScriptError
 from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script, find_url_secrets
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
-from bench.records.run_folder import CHECKED_COPY
 from bench.stations.sections import AxisConfig, FrameCameraConfig
 from bench.stations.station import Station, load_station
 from bench.stations.station_fields import find_placeholders
@@ -342,7 +341,11 @@ def make_plan(
     today = today or datetime.now(UTC).date()
     solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
     passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
-    checked_copy = passport_copy.with_name(CHECKED_COPY) if passport_copy is not None else None
+    checked_copy = None
+    if passport_copy is not None:
+        from bench.records.run_folder import CHECKED_COPY  # a new plan needs no journal
+
+        checked_copy = passport_copy.with_name(CHECKED_COPY)
     checked = choose_stated_camera(sequence, script, station.value.expected, copy=checked_copy)
     findings = check_script(sequence, script, station.value, passport.steps_for_one_pose)
     missing = find_placeholders(station.tree)

@@ -13,6 +13,7 @@ import re
 import struct
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple, Protocol, TypeVar
@@ -324,8 +325,6 @@ def _saturated_share(frames: Sequence[Frame]) -> float:
 
 def _beside(clock: Clock, work: Callable[[], T]) -> T:
     """Do work that may take seconds in a thread, and use the clock meanwhile: a supervisor sees that it goes on."""
-    from concurrent.futures import ThreadPoolExecutor, wait  # which a plan does not need
-
     with ThreadPoolExecutor(1, thread_name_prefix="frames") as worker:
         doing = worker.submit(work)
         while not doing.done():
