@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from markupsafe import Markup
 
 from bench import __version__
 from bench.compare.methods import Row, SolvedRow
@@ -23,14 +22,25 @@ from bench.compare.table import (
     table_rows,
 )
 from bench.report.html import environment
-from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Axes, Key, Picture, Scale, Words, axes_in, plain
+from bench.report.svg_plot import (
+    INK,
+    MUTED,
+    POSE_COLOURS,
+    Key,
+    Picture,
+    Scale,
+    Words,
+    axes_in,
+    decades,
+    plain,
+)
 
 _WIDTH = 760.0
 _ROW_HEIGHT = 19.5
 _MARGIN = 46.0
 _JITTER = 0.26
 _LINEAR_PX = 5.0
-_FINE_UP_TO = 300.0
+_FINE_UP_TO, _SMALLEST_TICK = 300.0, 0.1
 _LINES_HEIGHT, _FEWEST_POINTS = 290.0, 3
 _BESIDE = 0.04
 """Room at each end of an axis, as a share of its length."""
@@ -93,11 +103,9 @@ def images_plot(columns: Sequence[ColumnSummary]) -> str:
     parts = (f"{name}: {points[0][1]:.3g} to {points[-1][1]:.3g} µrad" for name, points in series.items())
     picture = Picture(_WIDTH, _LINES_HEIGHT + 13.0 * len(series) / 2, "images", label, "; ".join(parts) + ".")
     low, high = _longer(counts[0], counts[-1])
-    across = Scale(low, high, "log", ticks=[(count, plain(count)) for count in counts])
-    low, high = _longer(min(every), max(every))
-    marks = [(step, plain(step)) for step in _decades(max(every)) if low <= step <= high]
+    across = Scale(low, high, "log", ticks=_labelled(counts))
     words = Words((), "images", "error of direction, rms, µrad", keys)
-    axes = axes_in(picture, across, Scale(low, high, "log", ticks=marks), words, grid="xy")
+    axes = axes_in(picture, across, _log_scale(min(every), max(every)), words, grid="xy")
     for place, (key, points) in enumerate(zip(keys, series.values(), strict=True)):
         axes.line(points, key.colour, 1.4, dash=_DASHES[place % len(_DASHES)])
         axes.dots(points, key.colour, 5.0)
@@ -159,7 +167,7 @@ def _dots(
     rng = np.random.default_rng(0)
     for place, (some, method) in enumerate(zip(values, columns.values(), strict=True)):
         if bands is not None and np.isfinite(bands[place]):
-            _band(axes, place, bands[place])
+            axes.rectangle((-bands[place], bands[place]), (place - 0.36, place + 0.36), POSE_COLOURS[0], 0.13)
         height = place + _JITTER * rng.uniform(-1, 1, len(some))
         axes.dots(np.column_stack([some, height]), _COLOUR_OF[method], 3.2, 0.75)
         if logarithmic and len(some):
@@ -168,15 +176,16 @@ def _dots(
     return picture.svg()
 
 
-def _band(axes: Axes, place: int, half: float) -> None:
-    top, bottom = place - 0.36, place + 0.36
-    axes.shapes([[(-half, top), (half, top), (half, bottom), (-half, bottom)]], POSE_COLOURS[0], 0.13)
+def _labelled(values: Sequence[float]) -> list[tuple[float, str]]:
+    return [(value, plain(value)) for value in values]
 
 
 def _log_scale(smallest: float, largest: float) -> Scale:
+    """Return a logarithmic axis with ticks at 1, 2, 5, 10, 20, ..., at powers of ten for large values; from 0.1 on."""
     low, high = _longer(smallest, largest)
-    steps = [step for step in _decades(largest) if low <= step <= high]
-    return Scale(low, high, "log", ticks=[(step, plain(step)) for step in steps])
+    digits = (1, 2, 5) if largest <= _FINE_UP_TO else (1,)
+    ticks = decades(max(low, _SMALLEST_TICK), high, digits) if high >= _SMALLEST_TICK else []
+    return Scale(low, high, "log", ticks=_labelled(ticks))
 
 
 def _two_sided_scale(values: Sequence[Sequence[float]], bands: Sequence[float]) -> Scale:
@@ -187,14 +196,7 @@ def _two_sided_scale(values: Sequence[Sequence[float]], bands: Sequence[float]) 
     low, high = min(low, -0.2 * _LINEAR_PX), max(high, 0.2 * _LINEAR_PX)
     steps = [_LINEAR_PX * 10.0**power for power in range(7)]
     marks = [value for value in (*(-step for step in reversed(steps)), 0.0, *steps) if low <= value <= high]
-    return Scale(low, high, "symlog", _LINEAR_PX, [(value, plain(value)) for value in marks])
-
-
-def _decades(largest: float) -> list[float]:
-    """Return 1, 2, 5, 10, 20, ... up to a number of the same size as the largest; 1, 10, 100, ... if that is many."""
-    digits = (1, 2, 5) if largest <= _FINE_UP_TO else (1,)
-    steps = [digit * 10.0**power for power in range(-1, 7) for digit in digits]
-    return [step for step in steps if step <= (2.5 if len(digits) > 1 else 10.0) * largest]
+    return Scale(low, high, "symlog", _LINEAR_PX, _labelled(marks))
 
 
 # What the paper prints for its one real camera: Table 1 of arXiv:2512.16092.
@@ -247,15 +249,15 @@ def render_page(summary: Summary, rows: Mapping[str, Sequence[Row]], true: Mappi
             data_table=data_rows(summary),
             paper_names=PAPER_NAMES,
             paper=PAPER_TABLE_1 if summary["name"] == TABLE_1 else (),
-            by_images=Markup(images_plot(simulated)),  # noqa: S704 - our own SVG
+            by_images=images_plot(simulated),
             table=table_rows(summary),
             begins=_begins_group(simulated),
             parameters=PARAMETERS,
             values=parameter_rows(summary, PARAMETERS),
             truth=[f"{true[name]:g}" if name in true else "-" for name in PARAMETERS],
             failures=failures,
-            direction=Markup(direction_plot(solved, rows)) if solved else "",  # noqa: S704 - our own SVG
-            focal=Markup(focal_plot(solved, rows)) if solved else "",  # noqa: S704 - our own SVG
+            direction=direction_plot(solved, rows) if solved else "",
+            focal=focal_plot(solved, rows) if solved else "",
             software=__version__,
         )
     )

@@ -12,8 +12,6 @@ from functools import partial
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from markupsafe import Markup
-
 from bench.records.run_facts import REPEATS_TEXT, factors_text
 from bench.records.summaries import (
     BatchSummary,
@@ -52,7 +50,7 @@ def render_batch(summary: BatchSummary) -> str:
             zone=_zone_name(summary, zone),
             headline=_headline(summary, zone),
             figures=_key_figures(summary),
-            timeline=Markup(timeline(summary["items"], zone)),  # noqa: S704
+            timeline=timeline(summary["items"], zone),
             failures=[
                 (item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures
             ],
@@ -134,16 +132,14 @@ def _camera_section(camera: CameraData, place: int, zone: tzinfo | None) -> dict
     runs, trends = camera["runs"], camera["parameters"]
     temperatures = [t for run in runs if (t := run["temperature_c"]) is not None]
     warm = len(temperatures) == len(runs) > 1 and max(temperatures) - min(temperatures) >= _LEAST_RANGE_C
-    time_plot = over_time(runs, trends, zone, f"time-{place}") if trends else ""
-    warm_plot = against_temperature(runs, trends, f"warm-{place}") if trends and warm else ""
     return {
         "serial": camera["camera"] or NOTHING,
         "model": camera["model"],
         "runs": len(runs),
         "range": f"{min(temperatures):.1f} to {max(temperatures):.1f} °C" if warm else "",
         "trends": [_trend_row(trend, len(runs), warm=warm) for trend in trends],
-        "time_plot": Markup(time_plot),  # noqa: S704
-        "warm_plot": Markup(warm_plot),  # noqa: S704
+        "time_plot": over_time(runs, trends, zone, f"time-{place}") if trends else "",
+        "warm_plot": against_temperature(runs, trends, f"warm-{place}") if trends and warm else "",
         "factors": factors_text(trend["coverage_factor"] for trend in trends),
         "verdict": _verdict(trends, len(runs)),
     }

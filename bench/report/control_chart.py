@@ -11,7 +11,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from bench.records.summaries import (
     ChartData,
@@ -360,9 +359,5 @@ def chart_section(group: ChartGroupData, drawn: frozenset[str]) -> dict[str, Any
         **group,
         "pills": _PILLS,
         "drifts": any(drifts(chart) for chart in charts),
-        "pictures": {
-            chart["name"]: [Markup(one) for one in pictures(chart, group)]  # noqa: S704 - escaped when drawn
-            for chart in charts
-            if chart["name"] in drawn
-        },
+        "pictures": {chart["name"]: pictures(chart, group) for chart in charts if chart["name"] in drawn},
     }

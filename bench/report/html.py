@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
 
 from bench.records.history import History
 from bench.records.results import Results
@@ -116,7 +115,7 @@ def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "deviations": run_tables.deviations(results),
         "holds": [str(hold) for hold in results.get("holds") or ()],
         "sources": results.get("sources") or [],
-        "walk": _markup(state_diagram(results["states"])) if results.get("states") else "",
+        "walk": state_diagram(results["states"]) if results.get("states") else "",
     }
 
 
@@ -131,10 +130,10 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
         plots = report_plots(data.results, data.views)
         pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)
     return {
-        "plots": {name: _markup(svg) for name, svg in plots.items()},
+        "plots": plots,
         "stars": _star_counts(data.views),
         "pictured": (text.number(pictured.shown), text.number(pictured.total)),
-        "pictures": [(_markup(svg), name) for svg, name in pictures],
+        "pictures": pictures,
         "courses": courses(data.results.get("untils") or [], draw=draw),
     }
 
@@ -158,11 +157,6 @@ def _star_counts(views: Sequence[ViewPicture]) -> tuple[str, str]:
     """Return the number of stars that the plots show, and the number of all stars."""
     drawn, every = (sum(len(view.ids) for view in some) for some in (thinned(views), views))
     return text.number(drawn), text.number(every)
-
-
-def _markup(svg: str) -> Markup:
-    """Mark one of our own drawings as safe markup; the names in it were escaped when it was drawn."""
-    return Markup(svg)  # noqa: S704
 
 
 def _css_text(value: object) -> str:

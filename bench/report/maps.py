@@ -21,6 +21,7 @@ from bench.report.svg_plot import (
     Scale,
     Words,
     axes_in,
+    decades,
     height_for,
     shade,
     text_width,
@@ -297,8 +298,11 @@ def round_levels(lowest: float, largest: float) -> list[float]:
     if not 0 <= lowest < largest:
         return []
     if lowest > 0 and largest / lowest > _LARGE_RANGE:
-        levels = _series(lowest, largest, (1, 2, 5))
-        return levels if len(levels) <= _MOST_LINES else _series(lowest, largest, (1,))[-_MOST_LINES:]
+        fine, coarse = (
+            [level for level in decades(lowest, largest, digits) if lowest < level < largest]
+            for digits in ((1, 2, 5), (1,))
+        )
+        return fine if len(fine) <= _MOST_LINES else coarse[-_MOST_LINES:]
     power = 10.0 ** math.floor(math.log10(largest - lowest))
     for step in (power * part for part in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)):
         multiples = range(math.floor(lowest / step), math.ceil(largest / step) + 1)
@@ -307,13 +311,6 @@ def round_levels(lowest: float, largest: float) -> list[float]:
         if len(levels) <= _MOST_LINES:
             return levels
     return []
-
-
-def _series(lowest: float, largest: float, parts: Sequence[int]) -> list[float]:
-    """Return the numbers ``parts`` times powers of ten between two values."""
-    powers = range(math.floor(math.log10(lowest)), math.ceil(math.log10(largest)) + 1)
-    found = (float(f"{part}e{power}") for power in powers for part in parts)
-    return [level for level in found if lowest < level < largest]
 
 
 def _arrows(axes: Axes, difference: CameraDifference) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from bench.records.results import Results
@@ -181,8 +182,7 @@ def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -
     )
     axes = axes_in(picture, Scale(-reach, reach), rows, words)
     for inner in (2.0, 1.0):
-        across = [(-inner, rows.low), (inner, rows.low), (inner, rows.high), (-inner, rows.high)]
-        axes.shapes([across], POSE_COLOURS[0], 0.08)
+        axes.rectangle((-inner, inner), (rows.low, rows.high), POSE_COLOURS[0], 0.08)
     axes.upright(0.0, MUTED)
     axes.dots(np.column_stack([error_sigmas, np.arange(len(names))]), POSE_COLOURS[0], 5.5)
     return picture.svg()
@@ -382,7 +382,7 @@ def _pose_picture(
         _close_up(identifier, centre, (width + 24, row * (side + 24)), side)
         for row, centre in enumerate(_close_up_centres(view, (width, height)))
     )
-    return (
+    return Markup(  # noqa: S704 - the name was escaped
         f'<svg class="pose" role="img" aria-label="Image and {words.points} of {escape(view.name)}" '
         f'viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" xmlns="http://www.w3.org/2000/svg">'
         f'<g id="{identifier}">'

@@ -181,7 +181,7 @@ _MARGIN = 10.0
 _TIMES = "\N{MULTIPLICATION SIGN}"
 
 
-def state_diagram(states: Sequence[StateEntered]) -> str:
+def state_diagram(states: Sequence[StateEntered]) -> Markup:
     """Draw the states of a run in the order in which they were entered, and the transitions between them."""
     names = [str(entry["state"]) for entry in states]
     places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}
@@ -195,7 +195,7 @@ def state_diagram(states: Sequence[StateEntered]) -> str:
     parts += [
         _box(name, x, middle, names.count(name), _seconds_in(name, states)) for name, x in places.items()
     ]
-    return (
+    return Markup(  # noqa: S704 - the names were escaped
         f'<svg class="walk" role="img" aria-label="States of the run" viewBox="0 0 {width:g} {height:g}" '
         f'style="max-width:{1.15 * width:.0f}px" xmlns="http://www.w3.org/2000/svg">'
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" '
@@ -278,7 +278,7 @@ def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> dict[str, Any]:
         "rows": [_row(decided) for decided in decisions],
         "end": _end_text(last.get("ended"), last.get("why", "")),
         "minutes": fixed(last["worked_s"] / 60.0, 1),
-        "plot": Markup(course_plot(decisions)) if drawn else "",  # noqa: S704 - names are escaped when drawn
+        "plot": course_plot(decisions) if drawn else "",
         "factors": _factors(decisions),
     }
 

@@ -13,6 +13,7 @@ from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -106,13 +107,22 @@ def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
     >>> log_ticks(0.3, 7.0)
     [0.5, 1.0, 2.0, 5.0]
     """
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     found: list[float] = []
     for digits in _LABELLED:
-        found = [v for p in powers for d in digits if low <= (v := float(f"{d}e{p}")) <= high]
+        found = decades(low, high, digits)
         if len(found) <= most + 1:
             break
     return found if len(found) > 1 else [value for value in ticks(low, high, most) if value > 0]
+
+
+def decades(low: float, high: float, digits: Sequence[int]) -> list[float]:
+    """Return the numbers with one of these digits and else zeros from ``low``, above 0, to ``high``, in rising order.
+
+    >>> decades(0.3, 7.0, (1, 2, 5))
+    [0.5, 1.0, 2.0, 5.0]
+    """
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    return [v for power in powers for digit in digits if low <= (v := float(f"{digit}e{power}")) <= high]
 
 
 def tick_label(value: float, span: float) -> str:
@@ -199,11 +209,11 @@ class Picture:
         larger = f' font-size="{size:g}"' if size != FONT else ""
         self.add(f"<text {place} {paint}{middle}{larger}{more and ' ' + more}>{escape(text)}</text>")
 
-    def svg(self) -> str:
-        """Return the picture as an ``<svg>`` element."""
+    def svg(self) -> Markup:
+        """Return the picture as an ``<svg>`` element, which a template does not escape again."""
         about = f"<desc>{escape(self.about)}</desc>" if self.about else ""
         box = f"0 0 {self.width:g} {self.height:g}"
-        return (
+        return Markup(  # noqa: S704 - every text in it was escaped when it was drawn
             f'<svg class="plot" role="img" aria-label="{escape(self.label)}" viewBox="{box}"'
             f' xmlns="http://www.w3.org/2000/svg" font-family="{_FAMILY}" font-size="{FONT:g}">'
             f"{about}{''.join(self.parts)}</svg>"
@@ -261,6 +271,13 @@ class Axes:
         stroke = f' stroke="{edge}" stroke-width="{width:g}"' if edge else ""
         stroke += f' stroke-dasharray="{dash}"' if dash else ""
         self._path(shape, f'fill="{fill}" fill-rule="evenodd"{clear}{stroke}')
+
+    def rectangle(
+        self, across: tuple[float, float], up: tuple[float, float], fill: str, opacity: float = 1.0
+    ) -> None:
+        """Fill the rectangle between two values of each scale."""
+        (left, right), (low, high) = across, up
+        self.shapes([[(left, low), (right, low), (right, high), (left, high)]], fill, opacity)
 
     def upright(self, value: float, colour: str, width: float = 0.8, dash: str = "") -> None:
         """Draw a line from the bottom to the top, as `line`."""

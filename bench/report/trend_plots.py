@@ -15,7 +15,6 @@ from bench.report.svg_plot import (
     INK,
     MUTED,
     POSE_COLOURS,
-    Axes,
     Key,
     Picture,
     Place,
@@ -118,8 +117,7 @@ def timeline(items: Sequence[ItemData], zone: tzinfo | None) -> str:
     for job, begun, ended, how in bars:
         begin, row = _hours(begun, first), jobs.index(job)
         end = begin + max(_hours(ended, begun), span_h / 500)
-        outline = [(begin, row - 0.31), (end, row - 0.31), (end, row + 0.31), (begin, row + 0.31)]
-        axes.shapes([outline], END_COLOURS.get(how, MUTED))
+        axes.rectangle((begin, end), (row - 0.31, row + 0.31), END_COLOURS.get(how, MUTED))
     return picture.svg()
 
 
@@ -193,7 +191,8 @@ def _panel(
     margin = 0.06 * max(high - low, 1e-12)
     up = Scale(low - margin, high + margin)
     axes = axes_in(picture, across, up, words, place=place, grid="y")
-    _band(axes, mean - _K * trend["sigma"], mean + _K * trend["sigma"])
+    half = _K * trend["sigma"]
+    axes.rectangle((across.low, across.high), (mean - half, mean + half), _POINT, _BAND_OPACITY)
     axes.level(mean, MUTED)
     axes.strokes(
         np.column_stack([x, values - expanded]), np.column_stack([x, values + expanded]), _POINT, 0.9, 0.7
@@ -203,11 +202,6 @@ def _panel(
         middle = float(np.average(x, weights=1.0 / sigmas**2))
         ends = np.array([x.min(), x.max()])
         axes.line(np.column_stack([ends, mean + slope * (ends - middle)]), _LINE_COLOUR, 1.8)
-
-
-def _band(axes: Axes, low: float, high: float) -> None:
-    left, right = axes.x.low, axes.x.high
-    axes.shapes([[(left, low), (right, low), (right, high), (left, high)]], _POINT, _BAND_OPACITY)
 
 
 def _key(picture: Picture) -> None:
