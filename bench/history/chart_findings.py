@@ -21,9 +21,6 @@ from bench.history.statistics import (
     LEVEL,
     SHEWHART_CHANCE,
     Drift,
-    Ewma,
-    Individuals,
-    Slope,
     ewma,
     find_drift,
     holm,
@@ -44,6 +41,9 @@ from bench.records.summaries import (
     DriftData,
     DriftSlopeData,
     EwmaData,
+    LimitedChart,
+    LimitsData,
+    TestedSlope,
     drifts,
     has_limits,
 )
@@ -83,7 +83,7 @@ def _parameter_verdict(one: _Computed, level: Level, state: ChartState, drift: D
             f"The runs scatter {number(ratio, 2)} times as much as their stated uncertainties predict."
         )
     if one.provisional:
-        baseline = one.control.limits.baseline
+        baseline = one.control.limits["baseline"]
         sentences.append(f"The limits come from {baseline} runs: provisional until there are 20.")
     return " ".join(sentences)
 
@@ -98,13 +98,13 @@ def _excess_scatter(drift: Drift, runs: int) -> float | None:
 
 
 def _control(one: _Computed, control: _Control, state: ChartState) -> str:
-    limits, averages, runs = control.limits, control.averages.beyond, len(one.runs)
-    low, high = (with_uncertainty(limit, limits.sigma)[0] for limit in (limits.lower, limits.upper))
+    limits, averages, runs = control.limits, control.averages["beyond"], len(one.runs)
+    low, high = (with_uncertainty(limits[end], limits["sigma"])[0] for end in ("lower", "upper"))
     within = f"{low} to {high}{' ' if one.unit else ''}{one.unit}"
     if state == "in control":
         return f"In control: all {runs} runs lie within {within}."
     parts = []
-    if beyond := limits.beyond:
+    if beyond := limits["beyond"]:
         expected = number(SHEWHART_CHANCE * runs, 2)
         parts.append(
             f"{counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
@@ -190,8 +190,8 @@ _UNTESTED = Drift(None, None, joint=False, separable=True, between_runs=None, sc
 class _Control:
     """The limits of a parameter."""
 
-    limits: Individuals
-    averages: Ewma
+    limits: LimitsData
+    averages: EwmaData
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ class _Computed:
         return unit_text(self.name)
 
     @property
-    def slopes(self) -> list[Slope]:
+    def slopes(self) -> list[TestedSlope]:
         """The slopes that could be tested."""
         return [slope for slope in (self.drift.per_day, self.drift.per_c) if slope is not None]
 
@@ -237,7 +237,7 @@ def find_charts(
     """
     found = [(group, _computed_of(group, parameter, baseline)) for group in groups]
     every = [one for _, charts in found for one in charts]
-    chances = [slope.p for one in every for slope in one.slopes]
+    chances = [slope["p"] for one in every for slope in one.slopes]
     judge = _Judge(
         limited=sum(one.control is not None for one in every),
         adjusted=dict(zip(chances, holm(chances), strict=True)),
@@ -260,7 +260,7 @@ def _computed(name: str, group: ChartGroup, baseline: int | None) -> _Computed:
     values, sigmas = [one.value for one in found], [one.sigma for one in found]
     limits = individuals(values, baseline)
     drift = find_drift(group.days, [run.temperature_c for run in runs], values, sigmas)
-    control = _Control(limits, ewma(values, limits.centre, limits.sigma))
+    control = _Control(limits, ewma(values, limits["centre"], limits["sigma"]))
     return _Computed(name, runs, provisional, control, drift)
 
 
@@ -312,34 +312,17 @@ def _chart_data(one: _Computed, level: Level, per: str, judge: _Judge) -> ChartD
             **values, "lower": None, "upper": None, "ewma": None, "provisional": one.provisional, **judgement
         }  # fmt: skip
         return none
-    limits = one.control.limits
-    return {
+    limits, averages = one.control.limits, one.control.averages
+    made: LimitedChart = {
         **values,
-        "lower": limits.lower,
-        "upper": limits.upper,
-        "ewma": _ewma_data(one.control.averages),
+        "lower": limits["lower"],
+        "upper": limits["upper"],
+        "ewma": averages,
         "provisional": one.provisional,
-        "centre": limits.centre,
-        "sigma": limits.sigma,
-        "beyond": limits.beyond,
-        "ranges": limits.ranges.tolist(),
-        "range_mean": limits.range_mean,
-        "range_upper": limits.range_upper,
-        "ranges_beyond": limits.ranges_beyond,
-        "baseline": limits.baseline,
+        **limits,
         **judgement,
     }
-
-
-def _ewma_data(averages: Ewma) -> EwmaData:
-    return {
-        "lambda": averages.weight,
-        "limit": averages.limit,
-        "values": averages.averages.tolist(),
-        "lower": averages.lower.tolist(),
-        "upper": averages.upper.tolist(),
-        "beyond": averages.beyond,
-    }
+    return made
 
 
 def _drift_data(one: _Computed, per: str, judge: _Judge) -> DriftData:
@@ -354,18 +337,13 @@ def _drift_data(one: _Computed, per: str, judge: _Judge) -> DriftData:
     }
 
 
-def _slope_data(slope: Slope, unit: str, per: str, judge: _Judge) -> DriftSlopeData:
-    adjusted = judge.adjusted[slope.p]
+def _slope_data(slope: TestedSlope, unit: str, per: str, judge: _Judge) -> DriftSlopeData:
+    adjusted = judge.adjusted[slope["p"]]
     return {
-        "value": slope.value,
-        "sigma": slope.sigma,
-        "p": slope.p,
-        "degrees_of_freedom": slope.degrees_of_freedom,
-        "runs": slope.runs,
-        "expanded": slope.expanded,
+        **slope,
         "p_adjusted": adjusted,
         "seen": adjusted < LEVEL,
-        "text": slope_text(slope.value, slope.expanded, unit, per),
+        "text": slope_text(slope["value"], slope["expanded"], unit, per),
         "per": per,
     }
 
@@ -374,7 +352,7 @@ def _state(one: _Computed, limited: int) -> ChartState:
     """Judge a chart; ``check`` is what chance can explain where so many charts have limits."""
     if one.control is None:
         return "too few"
-    if not one.control.limits.beyond and not one.control.averages.beyond:
+    if not one.control.limits["beyond"] and not one.control.averages["beyond"]:
         return "in control"
     level = LEVEL / (3.0 * limited)
     return "out of control" if min(_chances(one, one.control)) < level else "check"
@@ -386,11 +364,16 @@ def _chances(one: _Computed, control: _Control) -> tuple[float, float, float]:
     They are: of so many values (Poisson), of the farthest average, and of the farthest value by its own stated
     uncertainty (both normal, times the number of runs).
     """
-    runs, limits, found = len(one.runs), control.limits, one.estimates
-    farthest = max((abs(found[i].value - limits.centre) / found[i].sigma for i in limits.beyond), default=0.0)
-    reach = max((_reach(control, i) for i in control.averages.beyond), default=0.0)
+    runs, found, centre, beyond = (
+        len(one.runs),
+        one.estimates,
+        control.limits["centre"],
+        control.limits["beyond"],
+    )
+    farthest = max((abs(found[i].value - centre) / found[i].sigma for i in beyond), default=0.0)
+    reach = max((_reach(control, i) for i in control.averages["beyond"]), default=0.0)
     return (
-        float(stats.poisson.sf(len(limits.beyond) - 1, SHEWHART_CHANCE * runs)),
+        float(stats.poisson.sf(len(beyond) - 1, SHEWHART_CHANCE * runs)),
         min(1.0, runs * float(2.0 * stats.norm.sf(reach))),
         min(1.0, runs * float(2.0 * stats.norm.sf(farthest))),
     )
@@ -398,10 +381,10 @@ def _chances(one: _Computed, control: _Control) -> tuple[float, float, float]:
 
 def _reach(control: _Control, place: int) -> float:
     """Return the distance of an average from the centre, in its standard deviations."""
-    averages, centre = control.averages, control.limits.centre
-    half = float(averages.upper[place]) - centre
-    distance = abs(float(averages.averages[place]) - centre)
-    return averages.limit * distance / half if half > 0 else float("inf")
+    averages, centre = control.averages, control.limits["centre"]
+    half = averages["upper"][place] - centre
+    distance = abs(averages["values"][place] - centre)
+    return averages["limit"] * distance / half if half > 0 else float("inf")
 
 
 def _worst(states: Sequence[ChartState]) -> ChartState:

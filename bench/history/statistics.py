@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from bench.base.errors import UsageError
+from bench.records.summaries import EwmaData, LimitsData, TestedSlope
 
 Array = NDArray[np.float64]
 
@@ -38,40 +39,7 @@ SHEWHART_CHANCE = 0.0027
 """Chance of a run in control to lie beyond three sigma."""
 
 
-@dataclass(frozen=True)
-class Individuals:
-    """Chart of individuals and of moving ranges."""
-
-    # centre, sigma: Mean of the baseline, and its short-term standard deviation: mean moving range over `D2`.
-    centre: float
-    sigma: float
-    lower: float
-    upper: float
-    beyond: tuple[int, ...]  # Places of the values beyond the limits
-    ranges: Array  # |x_i - x_(i-1)|, (N - 1,) float64
-    range_mean: float
-    range_upper: float
-    # Places of the values whose distance from the value before is beyond the limit.
-    ranges_beyond: tuple[int, ...]
-    baseline: int
-
-
-@dataclass(frozen=True)
-class Ewma:
-    """Chart of the exponentially weighted moving average."""
-
-    # weight, limit: Weight of the newest value (lambda), and distance of the limits in standard deviations of
-    # the average (L).
-    weight: float
-    limit: float
-    # averages, lower, upper: The average and its control limits at each value, (N,) float64.
-    averages: Array
-    lower: Array
-    upper: Array
-    beyond: tuple[int, ...]  # Places at which the average is beyond its limits
-
-
-def individuals(values: Sequence[float], baseline: int | None = None) -> Individuals:
+def individuals(values: Sequence[float], baseline: int | None = None) -> LimitsData:
     """Compute the chart of individuals and moving ranges of at least two finite values in the order of time.
 
     Montgomery, Introduction to Statistical Quality Control, section 6.4; ISO 7870-2. The standard deviation comes from
@@ -79,8 +47,8 @@ def individuals(values: Sequence[float], baseline: int | None = None) -> Individ
     ``baseline`` values; all where None.
 
     >>> chart = individuals([10.0, 12.0, 11.0, 13.0])
-    >>> chart.centre, round(chart.range_mean, 4), round(chart.upper, 3), round(chart.range_upper, 3)
-    (11.5, 1.6667, 15.931, 5.444)
+    >>> [round(chart[name], 4) for name in ("centre", "range_mean", "upper", "range_upper")]
+    [11.5, 1.6667, 15.9311, 5.4442]
     """
     x = np.asarray(values, float)
     first = len(x) if baseline is None else max(2, min(baseline, len(x)))
@@ -88,18 +56,18 @@ def individuals(values: Sequence[float], baseline: int | None = None) -> Individ
     centre, range_mean = float(x[:first].mean()), float(ranges[: first - 1].mean())
     lower, upper = centre - E2 * range_mean, centre + E2 * range_mean
     slack = 1e-12 * max(abs(centre), range_mean)
-    return Individuals(
-        centre,
-        range_mean / D2,
-        lower,
-        upper,
-        _places((x < lower - slack) | (x > upper + slack)),
-        ranges,
-        range_mean,
-        D4 * range_mean,
-        tuple(place + 1 for place in _places(ranges > D4 * range_mean + slack)),
-        first,
-    )
+    return {
+        "lower": lower,
+        "upper": upper,
+        "centre": centre,
+        "sigma": range_mean / D2,
+        "beyond": _places((x < lower - slack) | (x > upper + slack)),
+        "ranges": ranges.tolist(),
+        "range_mean": range_mean,
+        "range_upper": D4 * range_mean,
+        "ranges_beyond": tuple(place + 1 for place in _places(ranges > D4 * range_mean + slack)),
+        "baseline": first,
+    }
 
 
 def ewma(
@@ -109,15 +77,15 @@ def ewma(
     *,
     weight: float = EWMA_WEIGHT,
     limit: float = EWMA_LIMIT,
-) -> Ewma:
+) -> EwmaData:
     """Compute the chart of the exponentially weighted moving average. It shows small lasting shifts.
 
     Roberts, Technometrics 1 (1959) 239; Montgomery, section 9.2; ISO 7870-6. The average begins at the centre. The
     limits widen from the first values on, as its variance does. Centre and short-term standard deviation come from
-    `individuals`; weight and limit: see `Ewma`.
+    `individuals`; weight and limit: see `EwmaData`.
 
     >>> chart = ewma([10.0, 11.0], 10.0, 1.0, weight=0.1, limit=2.7)
-    >>> chart.averages.round(3).tolist(), chart.upper.round(3).tolist()
+    >>> chart["values"], np.round(chart["upper"], 3).tolist()
     ([10.0, 10.1], [10.27, 10.363])
     """
     x = np.asarray(values, float)
@@ -128,7 +96,14 @@ def ewma(
     half = limit * ewma_sigma(np.arange(1.0, len(x) + 1.0), sigma, weight)
     slack = 1e-12 * max(abs(centre), sigma)
     beyond = _places(np.abs(averages - centre) > half + slack)
-    return Ewma(weight, limit, averages, centre - half, centre + half, beyond)
+    return {
+        "lambda": weight,
+        "limit": limit,
+        "values": averages.tolist(),
+        "lower": (centre - half).tolist(),
+        "upper": (centre + half).tolist(),
+        "beyond": beyond,
+    }
 
 
 def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
@@ -154,30 +129,12 @@ INSEPARABLE = 0.9
 
 
 @dataclass(frozen=True)
-class Slope:
-    """A slope and its test."""
-
-    # value, sigma: Slope per day or per degree Celsius, in the parameter's unit, and its standard
-    # uncertainty.
-    value: float
-    sigma: float
-    p: float  # Chance of a slope at least as large without drift (two-sided)
-    degrees_of_freedom: int  # Of Student's t in the test
-    runs: int
-
-    @property
-    def expanded(self) -> float:
-        """The 95 % half-width by Student's t."""
-        return float(stats.t.ppf(0.975, self.degrees_of_freedom)) * self.sigma
-
-
-@dataclass(frozen=True)
 class Drift:
     """The drift of one parameter."""
 
     # per_day, per_c: Slopes; None if they cannot be tested.
-    per_day: Slope | None
-    per_c: Slope | None
+    per_day: TestedSlope | None
+    per_c: TestedSlope | None
     # Whether both slopes were fitted together, so that each holds with the other quantity unchanged.
     joint: bool
     # False if time and temperature changed together, so that the slopes cannot be told apart.
@@ -213,7 +170,7 @@ def find_drift(
     return Drift(day, warmth, False, separable, tau, scatter)
 
 
-def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float | None]:
+def _fit(x: Array, y: Array, u: Array) -> tuple[list[TestedSlope], float | None, float | None]:
     """Fit a line in some quantities by weighted least squares with an effect of each run.
 
     The effect's variance tau^2 solves sum w r^2 = n - p, w = 1 / (u^2 + tau^2) (Paule and Mandel, J. Res. NBS 87 (1982)
@@ -247,7 +204,15 @@ def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float
         value, sigma = float(found[place]), math.sqrt(float(covariance[place, place]))
         chance = float(2.0 * stats.t.sf(abs(value) / sigma, n - p)) if sigma > 0 else float(value == 0)
         unit = size / float(scale[place - 1])
-        slopes.append(Slope(value * unit, sigma * unit, chance, n - p, n))
+        slope: TestedSlope = {
+            "value": value * unit,
+            "sigma": sigma * unit,
+            "p": chance,
+            "degrees_of_freedom": n - p,
+            "runs": n,
+            "expanded": float(stats.t.ppf(0.975, n - p)) * (sigma * unit),
+        }
+        slopes.append(slope)
     return slopes, math.sqrt(tau2) * size, math.sqrt(chi2 / (n - p))
 
 

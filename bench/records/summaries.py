@@ -111,15 +111,20 @@ class RequestData(TypedDict):
     job: str
 
 
-class DriftSlopeData(TypedDict):
-    """Drift of a parameter per day or per degree Celsius, and its test (`bench.history.statistics.Slope`)."""
+class TestedSlope(TypedDict):
+    """Slope of a parameter per day or per degree Celsius, in its unit, and its test (`bench.history.statistics`)."""
 
     value: float
-    sigma: float
-    p: float
-    degrees_of_freedom: int
+    sigma: float  # Standard uncertainty
+    p: float  # Chance of a slope at least as large without drift (two-sided)
+    degrees_of_freedom: int  # Of Student's t in the test
     runs: int
-    expanded: float
+    expanded: float  # The 95 % half-width by Student's t
+
+
+class DriftSlopeData(TestedSlope):
+    """A slope as a page of charts judges it."""
+
     p_adjusted: float  # For the number of tests of the page
     seen: bool  # Whether it is significant
     text: str  # With its uncertainty, and with its unit per ``per``
@@ -140,15 +145,31 @@ class DriftData(TypedDict):
 EwmaData = TypedDict(
     "EwmaData",
     {
-        "lambda": float,
-        "limit": float,
-        "values": Sequence[float],
+        "lambda": float,  # Weight of the newest value
+        "limit": float,  # Distance of the limits in standard deviations of the average (L)
+        "values": Sequence[float],  # The average at each value, as its control limits
         "lower": Sequence[float],
         "upper": Sequence[float],
-        "beyond": Sequence[int],
+        "beyond": Sequence[int],  # Places at which the average is beyond its limits
     },
 )
-"""The moving average of a parameter (`bench.history.statistics.Ewma`)."""
+"""Chart of the exponentially weighted moving average (`bench.history.statistics.ewma`); places count from 0."""
+
+
+class LimitsData(TypedDict):
+    """Chart of individuals and of moving ranges (`bench.history.statistics.individuals`); places count from 0."""
+
+    lower: float
+    upper: float
+    centre: float  # Mean of the baseline
+    sigma: float  # Its short-term standard deviation: mean moving range over `bench.history.statistics.D2`
+    beyond: Sequence[int]  # Places of the values beyond the limits
+    ranges: Sequence[float]  # |x_i - x_(i-1)|, one less than values
+    range_mean: float
+    range_upper: float
+    ranges_beyond: Sequence[int]  # Places of the values too far from the value before
+    baseline: int
+
 
 ChartState = Literal["out of control", "check", "in control", "too few"]
 """Worst first; chance can explain ``check``."""
@@ -182,21 +203,11 @@ class ChartOfFew(ChartValues, ChartJudgement):
     provisional: bool
 
 
-class LimitedChart(ChartValues, ChartJudgement):
-    """Control chart of a parameter with its limits (`bench.history.statistics.Individuals`); places count from 0."""
+class LimitedChart(ChartValues, LimitsData, ChartJudgement):
+    """Control chart of a parameter with its limits."""
 
-    lower: float
-    upper: float
     ewma: EwmaData
     provisional: bool  # Whether the limits come from few runs
-    centre: float
-    sigma: float
-    beyond: Sequence[int]
-    ranges: Sequence[float]
-    range_mean: float
-    range_upper: float
-    ranges_beyond: Sequence[int]
-    baseline: int
 
 
 ChartData = LimitedChart | ChartOfFew
