@@ -141,9 +141,6 @@ EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
 )
 """(trigger, states that it leaves, state that it enters)."""
 
-Work = Callable[..., None]
-"""Work of a state: called with the step, the causes, and the circumstances by name."""
-
 
 class Numbered(Protocol):
     """A step of a script; the machine needs only its number."""
@@ -167,15 +164,16 @@ class Listener(Protocol):
 
 
 class RunMachine:
-    """The state machine of one run; ``listener`` receives every change before it is made, and the end of its work."""
+    """The state machine of one run; ``listener`` receives every change before it is made, and the end of its work.
 
-    def __init__(self, work: Mapping[str, Work], listener: Listener) -> None:
+    The work of a state is the method of ``work`` that has its name, if there is one: called with the step, the causes,
+    and the circumstances by name.
+    """
+
+    def __init__(self, work: object, listener: Listener) -> None:
         self.state = "idle"
         self._listener = listener
         self._work = work
-        unknown = set(work) - set(STATES)
-        if unknown:
-            raise ValueError(f"unknown states: {sorted(unknown)}")
         from transitions import Machine  # here, because `status` needs the states alone
 
         self._machine = Machine(
@@ -215,7 +213,7 @@ class RunMachine:
         )
 
     def _run_work(self, event: EventData) -> None:
-        work = self._work.get(self.state)
+        work: Callable[..., None] | None = getattr(self._work, self.state, None)
         if work is not None:
             work(*event.args, **event.kwargs)
 

@@ -5,7 +5,7 @@ Devices are used through their protocols only. While a run is held, the light is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final, cast
 
@@ -108,34 +108,13 @@ HOLD_POLL_S = 0.1
 
 
 class StateWork:
-    """The work of the states. Each method receives the step for which its state is entered."""
+    """The work of the states: of each that has any, the method of its name. It receives the step of its entry."""
 
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self._measured: dict[int, Measurement] = {}
 
-    def table(self) -> Mapping[str, Callable[..., None]]:
-        """Return the method that does the work of each state that has any, by its name."""
-        return {
-            "recovering": self.recover,
-            "preflight": self.preflight,
-            "homing": self.home,
-            "lighting": self.set_light,
-            "slewing": self.slew,
-            "settling": self.stand_still,
-            "waiting": self.stand_still,
-            "recording": self.record,
-            "checking": self.check,
-            "choosing": self.choose,
-            "backing_off": self.back_off,
-            "holding": self.hold,
-            "parking": self.park,
-            "solving": self.solve,
-            "reporting": self.report,
-            "aborting": self.make_safe,
-        }
-
-    def recover(self, *_: Any, **__: Any) -> None:
+    def recovering(self, *_: Any, **__: Any) -> None:
         """Put the run folder in order after a process died while working on it."""
         notes = recover(self._run.folder, self._run.log.journal)
         self._run.log.write(events.Recovered, **notes)
@@ -151,14 +130,14 @@ class StateWork:
         """Open the devices if they are not open; check their identity and faults."""
         self._run.log.write(events.Devices, **preflight(self._run.devices.open(), self._run.job))
 
-    def home(self, *_: Any, **__: Any) -> None:
+    def homing(self, *_: Any, **__: Any) -> None:
         """Home the stage, unless it is homed."""
         devices = self._run.devices.opened
         if not devices.stage.is_homed():
             devices.stage.home()
         require_no_faults(stage_faults(devices))
 
-    def set_light(self, step: LightStep, **_: Any) -> None:
+    def lighting(self, step: LightStep, **_: Any) -> None:
         """Set the light as the step says."""
         light = self._run.devices.opened.light
         if step.flicker is None:
@@ -167,15 +146,17 @@ class StateWork:
         light.apply(self._run.job.light_settings(step.flicker))
         light.on()
 
-    def slew(self, step: MoveStep, **_: Any) -> None:
+    def slewing(self, step: MoveStep, **_: Any) -> None:
         """Move the stage to the step's pose."""
         self._run.devices.opened.stage.move_to(step.pose.angles_deg)
 
-    def stand_still(self, step: SettleStep | WaitStep, **_: Any) -> None:
+    def waiting(self, step: SettleStep | WaitStep, **_: Any) -> None:
         """Wait for the duration of the step."""
         self._run.clock.sleep(step.duration_s)
 
-    def record(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
+    settling = waiting
+
+    def recording(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
         """Record at the step's pose. On return, the recording is complete, in its place and journaled."""
         pose, kind, devices = step.pose, self._run.job.camera_kind, self._run.devices.opened
         before = self._run.devices.position_deg()
@@ -200,7 +181,7 @@ class StateWork:
             facts=cast("events.RecordedData", asdict(facts)),
         )
 
-    def check(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
+    def checking(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
         """Measure the recording just stored; accept it or journal why not."""
         pose, job, history = step.pose, self._run.job, self._run.log.history
         stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
@@ -213,7 +194,7 @@ class StateWork:
             self._measured[pose.index] = found
         self._run.log.write(events.AttemptChecked, **checked)
 
-    def choose(self, step: ChooseStep, **_: Any) -> None:
+    def choosing(self, step: ChooseStep, **_: Any) -> None:
         """Choose the next pose of an ``until``, or end it; a decision that the journal holds is kept."""
         history = self._run.log.history
         if any(decided["step"] == step.number for decided in history.decisions):
@@ -221,11 +202,11 @@ class StateWork:
         decided = self._run.decide(step, history, self._measured, self._run.clock.check)
         self._run.log.write(events.UntilDecided, **decided)
 
-    def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
+    def backing_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
         """Wait after a rejected recording, so that its cause may pass."""
         self._run.clock.sleep(wait_s)
 
-    def hold(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
+    def holding(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
         """Hold for an operator, an interlock or an answer, before this step (None: before the first)."""
         question = step if isinstance(step, PromptStep) else None
         if question is not None and self._run.job.board is not None:
@@ -241,18 +222,18 @@ class StateWork:
         if question and simulation:  # on a simulated bench nobody else can place the board
             simulation.set_up("board", "place", number=question.placement)
 
-    def park(self, *_: Any, **__: Any) -> None:
+    def parking(self, *_: Any, **__: Any) -> None:
         """Switch the light off and move the stage to zero, because no later step needs them."""
         devices = self._run.devices.opened
         devices.light.off()
         devices.stage.move_to(dict.fromkeys(devices.stage.axes, 0.0))
 
-    def solve(self, step: SolveStep, **_: Any) -> None:
+    def solving(self, step: SolveStep, **_: Any) -> None:
         """Calibrate from the accepted recordings."""
         solved = self._run.results.solve(step, self._run.log.history, self._measured, self._run.clock.check)
         self._run.log.write(events.Solved, **solved)
 
-    def report(self, *_: Any, **__: Any) -> None:
+    def reporting(self, *_: Any, **__: Any) -> None:
         """Write results, images, exports and the report; then journal their hashes."""
         truth = self._run.devices.truth() if self._run.devices.is_open else self._run.job.read_truth()
         self._run.results.write(self._run.log, truth)
@@ -261,7 +242,7 @@ class StateWork:
             written = written_files(self._run.folder.path)
             self._run.log.write(events.Written, head=outcome.journal_head, **written)
 
-    def make_safe(self, *_: Any, **__: Any) -> None:
+    def aborting(self, *_: Any, **__: Any) -> None:
         """Stop the stage, switch the light off, stop the camera. Never raises."""
         self._run.devices.make_safe()
 
