@@ -186,7 +186,8 @@ def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str
 # Writes the reticle of a station to a file; the ending of its name tells the kind.
 # Drawings as SVG and PDF: vector files with exact millimetres, written without another program.
 #
-# Every file is a function of the drawing: it has no date, no name of a computer and no random identifier.
+# Every file is a function of the drawing (whose letters are OpenCV's, and may change with its version): it has
+# no date, no name of a computer and no random identifier.
 # Coordinates have six decimals of a millimetre. The polygons of one star, of the tag and of the margin are
 # one path each, so that a viewer shows no seams between areas that touch.
 
@@ -317,6 +318,9 @@ def dxf(drawing: Drawing, units: str) -> bytes:
         _each(drawing, units, lambda points: space.add_lwpolyline(points, close=True, dxfattribs=_ON_OPAQUE))
         if drawing.outline:
             space.add_lwpolyline(_edge(drawing, units), close=True, dxfattribs={"layer": OUTLINE_LAYER})
+        # ezdxf would add them in the order of a set, which differs between processes.
+        for kind in sorted(document.entitydb.dxf_types_in_use()):
+            document.classes.add_class(kind)
         text = io.StringIO()
         document.write(text)
         return text.getvalue().encode()

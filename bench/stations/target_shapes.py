@@ -8,12 +8,11 @@ from the middle of the glass, X right and Y down as the camera sees it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,42 +20,20 @@ from bench.base.errors import UsageError
 from bench.stations.station_fields import TargetConfig
 from calib.target import StarTarget
 
-ROWS, COLUMNS = 7, 5
-"""Cells of a letter; one empty column follows each letter."""
-
-_LETTERS = Path(__file__).with_name("reticle_letters.txt").read_text(encoding="ascii")
-GLYPHS = {
-    line[0]: [[cell == "#" for cell in row] for row in line[2:].split(" ")] for line in _LETTERS.splitlines()
-} | {" ": [[False] * COLUMNS] * ROWS}
-"""Cells of each letter, row by row from the top; capital letters, and the m of the unit."""
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_PLAIN, 1.0
+"""Letters of OpenCV, about a dozen pixels high."""
 
 
-def unknown_letters(text: str) -> str:
-    """Return the letters of a text that cannot be drawn, each once, in their order."""
-    return "".join(dict.fromkeys(letter for letter in text.upper() if letter not in GLYPHS))
-
-
-def text_width(text: str, height: float) -> float:
-    """Return the width of a text."""
-    return max(0, (COLUMNS + 1) * len(text) - 1) * height / ROWS
-
-
-def text_rectangles(text: str, height: float) -> NDArray[np.float64]:
-    """Return the rectangles of a text, (N, 4): left, top, right, bottom, in units of its height, Y down."""
-    cells = [
-        (left + place * (COLUMNS + 1), row, right + place * (COLUMNS + 1), row + 1)
-        for place, letter in enumerate(text)
-        for row, left, right in _runs(GLYPHS[letter])
-    ]
-    return np.array(cells, np.float64).reshape(-1, 4) * (height / ROWS)
-
-
-def _runs(cells: list[list[bool]]) -> Iterator[tuple[int, int, int]]:
-    """Yield row, first column and column after the last, of every run of filled cells."""
-    for row, line in enumerate(cells):
-        edges = np.flatnonzero(np.diff([0, *map(int, line), 0]))
-        for left, right in edges.reshape(-1, 2):
-            yield row, int(left), int(right)
+def text_rectangles(text: str) -> NDArray[np.float64]:
+    """Return a text in the letters of OpenCV as rectangles, (N, 4): left, top, right, bottom; 1 high, Y down."""
+    (width, above), below = cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)
+    picture = np.zeros((above + 3 * below, width + 2 * below), np.uint8)
+    cv2.putText(picture, text, (below, above + below), _FONT, _FONT_SCALE, 255, 1)
+    rows, columns = np.nonzero(picture > 127)
+    ink = picture[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] > 127
+    edges = np.diff(np.pad(ink, ((0, 0), (1, 1))).astype(np.int8))
+    (top, left), (_, right) = np.nonzero(edges > 0), np.nonzero(edges < 0)
+    return np.column_stack([left, top, right, top + 1]) / len(ink)
 
 
 Array = NDArray[np.float64]
@@ -182,12 +159,11 @@ def _marks(target: TargetConfig, field: tuple[float, float]) -> list[Rectangle]:
     pitch = target.pitch_mm
     room = [0.5 * (glass - cells) / pitch for glass, cells in zip(target.size_mm, field, strict=True)]
     text = title_of(target)
-    wrong = unknown_letters(text)
-    if wrong:
+    if wrong := "".join(dict.fromkeys(one for one in text if not (one.isascii() and one.isprintable()))):
         raise UsageError(
             f"The serial number has letters that cannot be drawn: {wrong}",
             where="target.serial",
-            remedy="Use A to Z, 0 to 9, and the signs - _ . , : / + = ( ) #.",
+            remedy="Use A to Z, 0 to 9, and signs such as - _ . / #.",
         )
     needed = _CLEAR_PITCHES + _LETTER_PITCHES
     bar_mm = scale_bar_mm(target)
@@ -198,9 +174,10 @@ def _marks(target: TargetConfig, field: tuple[float, float]) -> list[Rectangle]:
             where="target.drawing.size_mm",
             remedy=f"Give at least [{least[0]:.6g}, {least[1]:.6g}].",
         )
-    height = min(_LETTER_PITCHES * pitch, field[0] / text_width(text, 1.0))
+    letters = text_rectangles(text)
+    height = min(_LETTER_PITCHES * pitch, field[0] / letters[:, 2].max())
     clear, left, low = _CLEAR_PITCHES * pitch, -0.5 * field[0], 0.5 * field[1]
-    marks = _moved(text_rectangles(text, height), left, -low - clear - height)
+    marks = _moved(letters * height, left, -low - clear - height)
     if bar_mm:
         label = f"{bar_mm:.6g} mm"
         bar = _ruler(bar_mm, label, _BAR_PITCHES * pitch, min(height, 0.3 * bar_mm))
@@ -211,7 +188,7 @@ def _marks(target: TargetConfig, field: tuple[float, float]) -> list[Rectangle]:
 
 def _ruler(length: float, label: str, thick: float, height: float) -> Array:
     """Return a scale bar along X from the origin, with its label after it, as (N, 4) rectangles."""
-    text = _moved(text_rectangles(label, height), length + height, 0.0)
+    text = _moved(text_rectangles(label) * height, length + height, 0.0)
     ticks = [(0.0, thick, thick, 2 * thick), (length - thick, thick, length, 2 * thick)]
     return np.vstack([[(0.0, 0.0, length, thick), *ticks], text])
 
@@ -228,7 +205,8 @@ def scale_bar_mm(target: TargetConfig) -> float:
     if given is None:
         power = 10.0 ** math.floor(math.log10(_LONGEST_BAR * shorter))
         return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= _LONGEST_BAR * shorter)
-    label = text_width(f"{given:.6g} mm", _LETTER_PITCHES * pattern.pitch_mm) + pattern.pitch_mm
+    letters = text_rectangles(f"{given:.6g} mm")[:, 2].max()
+    label = (_LETTER_PITCHES * float(letters) + 1.0) * pattern.pitch_mm
     if given and given + label > shorter:
         raise UsageError(
             f"A scale bar of {given:g} mm with its label is longer than the pattern.",

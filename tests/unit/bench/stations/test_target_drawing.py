@@ -1,6 +1,9 @@
 """The reticle of a station: its areas, its files, and what it is good for."""
 
 import json
+import os
+import string
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,15 +18,7 @@ from bench.commands.cli import cli
 from bench.stations.station import load_station
 from bench.stations.station_fields import TargetConfig
 from bench.stations.target_files import WRITERS, drawing_file, optics_of, use_of
-from bench.stations.target_shapes import (
-    COLUMNS,
-    GLYPHS,
-    ROWS,
-    draw_target,
-    scale_bar_mm,
-    text_rectangles,
-    text_width,
-)
+from bench.stations.target_shapes import draw_target, scale_bar_mm, text_rectangles
 
 SMALL = {"squares": (16, 18), "pitch_mm": 3.0, "tag_square": (6, 7), "serial": "a-7"}
 
@@ -74,21 +69,27 @@ def test_scale_bars_are_round_and_as_long_as_they_say():
     assert len(without.polygons) < len(draw_target(target).polygons)
 
 
-def test_every_letter_has_its_cells_and_no_two_are_alike():
-    assert all(len(rows) == ROWS and all(len(row) == COLUMNS for row in rows) for rows in GLYPHS.values())
-    assert len({str(rows) for rows in GLYPHS.values()}) == len(GLYPHS)
-    rectangles = text_rectangles("AB", 7.0)
-    assert rectangles[:, 2].max() == text_width("AB", 7.0) == 11.0 - 0.0
-    assert rectangles[:, 3].max() == 7.0
+def test_letters_fill_their_height_and_no_two_are_alike():
+    letters = {
+        letter: text_rectangles(letter) for letter in string.ascii_uppercase + string.digits + "m/-_.#"
+    }
+    assert len({shape.tobytes() for shape in letters.values()}) == len(letters)
+    for left, top, right, bottom in (shape.T for shape in [*letters.values(), text_rectangles("20 mm")]):
+        assert (left.min(), top.min(), bottom.max()) == (0, 0, 1)
+        assert (right > left).all()
 
 
 @pytest.mark.parametrize("ending", WRITERS)
-def test_the_same_station_gives_the_same_bytes(ending):
+def test_the_same_station_gives_the_same_bytes_in_another_process(ending):
     pytest.importorskip({".dxf": "ezdxf", ".gds": "gdstk"}.get(ending, "numpy"))
-    target, path = TargetConfig(**SMALL), Path(f"x{ending}")
-    first = drawing_file(target, path)
-    assert first == drawing_file(target, path)
-    assert first != drawing_file(TargetConfig(**(SMALL | {"serial": "a-8"})), path)
+    code = (
+        "import sys, pathlib; from bench.stations.target_files import drawing_file, TargetConfig;"
+        f"sys.stdout.buffer.write(drawing_file(TargetConfig(**{SMALL}), pathlib.Path('x{ending}')))"
+    )
+    seeded = [{**os.environ, "PYTHONHASHSEED": seed} for seed in ("1", "4")]
+    first, again = (subprocess.check_output([sys.executable, "-c", code], env=one) for one in seeded)
+    assert first == again
+    assert first != drawing_file(TargetConfig(**(SMALL | {"serial": "a-8"})), Path(f"x{ending}"))
 
 
 @pytest.mark.parametrize(
