@@ -25,6 +25,7 @@ from calib.errors import CalibrationError
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
+from calib.model.rotation import exp_map, log_map, nearest_rotation
 from calib.studies.reference_methods import (
     MethodResult,
     calibrate_by_angles,
@@ -100,6 +101,11 @@ def is_failed(row: Row) -> TypeGuard[FailedRow]:
     return "error" in row
 
 
+def solved(rows: Sequence[Row]) -> list[SolvedRow]:
+    """Return the rows that have a result."""
+    return [row for row in rows if "error" not in row]
+
+
 # What a bench shows without the truth: the gimbal's angles as a check from outside, and the time that
 # images take.
 #
@@ -139,11 +145,11 @@ def gimbal_ratio_error(
         _, at_first, at_second = np.intersect1d(views[first].ids, views[second].ids, return_indices=True)
         if len(at_first) < _FEWEST_COMMON or read < np.radians(_SMALLEST_TURN_DEG):
             continue
-        rays = [
-            _unit(camera.rays(view.points_px[at]))
+        rays_first, rays_second = (
+            camera.rays(view.points_px[at])
             for view, at in ((views[first], at_first), (views[second], at_second))
-        ]
-        seen = _turn(_kabsch(*rays))
+        )
+        seen = _turn(nearest_rotation(_unit(rays_first).T @ _unit(rays_second)))
         product += seen * read
         square += read * read
     return product / square - 1.0 if square else None
@@ -152,28 +158,16 @@ def gimbal_ratio_error(
 def _gimbal(angles_deg: Mapping[str, float]) -> Array:
     """Return the rotation of a gimbal: pan about the vertical axis carries tilt about the horizontal one."""
     pan, tilt = (np.radians(angles_deg.get(f"{axis}_deg", 0.0)) for axis in ("pan", "tilt"))
-    c, s = np.cos(pan), np.sin(pan)
-    about_y = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    c, s = np.cos(tilt), np.sin(tilt)
-    return np.asarray(about_y @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]))
-
-
-def _kabsch(first: Array, second: Array) -> Array:
-    left, _, right = np.linalg.svd(first.T @ second)
-    mirror = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
-    return np.asarray(left @ mirror @ right)
-
-
-def _turn(rotation: Array) -> float:
-    """Return the angle of a rotation, rad, exact for small angles."""
-    skew = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    return float(np.arctan2(0.5 * np.linalg.norm(skew), 0.5 * (np.trace(rotation) - 1.0)))
+    return exp_map(np.array([0.0, pan, 0.0])) @ exp_map(np.array([tilt, 0.0, 0.0]))
 
 
 def _unit(rays: Array) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
+
+
+def _turn(rotation: Array) -> float:
+    """Return the angle of a rotation, rad."""
+    return float(np.linalg.norm(log_map(rotation)))
 
 
 # Columns on recorded data: calibrations of random subsets of real views, of which no truth is known.

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bench import __version__
-from bench.compare.methods import Row, SolvedRow
+from bench.compare.methods import Row, SolvedRow, solved
 from bench.compare.spec import STAR_METHODS
 from bench.compare.table import (
     DATA_HEADS,
@@ -59,7 +59,7 @@ _COLOUR_OF = dict(
 
 def direction_plot(columns: Mapping[str, str], rows: Mapping[str, Sequence[Row]]) -> str:
     """Draw the error of direction of each repetition, on a logarithmic scale, columns from top to bottom."""
-    values = [_distances(_solved(rows[name])) for name in columns]
+    values = [_distances(solved(rows[name])) for name in columns]
     return _dots(
         columns,
         values,
@@ -72,7 +72,7 @@ def direction_plot(columns: Mapping[str, str], rows: Mapping[str, Sequence[Row]]
 
 def focal_plot(columns: Mapping[str, str], rows: Mapping[str, Sequence[Row]]) -> str:
     """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states."""
-    chosen = [_solved(rows[name]) for name in columns]
+    chosen = [solved(rows[name]) for name in columns]
     values = [[row["errors"]["fx"] for row in some] for some in chosen]
     stated = [
         float(np.mean([row["k"] * row["sigma"]["fx"] for row in some if "fx" in row["sigma"]] or [np.nan]))
@@ -132,11 +132,6 @@ def _by_images(columns: Sequence[ColumnSummary]) -> dict[str, list[tuple[int, fl
         names.setdefault(key, re.sub(r",? *\d+( images?)?$", "", name))
         groups.setdefault(key, []).append((images, error))
     return {names[key]: sorted(points) for key, points in groups.items() if len(points) >= _FEWEST_POINTS}
-
-
-def _solved(rows: Sequence[Row]) -> list[SolvedRow]:
-    """Return the rows that have a result."""
-    return [row for row in rows if "error" not in row]
 
 
 def _distances(rows: Sequence[SolvedRow]) -> list[float]:
@@ -232,7 +227,7 @@ def render_page(summary: Summary, rows: Mapping[str, Sequence[Row]], true: Mappi
     """Render the page of a comparison from its summary and rows, and the true values of the camera."""
     simulated = [column for column in summary["columns"] if not column["settings"]["data"]]
     methods = {column["settings"]["name"]: column["settings"]["method"] for column in simulated}
-    solved = {name: method for name, method in methods.items() if _solved(rows[name])}
+    drawn = {name: method for name, method in methods.items() if solved(rows[name])}
     failures = [
         (column["settings"]["name"], failed["times"], failed["why"])
         for column in summary["columns"]
@@ -256,8 +251,8 @@ def render_page(summary: Summary, rows: Mapping[str, Sequence[Row]], true: Mappi
             values=parameter_rows(summary, PARAMETERS),
             truth=[f"{true[name]:g}" if name in true else "-" for name in PARAMETERS],
             failures=failures,
-            direction=direction_plot(solved, rows) if solved else "",
-            focal=focal_plot(solved, rows) if solved else "",
+            direction=direction_plot(drawn, rows) if drawn else "",
+            focal=focal_plot(drawn, rows) if drawn else "",
             software=__version__,
         )
     )

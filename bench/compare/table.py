@@ -8,7 +8,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from bench.compare.methods import Row, SolvedRow, bench_time_s, is_failed
+from bench.compare.methods import Row, SolvedRow, bench_time_s, is_failed, solved
 from bench.compare.spec import ColumnConfig, ComparisonConfig
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2")
@@ -83,7 +83,7 @@ def summarise(spec: ComparisonConfig, rows: Mapping[str, Sequence[Row]]) -> Summ
 
 
 def _column(column: ColumnConfig, rows: Sequence[Row]) -> ColumnSummary:
-    good = [row for row in rows if "error" not in row]
+    good = solved(rows)
     reasons = [row["error"] for row in rows if is_failed(row)]
     found: ColumnSummary = {
         "settings": column.model_dump(),
