@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Unpack
 
 from bench.base.errors import PoseFailed
@@ -132,7 +131,8 @@ def _step_texts(job: Job, history: History) -> list[str]:
     known = pose_names(job, history)
     recorded = [s.pose for s in steps if isinstance(s, RecordStep) and s.pose.index in known]
     repeated = [s.pose for s in steps if isinstance(s, MoveStep) and s.number in history.done_steps]
-    last = [text for kind, text in ((SolveStep, "solve"), (ReportStep, "report")) if _has(steps, kind)]
+    kinds = {type(step) for step in steps}
+    last = [text for kind, text in ((SolveStep, "solve"), (ReportStep, "report")) if kind in kinds]
     return [
         *(f"Record pose {pose.index} ({pose.name})." for pose in recorded if pose.index not in skipped),
         *(f"Move to pose {pose.name} again." for pose in repeated if pose.index not in skipped),
@@ -152,27 +152,21 @@ def _until_texts(steps: Sequence[ScriptStep], history: History) -> list[str]:
     ]
 
 
-def _has(steps: Sequence[ScriptStep], kind: type) -> bool:
-    return any(isinstance(step, kind) for step in steps)
-
-
 def _places_to_repeat(steps: Sequence[ScriptStep], first: int) -> list[int]:
     """Return the places of the steps before ``first`` that the step at ``first`` depends on."""
     solving = isinstance(steps[first], SolveStep | ReportStep)
-    prepares = partial(_is, SolveStep) if solving else _prepares_recordings
-    if prepares(steps[first]):
+    prepared = [_prepares(step, solving=solving) for step in steps[: first + 1]]
+    if prepared[first]:
         return []
-    kept = (SolveStep,) if solving else (MoveStep, SettleStep)
-    begin = max((i for i in range(first) if prepares(steps[i])), default=first)
-    return [i for i in range(begin, first) if isinstance(steps[i], kept) or prepares(steps[i])]
+    begin = max((i for i in range(first) if prepared[i]), default=first)
+    settles = () if solving else SettleStep
+    return [i for i in range(begin, first) if prepared[i] or isinstance(steps[i], settles)]
 
 
-def _is(kind: type, step: ScriptStep) -> bool:
-    return isinstance(step, kind)
-
-
-def _prepares_recordings(step: ScriptStep) -> bool:
-    """Return whether recordings depend on a step: a move, or a board that a person places."""
+def _prepares(step: ScriptStep, *, solving: bool) -> bool:
+    """Return whether a report depends on a step, a solution; else whether recordings do: a move, a board placed."""
+    if solving:
+        return isinstance(step, SolveStep)
     return isinstance(step, MoveStep) or (isinstance(step, PromptStep) and step.placement > 0)
 
 

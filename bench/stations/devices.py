@@ -44,13 +44,6 @@ def serial_devices(station: Station) -> tuple[str, ...]:
 
 
 @contextmanager
-def hold_serial_devices(station: Station) -> Iterator[None]:
-    """Lock the serial devices of a station against other processes of this computer, as `hold_devices`."""
-    with hold_devices(serial_devices(station)):
-        yield
-
-
-@contextmanager
 def hold_devices(devices: Iterable[str]) -> Iterator[None]:
     """Lock devices from `serial_devices` on this computer during the block; `PortBusy` if one is in use."""
     with ExitStack() as holds:
@@ -80,7 +73,7 @@ class Devices:
         with ExitStack() as opened, self._left_safe():
             if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
-            opened.enter_context(hold_serial_devices(station))
+            opened.enter_context(hold_devices(serial_devices(station)))
             self.stage = open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)
             self.light = open_light(station, self._port, clock, wire_log)
@@ -221,29 +214,20 @@ def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera: 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
     """Stop stage and light whose process died, each opened anew; return what they answered. Not simulated ones."""
     ends = []
-    asked: tuple[tuple[DeviceName, list[str], Callable[[Station, BenchClock], str]], ...] = (
-        ("stage", list(station.stage.ports), _stop_stage),
-        ("light", list(station.light.ports), _switch_off),
+    asked: tuple[tuple[DeviceName, tuple[str, ...], Callable[..., Any], Callable[[Any], str]], ...] = (
+        ("stage", station.stage.ports, open_stage, stop_stage),
+        ("light", station.light.ports, open_light, switch_off),
     )
-    for name, ports, make_safe in asked:
+    for name, ports, open_device, make_safe in asked:
         if any(port.startswith(SIMULATED_PREFIX) for port in ports):
             continue
         try:
-            ends.append(DeviceEnd(name, "confirmed safe", make_safe(station, clock)))
+            with closing(open_device(station, str, clock, None)) as device:
+                ends.append(DeviceEnd(name, "confirmed safe", make_safe(device)))
         except DriverError as error:
             fault = f"the {name} of a dead process could not be made safe: {error}"
             ends.append(DeviceEnd(name, "not confirmed", fault))
     return [*ends, DeviceEnd("camera", "not confirmed", NOT_ASKED)] if ends else []
-
-
-def _stop_stage(station: Station, clock: BenchClock) -> str:
-    with closing(open_stage(station, str, clock, None)) as stage:
-        return stop_stage(stage)
-
-
-def _switch_off(station: Station, clock: BenchClock) -> str:
-    with closing(open_light(station, str, clock, None)) as light:
-        return switch_off(light)
 
 
 _CLOSE_S: Final = 15.0
@@ -331,19 +315,19 @@ class SeparateDevices(Devices):
         self._clock = clock
         self._simulation: SimulatedBench | None = None
 
-        def stage(stack: ExitStack) -> Stage:
-            stack.enter_context(hold_devices(station.stage.device_names))
-            device = open_stage(station, self._port, clock, wire_log)
-            stack.callback(device.close)
-            return device
+        def late_device(name: str, devices: tuple[str, ...], open_device: Callable[..., Any]) -> LateDevice:
+            def opener(stack: ExitStack) -> Any:
+                stack.enter_context(hold_devices(devices))
+                device = open_device(station, self._port, clock, wire_log)
+                stack.callback(device.close)
+                return device
 
-        def light(stack: ExitStack) -> Light:
-            stack.enter_context(hold_devices(station.light.device_names))
-            device = open_light(station, self._port, clock, wire_log)
-            stack.callback(device.close)
-            return device
+            return LateDevice(name, opener)
 
-        late = {"stage": LateDevice("stage", stage), "light": LateDevice("light", light)}
+        late = {
+            "stage": late_device("stage", station.stage.device_names, open_stage),
+            "light": late_device("light", station.light.device_names, open_light),
+        }
         with ExitStack() as opened:
             if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))

@@ -58,7 +58,13 @@ PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-lig
 """Byte-exact copies of the descriptions in a run folder, by section."""
 _STATION_COPY: Final = "station.yaml"
 
-_BaudRate = Annotated[int, Within(50, 20_000_000, "Bd")]
+_BaudRate = Annotated[
+    Annotated[int, Within(50, 20_000_000, "Bd")] | None,
+    Field(description="Default: that of the description."),
+]
+_Serial = Annotated[
+    Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
+]
 _Protocol = Annotated[
     str,
     Field(
@@ -97,10 +103,8 @@ class TextStageConfig(AnyStage):
     axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), differing("address")]
     protocol: _Protocol
     port: Port
-    baudrate: Annotated[_BaudRate | None, Field(description="Default: that of the description.")] = None
-    serial: Annotated[
-        Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
-    ] = None
+    baudrate: _BaudRate = None
+    serial: _Serial = None
     _read: tuple[StageProtocol, bytes] | None = PrivateAttr(default=None)
 
     @property
@@ -138,10 +142,8 @@ class TextLightConfig(AnyLight):
     sync_output: bool = True
     protocol: _Protocol
     port: Port
-    baudrate: Annotated[_BaudRate | None, Field(description="Default: that of the description.")] = None
-    serial: Annotated[
-        Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
-    ] = None
+    baudrate: _BaudRate = None
+    serial: _Serial = None
     full_percent: Annotated[
         float, Within(0.01, 1000, "%"), Field(description="Level of the light at level 100 %.")
     ] = 100.0

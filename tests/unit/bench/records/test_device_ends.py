@@ -62,7 +62,7 @@ def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkey
     """The run said "nothing was moved or switched", whatever had been opened before."""
     station = load_station("example_evk4").value
     monkeypatch.setattr(devices, "open_stage", lambda *_: stage)
-    monkeypatch.setattr(devices, "hold_serial_devices", lambda _station: devices.ExitStack())
+    monkeypatch.setattr(devices, "hold_devices", lambda _devices: devices.ExitStack())
 
     def missing(*_):
         raise PortNotFound("there is no such port.", where="/dev/lamp")
