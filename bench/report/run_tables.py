@@ -237,13 +237,9 @@ def _readable(key: str) -> str:
 
 
 def _with_unit(key: str, value: Any) -> str:
+    unit = next((f" {unit}" for ending, unit in _UNIT_ENDINGS.items() if key.endswith(ending)), "")
     printed = value_text(value)
-    if printed == NOTHING:
-        return printed
-    for ending, unit in _UNIT_ENDINGS.items():
-        if key.endswith(ending):
-            return f"{printed} {unit}"
-    return printed
+    return printed if printed == NOTHING else printed + unit
 
 
 _ENDS = {"open": "without an end"}

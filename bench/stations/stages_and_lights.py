@@ -240,9 +240,9 @@ class EspStageConfig(AnyStage):
 
 
 if TYPE_CHECKING:
-    _Stages = AnyStage
+    StageConfig = AnyStage
 else:
-    _Stages = with_plugins(
+    StageConfig = with_plugins(
         "stage",
         (
             ZaberStageConfig,
@@ -254,9 +254,6 @@ else:
             TextStageConfig,
         ),
     )
-
-StageConfig = _Stages
-
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
 Percent = Annotated[float, Within(0.01, 1000, "%")]
@@ -346,8 +343,6 @@ class GardasoftLightConfig(AnyLight):
 
 
 if TYPE_CHECKING:
-    _Lights = AnyLight
+    LightConfig = AnyLight
 else:
-    _Lights = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
-
-LightConfig = _Lights
+    LightConfig = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))

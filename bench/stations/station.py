@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -133,29 +133,18 @@ class PictureFolderConfig(FrameCameraConfig):
     path: Path
 
 
+_BuiltIn = (
+    SimulatedEvk4Config
+    | MetavisionConfig
+    | NeuromorphicEvk4Config
+    | RecordedCameraConfig
+    | OpenCvCameraConfig
+    | PictureFolderConfig
+)
 if TYPE_CHECKING:
-    _Cameras = (
-        SimulatedEvk4Config
-        | MetavisionConfig
-        | NeuromorphicEvk4Config
-        | RecordedCameraConfig
-        | OpenCvCameraConfig
-        | PictureFolderConfig
-        | EventCameraSection
-        | FrameCameraSection
-    )
+    CameraConfig = _BuiltIn | EventCameraSection | FrameCameraSection
 else:
-    _BUILT_IN = (
-        SimulatedEvk4Config,
-        MetavisionConfig,
-        NeuromorphicEvk4Config,
-        RecordedCameraConfig,
-        OpenCvCameraConfig,
-        PictureFolderConfig,
-    )
-    _Cameras = with_plugins("camera", _BUILT_IN)
-
-CameraConfig = _Cameras
+    CameraConfig = with_plugins("camera", get_args(_BuiltIn))
 
 
 _STRICT = "strict"
