@@ -235,7 +235,10 @@ def find_charts(
 
     Limits come from each group's first ``baseline`` runs, all where None.
     """
-    found = [(group, _computed_of(group, parameter, baseline)) for group in groups]
+    found = [
+        (group, [_computed(n, group, baseline) for n in group.key.parameters if parameter in {None, n}])
+        for group in groups
+    ]
     every = [one for _, charts in found for one in charts]
     chances = [slope["p"] for one in every for slope in one.slopes]
     judge = _Judge(
@@ -244,11 +247,6 @@ def find_charts(
     )
     told = [_group_data(group, charts, judge) for group, charts in found]
     return {"schema": SCHEMA, "level": LEVEL, "groups": told}
-
-
-def _computed_of(group: ChartGroup, parameter: str | None, baseline: int | None) -> list[_Computed]:
-    names = [name for name in group.key.parameters if parameter in {None, name}]
-    return [_computed(name, group, baseline) for name in names]
 
 
 def _computed(name: str, group: ChartGroup, baseline: int | None) -> _Computed:
@@ -268,7 +266,9 @@ def _group_data(group: ChartGroup, computed: Sequence[_Computed], judge: _Judge)
     key, runs = group.key, group.runs
     per = time_unit(group.days[-1])
     charts = [_chart_data(one, key.level, per, judge) for one in computed]
-    state, cameras = _worst([chart["state"] for chart in charts]), len({run.serial for run in runs})
+    states: list[ChartState] = [chart["state"] for chart in charts]
+    state: ChartState = min(states, key=get_args(ChartState).index, default="too few")  # the worst
+    cameras = len({run.serial for run in runs})
     return {
         "level": key.level,
         "kind": key.kind,
@@ -385,10 +385,6 @@ def _reach(control: _Control, place: int) -> float:
     half = averages["upper"][place] - centre
     distance = abs(averages["values"][place] - centre)
     return averages["limit"] * distance / half if half > 0 else float("inf")
-
-
-def _worst(states: Sequence[ChartState]) -> ChartState:
-    return min(states, key=get_args(ChartState).index, default="too few")
 
 
 def needs_attention(group: ChartGroupData) -> bool:

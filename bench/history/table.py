@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -277,10 +277,13 @@ def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> 
     """Write the table in place of an older file; Parquet keeps ``faults`` of the merging in its metadata."""
     require_writable_table(path)
     part = path.with_name(f".{path.name}.part")
-    write = _write_csv if path.suffix.lower() == ".csv" else _parquet_writer(faults)
     with storage_errors(path):
         try:
-            count = write(part, rows)
+            count = (
+                _write_csv(part, rows)
+                if path.suffix.lower() == ".csv"
+                else _write_parquet(part, rows, arrow_schema(faults))
+            )
             move_into_place(part, path)
         finally:
             part.unlink(missing_ok=True)
@@ -296,7 +299,9 @@ def _pyarrow() -> Any:
     return pa
 
 
-def _arrow_type(pa: Any, column: Column) -> Any:
+def arrow_schema(faults: Sequence[str] = ()) -> Any:
+    """Return the Parquet schema: each column's unit and meaning, ``starbench_schema`` and ``starbench_faults``."""
+    pa = _pyarrow()
     kinds = {
         "text": pa.string(),
         "texts": pa.list_(pa.string()),
@@ -305,16 +310,10 @@ def _arrow_type(pa: Any, column: Column) -> Any:
         "truth": pa.bool_(),
         "moment": pa.timestamp("us", tz="UTC"),
     }
-    return kinds[column.kind]
-
-
-def arrow_schema(faults: Sequence[str] = ()) -> Any:
-    """Return the Parquet schema: each column's unit and meaning, ``starbench_schema`` and ``starbench_faults``."""
-    pa = _pyarrow()
     fields = [
         pa.field(
             column.name,
-            _arrow_type(pa, column),
+            kinds[column.kind],
             metadata={"unit": column.unit, "meaning": column.meaning.replace("`", "")},
         )
         for column in COLUMNS
@@ -324,23 +323,13 @@ def arrow_schema(faults: Sequence[str] = ()) -> Any:
     )
 
 
-def _parquet_writer(faults: Sequence[str]) -> Callable[[Path, Iterable[Row]], int]:
-    def write(path: Path, rows: Iterable[Row]) -> int:
-        pa = _pyarrow()
-        schema, count = arrow_schema(faults), 0
-        with pa.parquet.ParquetWriter(path, schema, compression="zstd") as writer:
-            for block in _blocks(rows):
-                writer.write_table(pa.Table.from_pylist(block, schema=schema))
-                count += len(block)
-        return count
-
-    return write
-
-
-def _blocks(rows: Iterable[Row]) -> Iterator[list[Row]]:
-    waiting = iter(rows)
-    while block := list(islice(waiting, ROWS_AT_ONCE)):
-        yield block
+def _write_parquet(path: Path, rows: Iterable[Row], schema: Any) -> int:
+    pa, waiting, count = _pyarrow(), iter(rows), 0
+    with pa.parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        while block := list(islice(waiting, ROWS_AT_ONCE)):
+            writer.write_table(pa.Table.from_pylist(block, schema=schema))
+            count += len(block)
+    return count
 
 
 def _write_csv(path: Path, rows: Iterable[Row]) -> int:

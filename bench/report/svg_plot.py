@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any, NamedTuple
 
@@ -175,13 +175,16 @@ _FAMILY = "DejaVu Sans, Verdana, sans-serif"
 _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 
 
+@dataclass
 class Picture:
     """An SVG in work, in points; ``label`` is a short description for readers who do not see it."""
 
-    def __init__(self, width: float, height: float, identifier: str, label: str, about: str = "") -> None:
-        self.width, self.height, self.identifier = width, height, identifier
-        self.label, self.about = label, about
-        self.parts: list[str] = []
+    width: float
+    height: float
+    identifier: str
+    label: str
+    about: str = ""
+    parts: list[str] = field(default_factory=list)  # Elements
 
     def add(self, part: str) -> None:
         """Add an element."""

@@ -257,8 +257,8 @@ def fixed(value: Any, decimals: int) -> str:
 def angle(arcsec: float) -> str:
     """Print an angle with three significant digits: degrees from 0.1 degrees on, arc seconds below.
 
-    >>> angle(1.83), angle(360.0), angle(20900.0)
-    ('1.83″', '0.100°', '5.81°')
+    >>> angle(1.83), angle(359.0), angle(360.0), angle(20900.0)
+    ('1.83″', '359″', '0.100°', '5.81°')
     """
     if arcsec >= _ARCSEC_PER_TENTH_DEGREE:
         return f"{number(arcsec / 3600, 3)}\N{DEGREE SIGN}"
@@ -268,8 +268,8 @@ def angle(arcsec: float) -> str:
 def angle_text(urad: float) -> str:
     """Print a small angle with two significant digits, in µrad, or in mrad from 1000 µrad on.
 
-    >>> angle_text(23.44), angle_text(1488.0)
-    ('23 µrad', '1.5 mrad')
+    >>> angle_text(0.0), angle_text(23.44), angle_text(994.0), angle_text(996.0), angle_text(5123.0)
+    ('0 µrad', '23 µrad', '990 µrad', '1.0 mrad', '5.1 mrad')
     """
     # Rounded first: 999.6 µrad is 1.0 mrad.
     rounded = float(f"{urad:.2g}")

@@ -102,6 +102,7 @@ def timeline(items: Sequence[ItemData], zone: tzinfo | None) -> str:
     if not bars:
         return ""
     jobs = list(dict.fromkeys(job for job, *_ in bars))
+    shown_jobs = [shorten(job, 34, placeholder="\N{HORIZONTAL ELLIPSIS}") for job in jobs]
     first, last = min(begun for _, begun, _, _ in bars), max(ended for _, _, ended, _ in bars)
     span_h = max(_hours(last, first), 1 / 3600)
     ends = [how for *_, how in bars]
@@ -112,7 +113,7 @@ def timeline(items: Sequence[ItemData], zone: tzinfo | None) -> str:
         _WIDTH, 46.0 + 20.0 * len(jobs), "timeline", "Time of each run", ", ".join(counts) + "."
     )
     across = Scale(-_BEFORE * span_h, (1 + _BEFORE) * span_h, ticks=_clock(first.astimezone(zone), span_h))
-    rows = Scale(len(jobs) - 0.4, -0.6, ticks=[(n, _shortened(job)) for n, job in enumerate(jobs)])
+    rows = Scale(len(jobs) - 0.4, -0.6, ticks=list(enumerate(shown_jobs)))
     axes = axes_in(picture, across, rows, words, grid="x")
     for job, begun, ended, how in bars:
         begin, row = _hours(begun, first), jobs.index(job)
@@ -219,10 +220,6 @@ def _about(trend: TrendData, slope: float | None, per: str) -> str:
     """Return the mean of a parameter, and its slope if that is significant."""
     found = f"{trend['name']}: mean {trend['mean']:.6g}"
     return found if slope is None else f"{found}, trend {slope:.2g} per {per}"
-
-
-def _shortened(job: str) -> str:
-    return shorten(job, 34, placeholder="\N{HORIZONTAL ELLIPSIS}")
 
 
 def _hours(moment: datetime, begin: datetime) -> float:

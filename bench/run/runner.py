@@ -41,31 +41,31 @@ HOLD_NOTIFY_INTERVAL_S = 600.0
 """Shortest time between two notifications about holds by the same interlock, s."""
 
 
+@dataclass(frozen=True)
 class RunMessages:
     """Writes messages about one run; ``say`` prints why one could not be written, and the run continues."""
 
-    def __init__(self, courier: Courier, folder: Path, say: Callable[[str], None]) -> None:
-        self._courier = courier
-        self._folder = folder
-        self._say = say
+    courier: Courier
+    folder: Path
+    say: Callable[[str], None]
 
     def write(self, occasion: str, what: str, key: str) -> None:
         """Write a message on ``failure``, ``hold`` or ``end``, if wanted; ``key`` is the line's hash."""
-        if not self._courier.is_wanted(occasion):
+        if not self.courier.is_wanted(occasion):
             return
         try:
-            status = read_status(self._folder)
+            status = read_status(self.folder)
         except BenchError as error:
-            self._say(f"A message could not be written: {error}")
+            self.say(f"A message could not be written: {error}")
             return
         simulated = " (SIMULATED)" if status.simulated else ""
         subject = f"Starbench: run {status.run_id}{simulated} {what}"
-        self._courier.write(
+        self.courier.write(
             occasion,
             subject,
             status_text(status),
             run=status.run_id,
-            folder=self._folder,
+            folder=self.folder,
             key=key,
             place=status.place,
         )

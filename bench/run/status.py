@@ -14,7 +14,6 @@ from bench.base.home import home_folder
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.records.events import (
-    Asked,
     AttemptChecked,
     Commanded,
     ComputerBusy,
@@ -22,7 +21,6 @@ from bench.records.events import (
     Entering,
     Event,
     InterlockReleased,
-    LeftOff,
     RunEnded,
     RunResumed,
 )
@@ -57,10 +55,6 @@ def _entering_text(data: Entering) -> str:
     return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data.get('pose'))}"
 
 
-def _left_off_text(data: LeftOff) -> str:
-    return f"{data['state']} failed: {data['error']}" if "error" in data else ""
-
-
 def _attempt_text(data: AttemptChecked) -> str:
     verdict = "accepted" if data["accepted"] else "; ".join(data["reasons"])
     return f"attempt {data['attempt']}{_at_pose(data['pose'])}: {verdict}"
@@ -85,10 +79,6 @@ def _left_text(data: DevicesLeft) -> str:
     return f"the devices after the last step that needs them: {'; '.join(unsure) or 'all confirmed safe'}"
 
 
-def _question_text(data: Asked) -> str:
-    return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
-
-
 def _interlock_released_text(data: InterlockReleased) -> str:
     return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
 
@@ -108,7 +98,7 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.RUN_STARTED: lambda _data: "the run began",
     Event.RUN_RESUMED: _resumed_text,
     Event.ENTERING: _entering_text,
-    Event.LEFT_OFF: _left_off_text,
+    Event.LEFT_OFF: lambda data: f"{data['state']} failed: {data['error']}" if "error" in data else "",
     Event.CAPTURE_STORED: lambda data: f"stored {data['capture']}",
     Event.ATTEMPT_CHECKED: _attempt_text,
     Event.COMMANDED: _command_text,
@@ -117,7 +107,7 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.UNTIL_DECIDED: decision_text,
     Event.RUN_ENDED: _end_text,
     Event.DEVICES_LEFT: _left_text,
-    Event.ASKED: _question_text,
+    Event.ASKED: lambda data: f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)",
     Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
     Event.INTERLOCK_RELEASED: _interlock_released_text,
     Event.COMPUTER_BUSY: _busy_text,
