@@ -7,7 +7,6 @@ from datetime import timedelta
 import pytest
 from many_runs import BEGIN, BenchOfRuns, write_run
 
-from bench.base.errors import UsageError
 from bench.history.merged_runs import (
     IN_LEDGER,
     NO_LEDGER,
@@ -163,8 +162,3 @@ def test_rehearsals_and_runs_without_a_place_are_listed_without_a_fault(tmp_path
     (run,) = merged.runs
     assert merged.places[run.folder].state == NO_LEDGER
     assert (merged.faults, merged.notes) == ([], [])
-
-
-def test_a_folder_without_a_ledger_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="There is no ledger in this folder"):
-        sources(tmp_path)

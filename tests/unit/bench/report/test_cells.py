@@ -53,7 +53,7 @@ def test_a_pose_shows_its_state_angles_stars_and_picture(page):
 def test_a_recording_shows_why_it_was_refused(page):
     rows = cells(page, "Recordings")
     assert rows[0][:6] == ["first", "1", "1\u202f234\u202f567", "24.7", "8", "50 ms"]
-    assert rows[0][6].endswith("1few stars; the target moved")
+    assert rows[0][6] == f"captures/pose-001-attempt-1.raw {'11' * 32}few stars; the target moved"
     assert [row[7] for row in rows] == [
         "[fail] refused",
         "[fail] refused",

@@ -21,7 +21,7 @@ from bench.report.calibration_tables import (
 )
 from bench.report.html import ReportData, render_report
 from bench.report.run_tables import boresight_rows, inputs, passport_rows, readings_rows
-from bench.report.text import NOTHING, angle
+from bench.report.text import NOTHING
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
 from calib.model.result_parts import Boresight
 from calib.model.rotation import exp_map
@@ -105,13 +105,6 @@ def test_a_difference_alone_blames_nobody(data):
     rows = dict(checks({"gimbal": data.results["gimbal"] | {"agrees": False}}))
     assert rows[check].endswith("more than the uncertainty of the stars explains.")
     assert "slipped" not in " ".join(rows.values())
-
-
-@pytest.mark.parametrize(
-    ("arcsec", "text"), [(359.0, "359\N{DOUBLE PRIME}"), (360.0, "0.100\N{DEGREE SIGN}")]
-)
-def test_angles_are_degrees_from_a_tenth_on(arcsec, text):
-    assert angle(arcsec) == text
 
 
 BORESIGHT = Boresight(

@@ -47,14 +47,6 @@ def crashes(folder):
     return replay(read_journal(folder / "journal.jsonl")[0]).crashes
 
 
-def test_a_crash_is_counted_and_its_log_archived(crashed):
-    resume(crashed)
-    assert crashes(crashed) == {1: 1}
-    assert not (crashed / CRASH_LOG).exists()
-    resume(crashed)
-    assert crashes(crashed) == {1: 1}
-
-
 @pytest.mark.parametrize("after", [False, True])
 def test_a_death_while_archiving_neither_loses_nor_doubles_the_crash(crashed, monkeypatch, after):
     real = launch.archive_crash

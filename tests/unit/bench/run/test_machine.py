@@ -4,8 +4,6 @@ from itertools import product
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from transitions import MachineError
 
 from bench.run.machine import EDGES, END_STATES, STATES, RunMachine
@@ -115,16 +113,3 @@ def test_an_outcome_that_cannot_be_journaled_is_an_error():
 
 def test_the_work_of_a_run_is_the_work_of_its_states():
     assert {name for name in vars(StateWork) if not name.startswith("_")} == {*STATES} - {"idle", *END_STATES}
-
-
-@given(st.lists(st.sampled_from(TRIGGERS), max_size=60))
-def test_any_order_of_triggers_keeps_the_machine_on_its_edges(triggers):
-    machine = machine_in("idle")
-    for trigger in triggers:
-        expected = TARGETS.get((machine.state, trigger))
-        if expected is None:
-            with pytest.raises(MachineError):
-                machine.fire(trigger)
-        else:
-            machine.fire(trigger)
-            assert machine.state == expected

@@ -45,13 +45,6 @@ def test_every_shipped_station_reads_without_a_fault():
     assert [load_station(name).value.is_simulated for name in shipped] == [False] * 5 + [True] * 5
 
 
-def test_an_unknown_station_is_met_with_those_that_are_shipped():
-    with pytest.raises(DocumentFaults, match=r"no shipped file has this name\. Did you mean 'simulated'\?"):
-        load_station("simulatd")
-    with pytest.raises(DocumentFaults, match=r"nowhere\.yaml: there is no such file"):
-        load_station("nowhere.yaml")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
@@ -199,11 +192,6 @@ def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
     both = f"{{pan: {{{axis}, {MOTION}}}, tilt: {{{axis}, {MOTION}}}}}"
     (said,) = faults(with_stage(f"{{driver: {driver}, axes: {both}}}"))
     assert said.endswith(f"stage.axes: two axes have the same {shared}.")
-
-
-def test_the_faults_of_all_devices_come_at_once():
-    text = PLAIN.replace("scpi", "x").replace("simulated_evk4", "y").replace("zaber_ascii", "z")
-    assert len(faults(text)) == 3
 
 
 def test_the_simulation_section_has_the_values_json_would_have_but_serial_numbers_stay_text():
