@@ -19,11 +19,11 @@ from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.lights.siglent import SiglentGenerator
 from simulators.ports.serial_device import Dialect
-from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.axis_motion import AxisModel, AxisOfController, Mechanics, SingleController
 from simulators.stages.dynamixel import DynamixelBus
 from simulators.stages.esp301 import EspController
 from simulators.stages.flir_ptu import PtuController
-from simulators.stages.grbl import GrblAxis, GrblController
+from simulators.stages.grbl import GrblController
 from simulators.stages.thorlabs_apt import AptController
 from simulators.stages.ximc import XimcController
 from simulators.stages.zaber import ZaberChain, ZaberController
@@ -79,13 +79,21 @@ def _on_one_port(dialect: Dialect, controllers: Mapping[AxisName, AxisController
     return Stage({"gimbal": dialect}, named, dict.fromkeys(named, "gimbal"))
 
 
-def _on_own_ports(controllers: Mapping[AxisName, XimcController] | Mapping[AxisName, AptController]) -> Stage:
-    named = {str(name): one for name, one in controllers.items()}
-    return Stage(
-        {f"gimbal-{name}": one for name, one in named.items()},
-        named,
-        {name: f"gimbal-{name}" for name in named},
-    )
+def _on_own_ports(
+    make: type[SingleController],
+    axes: Axes,
+    clock: Clock,
+    publish: Publish,
+    *,
+    notices_stalls: bool = True,
+) -> Stage:
+    """Build one controller with its own port for each axis."""
+    named = {
+        str(name): make(_model(axis, notices_stalls=notices_stalls), clock, partial(publish, name))
+        for name, axis in axes.items()
+    }
+    ports = {name: f"gimbal-{name}" for name in named}
+    return Stage({port: named[name] for name, port in ports.items()}, named, ports)
 
 
 def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
@@ -94,13 +102,6 @@ def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
         name: ZaberController(_model(axis), clock(), partial(publish, name)) for name, axis in axes.items()
     }
     return _on_one_port(ZaberChain([*controllers.values()], clock), controllers)
-
-
-def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Build one controller with its own port for each axis."""
-    return _on_own_ports(
-        {name: XimcController(_model(axis), clock, partial(publish, name)) for name, axis in axes.items()}
-    )
 
 
 def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
@@ -113,7 +114,9 @@ def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     board = GrblController(
         models, clock, lambda letter, pointing: publish(names[letter], pointing), _PULL_OFF_DEG
     )
-    return _on_one_port(board, {name: GrblAxis(board, board.axes[letter]) for letter, name in names.items()})
+    return _on_one_port(
+        board, {name: AxisOfController(board, board.axes[letter]) for letter, name in names.items()}
+    )
 
 
 def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
@@ -133,16 +136,6 @@ def _flir_ptu(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     return _on_one_port(unit, {name: unit.axes[letter] for letter, name in names.items()})
 
 
-def _thorlabs_apt(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Build one K10CR1 with its own port for each axis."""
-    return _on_own_ports(
-        {
-            name: AptController(_model(axis, notices_stalls=False), clock, partial(publish, name))
-            for name, axis in axes.items()
-        }
-    )
-
-
 def _dynamixel(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build one XL430-W250 for each axis on one bus, with the ids 1, 2, 3 in their order."""
     names = dict(enumerate(axes, start=1))
@@ -153,11 +146,11 @@ def _dynamixel(axes: Axes, clock: Clock, publish: Publish) -> Stage:
 
 _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
     "zaber": _zaber,
-    "ximc": _ximc,
+    "ximc": partial(_on_own_ports, XimcController),
     "grbl": _grbl,
     "esp301": _esp301,
     "flir_ptu": _flir_ptu,
-    "thorlabs_apt": _thorlabs_apt,
+    "thorlabs_apt": partial(_on_own_ports, AptController, notices_stalls=False),
     "dynamixel": _dynamixel,
 }
 

@@ -21,7 +21,7 @@ from simulators.errors import ConfigError
 from simulators.optics.lens_focus import truth_record
 from simulators.optics.picture import star_centres, true_rotation
 from simulators.reading import Number, Section, read_section, refused_as_given
-from simulators.world.gimbal import load_angles_deg
+from simulators.world.gimbal import Gears
 from simulators.world.truth import Truth
 
 Mishap = Literal["", "covered", "lost"]
@@ -78,8 +78,7 @@ class RehearsedWorld:
             )
         self._truth = self.bench.truth_for(seed)
         self._seed = seed
-        self._read_deg: dict[str, float] = {}
-        self._sides: dict[str, float] = {}
+        self._gears = Gears(self._truth.gimbal)
 
     def temperature_c(self, on_s: float) -> float:
         """Return the temperature of the camera."""
@@ -102,7 +101,7 @@ class RehearsedWorld:
         drawn = np.random.default_rng((self._seed, before, *_words(angles_deg), round(on_s * 1000)))
         mishap = self._mishap(float(drawn.random()))
         truth = self.truth(on_s)
-        rotation = true_rotation(self._load_angles_deg(angles_deg), truth)
+        rotation = true_rotation(self._gears.load_angles_deg(angles_deg), truth)
         ids, points = star_centres(truth, rotation, clearance=_CLEARANCE_SQUARES, border_px=_BORDER_PX)
         if mishap == "lost":
             ids, points = ids[:0], points[:0]
@@ -110,15 +109,6 @@ class RehearsedWorld:
             ids, points = ids[:_COVERED_STARS], points[:_COVERED_STARS]
         noisy = points + drawn.normal(0.0, self.night.star_sigma_px, points.shape)
         return RehearsedView(ids, noisy, self.night.star_sigma_px, self.temperature_c(on_s), mishap)
-
-    def _load_angles_deg(self, angles_deg: Mapping[str, float]) -> Mapping[str, float]:
-        """Return the angles of the loads, which came from the angles of the recording before; at first from 0."""
-        for name, angle in angles_deg.items():
-            way = angle - self._read_deg.get(name, 0.0)
-            if way != 0.0:
-                self._sides[name] = math.copysign(1.0, way)
-            self._read_deg[name] = angle
-        return load_angles_deg(angles_deg, self._sides, self._truth.gimbal)
 
     def _mishap(self, lot: float) -> Mishap:
         if lot < self.night.lost_share:

@@ -17,7 +17,7 @@ from simulators.config import bench_config
 from simulators.optics import scene
 from simulators.optics.lens_focus import truth_record
 from simulators.pixels.sensor import Events, Sensor, simulate
-from simulators.world.gimbal import load_angles_deg
+from simulators.world.gimbal import Gears
 from simulators.world.truth import Truth
 from simulators.world.world import FULL_DRIVE_V, LightState
 
@@ -42,8 +42,7 @@ class VirtualCamera:
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
         self._truth: Truth = bench_config(section).truth_for(seed)
         self._seed = seed
-        self._sides: dict[str, float] = {}
-        self._last: dict[str, float] = {}
+        self._gears = Gears(self._truth.gimbal)
 
     def truth(self) -> dict[str, Any]:
         """Return the true parameters by part (``camera``, ``collimator`` ...), as the simulated bench writes them."""
@@ -57,11 +56,7 @@ class VirtualCamera:
         self, angles_deg: Mapping[str, float], *, seed: int, light_hz: float = 60.0, periods: int = 2
     ) -> VirtualCapture:
         """Turn the camera and record whole periods; loads stand behind their play at readings ``angles_deg``."""
-        for axis, angle in angles_deg.items():
-            moved = angle - self._last.get(axis, 0.0)
-            self._sides[axis] = float(np.sign(moved)) if moved else self._sides.get(axis, 0.0)
-        self._last = dict(angles_deg)
-        picture = scene.picture(self._truth, load_angles_deg(angles_deg, self._sides, self._truth.gimbal))
+        picture = scene.picture(self._truth, self._gears.load_angles_deg(angles_deg))
         light = LightState(output=True, sync=True, frequency_hz=light_hz)
         phase = float(np.random.default_rng((seed, 1)).random())
         duration_us = (periods + 0.05) * light.period_us

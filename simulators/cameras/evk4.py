@@ -8,7 +8,6 @@ a fault notification, and its connection is closed.
 from __future__ import annotations
 
 import json
-import select
 import socket
 import struct
 import threading
@@ -16,7 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-from simulators.cameras.streaming import KeepAlive, StreamFaults, TimeBase
+from simulators.cameras.streaming import CameraServer, KeepAlive, StreamFaults, TimeBase
 from simulators.errors import SimulatorError
 from simulators.optics.lens_focus import brightness
 from simulators.pixels.biases import ALLOWED, FACTORY, FILTERS, PixelSettings
@@ -74,8 +73,6 @@ NOMINAL_LUX: Final = 250.0
 """Illumination of the sensor at nominal brightness, lux."""
 MEAN_COVERAGE: Final = 0.5
 """Share of the target that lets light through: half of each star is black."""
-POLL_S: Final = 0.1
-"""Interval at which waiting threads check whether they must end, s."""
 LEAVING_S: Final = 1.0
 """Time within which the camera notices that a host which has closed its connection is gone, s."""
 
@@ -84,46 +81,25 @@ class _HostGone(Exception):
     """The host has closed the connection, or has sent something that is not a request."""
 
 
-class SimulatedEvk4:
-    """The simulated camera, for one host at a time; a paced stream arrives at the sensor's own rate."""
+class SimulatedEvk4(CameraServer):
+    """The simulated camera, for one host at a time; a paced stream arrives at the sensor's own rate.
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        serial: str = "00050423",
-        host: str = "127.0.0.1",
-        port: int = 0,
-        paced: bool = True,
-    ) -> None:
-        self._world = world
-        self._serial = serial
-        self._paced = paced
-        self._repeats: dict[str, int] = {}
+    ``repeats`` counts the streams of each content; see `SensorStream`.
+    """
+
+    def __init__(self, world: World, *, serial: str = "00050423", paced: bool = True) -> None:
+        super().__init__("simulated-evk4")
+        self.world, self.serial, self.paced = world, serial, paced
+        self.repeats: dict[str, int] = {}
         self.time_base = TimeBase()
         self.stream_faults = StreamFaults()
-        self._closing = threading.Event()
-        self._listener = socket.create_server((host, port))
-        self._thread = threading.Thread(target=self._listen, name="simulated-evk4", daemon=True)
         self._connection: _Connection | None = None
 
-    @property
-    def address(self) -> str:
-        """Address on which the camera listens, ``host:port``."""
-        host, port = self._listener.getsockname()[:2]
-        return f"{host}:{port}"
-
-    def start(self) -> None:
-        """Start to accept hosts."""
-        self._thread.start()
-
     def close(self) -> None:
-        """Close the connection and stop listening; return after all threads have ended."""
+        """See `CameraServer.close`."""
         self._closing.set()
         self.unplug()
-        if self._thread.is_alive():
-            self._thread.join()
-        self._listener.close()
+        super().close()
 
     def unplug(self) -> None:
         """Break the connection and reset the sensor's clock, as pulling the USB cable does: it powers the camera."""
@@ -139,52 +115,25 @@ class SimulatedEvk4:
         if connection is not None:
             connection.notify(message)
 
-    def _listen(self) -> None:
-        """Accept hosts until the camera is closed."""
-        while not self._closing.is_set():
-            if not select.select([self._listener], [], [], POLL_S)[0]:
-                continue
-            link, _ = self._listener.accept()
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if self._connection is not None and not self._connection.ends_within(LEAVING_S):
-                with suppress(_HostGone):
-                    _send(link, b"N", _json({"event": "fault", "message": "Another host holds the camera."}))
-                link.close()
-                continue
-            self._connection = _Connection(
-                link,
-                self._world,
-                self._serial,
-                self._repeats,
-                self.time_base,
-                self.stream_faults,
-                paced=self._paced,
-            )
-            # Started last: self._connection must be set before the host gets its first answer.
-            self._connection.start()
+    def _meet(self, link: socket.socket) -> None:
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._connection is not None and not self._connection.ends_within(LEAVING_S):
+            with suppress(_HostGone):
+                _send(link, b"N", _json({"event": "fault", "message": "Another host holds the camera."}))
+            link.close()
+            return
+        self._connection = _Connection(link, self)
+        # Started last: self._connection must be set before the host gets its first answer.
+        self._connection.start()
 
 
 class _Connection:
     """Connection of one host: one thread answers requests, a second one streams between start and stop."""
 
-    def __init__(
-        self,
-        link: socket.socket,
-        world: World,
-        serial: str,
-        repeats: dict[str, int],
-        time_base: TimeBase,
-        faults: StreamFaults,
-        *,
-        paced: bool,
-    ) -> None:
+    def __init__(self, link: socket.socket, camera: SimulatedEvk4) -> None:
         self._socket = link
-        self._world = world
-        self._serial = serial
-        self._repeats = repeats
-        self._time_base = time_base
-        self._stream_faults = faults
-        self._paced = paced
+        self._camera = camera
+        self._world = camera.world
         self._send_lock = threading.Lock()
         self._biases = dict(FACTORY)
         self._filters = dict.fromkeys(FILTERS, False)
@@ -305,7 +254,7 @@ class _Connection:
             "maker": "Prophesee",
             "model": "EVK4 (simulated)",
             "sensor": "IMX636",
-            "serial": self._serial,
+            "serial": self._camera.serial,
             "firmware": FIRMWARE,
             "width": camera.width,
             "height": camera.height,
@@ -368,7 +317,7 @@ class _Connection:
         if self._is_streaming():
             raise Refusal("streaming", "The camera streams already.")
         self._stop.clear()
-        acting = {**self._filters, "erc": self._filters["erc"] or self._stream_faults.overflows}
+        acting = {**self._filters, "erc": self._filters["erc"] or self._camera.stream_faults.overflows}
         camera = CameraState(dict(self._biases), acting, self._trigger_in)
         self._streamer = threading.Thread(
             target=self._stream, args=(camera, preview), name="simulated-evk4-stream", daemon=True
@@ -383,15 +332,15 @@ class _Connection:
         self._stop.set()
         self._streamer.join()
         self._streamer = None
-        if frames is not None and not self._time_base.stop(frames):
+        if frames is not None and not self._camera.time_base.stop(frames):
             raise Refusal("bad_value", f"It has stopped, but not sent {frames} frames.")
         return {}
 
     def _begun(self, camera: CameraState, *, preview: bool) -> SensorStream:
         """Return a new stream, or the last preview, if it can go on."""
-        clock_us = self._time_base.now_us
+        clock_us = self._camera.time_base.now_us
         if not preview:
-            return SensorStream(self._world, camera, self._repeats, clock_us)
+            return SensorStream(self._world, camera, self._camera.repeats, clock_us)
         if self._preview is None or not self._preview.go_on(camera, clock_us):
             self._preview = SensorStream(self._world, camera, {}, clock_us, preview=True)
         return self._preview
@@ -401,15 +350,15 @@ class _Connection:
         try:
             with self._keep_alive.computing():
                 stream = self._begun(camera, preview=preview)
-            self._time_base.start(stream.clock_us)
+            self._camera.time_base.start(stream.clock_us)
             while not self._stop.is_set():
                 with self._keep_alive.computing():
-                    frame = self._stream_faults.apply(stream.next_frame())
-                if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
+                    frame = self._camera.stream_faults.apply(stream.next_frame())
+                if self._camera.paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
                     return
                 if frame:
                     self._send(b"D", frame)
-                self._time_base.advance(stream.clock_us, sent=bool(frame))
+                self._camera.time_base.advance(stream.clock_us, sent=bool(frame))
         except SimulatorError as error:
             self.notify(f"The stream broke off: {error}")
         except _HostGone:

@@ -8,17 +8,15 @@ picture: equal runs get equal pictures.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import select
 import socket
-import threading
 from contextlib import suppress
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulators.cameras.streaming import POLL_S, CameraServer
 from simulators.optics import scene
 from simulators.world.world import LightState, World
 
@@ -34,8 +32,6 @@ PIXEL_SPREAD: Final = 0.006
 """Relative standard deviation of the pixels' sensitivities."""
 LIGHT_SAMPLES: Final = 32
 """Number of moments in an exposure at which the light is sampled."""
-POLL_S: Final = 0.1
-"""Interval at which waiting threads check whether they must end, s."""
 
 
 class PictureMaker:
@@ -62,10 +58,7 @@ class PictureMaker:
             },
             sort_keys=True,
         )
-        repeat = self._repeats.get(key, 0)
-        self._repeats[key] = repeat + 1
-        digest = hashlib.sha256(key.encode()).digest()
-        return np.random.SeedSequence([self._world.seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])
+        return self._world.recording_seed(key, self._repeats)
 
     def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Expose one picture, beginning now: ``(height, width) uint8`` grey values."""
@@ -110,48 +103,28 @@ FRAME_CAMERA_FAULTS: Final = {
 }
 
 
-class SimulatedFrameCamera:
+class SimulatedFrameCamera(CameraServer):
     """The simulated frame camera; it serves one host after another."""
 
-    def __init__(self, world: World, *, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, world: World) -> None:
+        super().__init__("simulated-frame-camera")
         self._pictures = PictureMaker(world)
-        self._closing = threading.Event()
         self._fault = ""
         self._last = b""
-        self._listener = socket.create_server((host, port))
-        self._thread = threading.Thread(target=self._listen, name="simulated-frame-camera", daemon=True)
 
     @property
     def address(self) -> str:
         """URL of the camera, ``tcp://host:port``."""
-        host, port = self._listener.getsockname()[:2]
-        return f"tcp://{host}:{port}"
-
-    def start(self) -> None:
-        """Start to accept hosts."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Close the connection and stop listening; return after the thread has ended."""
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self._listener.close()
+        return f"tcp://{super().address}"
 
     def inject_fault(self, fault: str) -> None:
         """Set one of `FRAME_CAMERA_FAULTS`, which replaces an earlier one from now on; ``mend`` clears it."""
         self._fault = "" if fault == "mend" else fault
 
-    def _listen(self) -> None:
-        while not self._closing.is_set():
-            if not select.select([self._listener], [], [], POLL_S)[0]:
-                continue
-            link, _ = self._listener.accept()
-            link.settimeout(POLL_S)
-            if self._fault == "unplug":
-                link.close()
-                continue
-            with link, suppress(OSError):  # a host ends the stream by closing the connection
+    def _meet(self, link: socket.socket) -> None:
+        link.settimeout(POLL_S)
+        with link, suppress(OSError):  # a host ends the stream by closing the connection
+            if self._fault != "unplug":
                 self._stream(link)
 
     def _stream(self, link: socket.socket) -> None:

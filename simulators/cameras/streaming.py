@@ -1,13 +1,16 @@
-"""What a camera's stream needs beside the sensor: faults of its frames, signs of life, and the sensor's clock.
+"""What a simulated camera needs beside the sensor: its port, faults of its frames, signs of life, the sensor's clock.
 
 A frame holds EVT3 words of 2 ms. Word types (EVT_TIME_HIGH is 0x8, 0x9 is unused) are those of Prophesee's EVT 3.0
-format. Nothing here depends on the sensor or on the socket.
+format. Nothing here depends on the sensor.
 """
 
 from __future__ import annotations
 
+import select
+import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -15,7 +18,45 @@ from typing import Final
 
 import numpy as np
 
-from simulators.errors import SimulatorError
+POLL_S: Final = 0.1
+"""Interval at which waiting threads check whether they must end, s."""
+
+
+class CameraServer(ABC):
+    """A camera on a TCP port of this computer, to which hosts connect one after the other."""
+
+    def __init__(self, name: str) -> None:
+        self._closing = threading.Event()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._thread = threading.Thread(target=self._listen, name=name, daemon=True)
+
+    @property
+    def address(self) -> str:
+        """Address on which the camera listens, ``host:port``."""
+        host, port = self._listener.getsockname()[:2]
+        return f"{host}:{port}"
+
+    def start(self) -> None:
+        """Start to accept hosts."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Close the connection and stop listening; return after all threads have ended."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._listener.close()
+
+    @abstractmethod
+    def _meet(self, link: socket.socket) -> None:
+        """Serve a host that has connected."""
+
+    def _listen(self) -> None:
+        """Accept hosts until the camera is closed."""
+        while not self._closing.is_set():
+            if select.select([self._listener], [], [], POLL_S)[0]:
+                self._meet(self._listener.accept()[0])
+
 
 #: Faults of frames, by name.
 STREAM_FAULTS: Final = {
@@ -55,10 +96,6 @@ class StreamFaults:
 
     def inject(self, fault: StreamFault) -> None:
         """Add a fault for frames to come."""
-        if fault.kind not in STREAM_FAULTS:
-            raise SimulatorError(
-                f"Unknown stream fault {fault.kind!r}.", remedy=f"Use one of: {', '.join(STREAM_FAULTS)}."
-            )
         with self._lock:
             self._faults.append(fault)
 

@@ -7,17 +7,17 @@ camera sees the change at once, also in the middle of a recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder
 from simulators.optics.lens_focus import focus_of, ring_deg, with_ring_at
-from simulators.reading import read
+from simulators.reading import Vector, read
 from simulators.world.board import BoardState
 from simulators.world.truth import FNumber, FocusDistance, Truth
-from simulators.world.world import CameraSetup, World, setup_of, with_setup
+from simulators.world.world import CameraSetup, World, with_setup
 
 HAND_DEVICES: Final = ("mount", "lens", "board")
 """Devices of the orders that `CameraHands` carries out."""
@@ -33,10 +33,8 @@ class CameraHands:
     def action(self, order: FaultOrder) -> Callable[[], None]:
         """Return the call that carries out an order for one of `HAND_DEVICES`; it changes the setup at once."""
         start = self._world.truth
-        if order.device == "board":
-            change = _at_board(order, start)
-        else:
-            change = _at_mount(order, setup_of(start)) if order.device == "mount" else _at_lens(order, start)
+        make = {"mount": _at_mount, "lens": _at_lens, "board": _at_board}[order.device]
+        change = make(order, start)
 
         def act() -> None:
             self._world.change_setup(change)
@@ -59,20 +57,16 @@ class CameraHands:
         return {**seen, "placement": setup.board.number} if truth.board.present else seen
 
 
-def _at_mount(order: FaultOrder, start: CameraSetup) -> Callable[[CameraSetup], CameraSetup]:
+def _at_mount(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:
     """Return the change of an order for the mount."""
+    mount = start.mount
     if order.fault == "mend":
-        return lambda setup: replace(setup, shift_mm=start.shift_mm, turn_deg=start.turn_deg)
+        return lambda setup: replace(setup, shift_mm=mount.shift_mm, turn_deg=mount.turn_deg)
     values = {name: _finite(value, name) for name, value in order.parameters.items()}
     if order.fault == "shift":
         return lambda setup: replace(setup, shift_mm=(values["x_mm"], values["y_mm"]))
-
-    def turn(setup: CameraSetup) -> CameraSetup:
-        pan, tilt, roll = setup.turn_deg
-        turned = (pan + values["pan_deg"], tilt + values["tilt_deg"], roll + values["roll_deg"])
-        return replace(setup, turn_deg=turned)
-
-    return turn
+    by_deg = values["pan_deg"], values["tilt_deg"], values["roll_deg"]
+    return lambda setup: replace(setup, turn_deg=_sum(setup.turn_deg, by_deg))
 
 
 def _at_board(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:
@@ -81,28 +75,36 @@ def _at_board(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], Camera
         raise ConfigError(
             "This bench has no board.", where="device", remedy="Give the section board in the simulation."
         )
+    change = _of_board(order)
+    return lambda setup: replace(setup, board=change(setup.board))
+
+
+_BY_NAME: Final[Mapping[str, Callable[[BoardState], BoardState]]] = {
+    "next": lambda board: BoardState(board.number + 1),
+    "mend": lambda board: BoardState(board.number),
+    "steady": lambda board: replace(board, flicker=False),
+}
+
+
+def _of_board(order: FaultOrder) -> Callable[[BoardState], BoardState]:
     if order.fault == "place":
         number = int(order.parameters["number"])
         if number < 1:
             raise ConfigError(f"There is no placement {number}.", where="number", remedy="Count from 1.")
-        return lambda setup: replace(setup, board=BoardState(number))
-    if order.fault == "next":
-        return lambda setup: replace(setup, board=BoardState(setup.board.number + 1))
-    if order.fault == "mend":
-        return lambda setup: replace(setup, board=BoardState(setup.board.number))
-    if order.fault == "steady":
-        return lambda setup: replace(setup, board=replace(setup.board, flicker=False))
+        return lambda _board: BoardState(number)
+    if order.fault in _BY_NAME:
+        return _BY_NAME[order.fault]
     x, y, z = (_finite(value, name) for name, value in order.parameters.items())
     if order.fault == "second":
-        return lambda setup: replace(setup, board=replace(setup.board, second_mm=(x, y, z)))
+        return lambda board: replace(board, second_mm=(x, y, z))
+    if order.fault == "move":
+        return lambda board: replace(board, move_mm=_sum(board.move_mm, (x, y, z)))
+    return lambda board: replace(board, turn_deg=_sum(board.turn_deg, (x, y, z)))
 
-    def shift(setup: CameraSetup) -> CameraSetup:
-        moved, board = order.fault == "move", setup.board
-        a, b, c = board.move_mm if moved else board.turn_deg
-        to = a + x, b + y, c + z
-        return replace(setup, board=replace(board, move_mm=to) if moved else replace(board, turn_deg=to))
 
-    return shift
+def _sum(one: Vector, other: Vector) -> Vector:
+    (a, b, c), (x, y, z) = one, other
+    return a + x, b + y, c + z
 
 
 def _at_lens(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:

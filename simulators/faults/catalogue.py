@@ -84,25 +84,11 @@ LINE_FAULTS: Final[Mapping[str, Fault]] = {
     "mend": Fault("clears all faults of this port", {}),
 }
 
-#: Default factor of each lamp fault that has one.
-_LAMP_FACTORS: Final = {
-    "dim": 0.5,
-    "wrong_frequency": 0.5,
-    "wrong_duty": 0.5,
-    "sync_missing": 2.0,
-    "sync_extra": 2.0,
-    "sync_jitter": 0.1,
-    "sync_weak": 0.3,
-    "sync_channel": 1.0,
-}
-
-_LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {
-    name: Fault(what, {"factor": _LAMP_FACTORS[name]} if name in _LAMP_FACTORS else {})
-    for name, what in LAMP_FAULTS.items()
-}
-
 LIGHT_FAULTS: Final[Mapping[str, Fault]] = {
-    **_LAMP_CATALOGUE,
+    **{
+        name: Fault(what, {} if factor is None else {"factor": factor})
+        for name, (what, factor) in LAMP_FAULTS.items()
+    },
     "clip": Fault("the light's driver limits levels to most_v", {"most_v": 2.0}),
     "trip": Fault("the protection of the light's driver switches the light off", {}),
     "exchange": Fault("a driver with another serial number replaces this driver", {"serial": "XX9999"}),

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, cast
 
-from simulators.cameras.streaming import StreamFault, StreamFaults
+from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.cameras.frame_camera import SimulatedFrameCamera
+from simulators.cameras.streaming import StreamFault
 from simulators.errors import ConfigError
 from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter
@@ -43,31 +45,6 @@ class AxisController(Protocol):
         ...
 
 
-class Camera(Protocol):
-    """Interface of the event camera for fault injection."""
-
-    @property
-    def stream_faults(self) -> StreamFaults:
-        """Faults of the frames that it sends."""
-        ...
-
-    def unplug(self) -> None:
-        """Break the connection."""
-        ...
-
-    def report_fault(self, message: str) -> None:
-        """Report a fault to the host."""
-        ...
-
-
-class FrameCamera(Protocol):
-    """Interface of the frame camera for fault injection."""
-
-    def inject_fault(self, fault: str) -> None:
-        """Set the fault that lasts from now on."""
-        ...
-
-
 @dataclass(frozen=True)
 class BenchParts:
     """The parts of a bench that can have faults."""
@@ -79,9 +56,9 @@ class BenchParts:
     # light, lamp, camera: The light's driver, the lamp behind it, and the event camera.
     light: LightDriver
     lamp: Lamp
-    camera: Camera
+    camera: SimulatedEvk4
     clock: Callable[[], float]  # Returns the time in seconds
-    frame_camera: FrameCamera | None = None  # The frame camera; None if the bench has none
+    frame_camera: SimulatedFrameCamera | None = None  # The frame camera; None if the bench has none
     hands: CameraHands | None = None  # Hands at the camera's mount and lens; None if they cannot be changed
 
 
@@ -119,7 +96,7 @@ def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     )
 
 
-def _on_camera(order: FaultOrder, camera: Camera) -> Callable[[], None]:
+def _on_camera(order: FaultOrder, camera: SimulatedEvk4) -> Callable[[], None]:
     if order.fault == "unplug":
         return camera.unplug
     if order.fault == "fault":

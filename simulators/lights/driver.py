@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from simulators.errors import SimulatorError
 from simulators.world.world import LightState, SyncLine
 
 # The lamp between its driver and the bench, with faults that the driver does not notice.
@@ -15,19 +14,19 @@ from simulators.world.world import LightState, SyncLine
 # The driver (a generator or a strobe controller) sets the light that it believes to produce. The lamp
 # applies its faults and publishes the light that results. Both are a `LightState`.
 
-#: Faults of the light, by name.
-LAMP_FAULTS: Final = {
-    "lamp_open": "the lamp stays dark; its driver does not notice",
-    "dim": "the brightness is multiplied by factor",
-    "wrong_frequency": "the flicker frequency is multiplied by factor; the driver does not notice",
-    "wrong_duty": "the duty cycle is multiplied by factor; the driver does not notice",
-    "no_sync": "sync edges no longer reach the camera",
-    "sync_inverted": "the sync line is inverted",
-    "sync_weak": "the level of the sync line is too low: the share factor of its edges is lost",
-    "sync_channel": "the sync cable is plugged into the trigger channel factor",
-    "sync_missing": "both sync edges of every factor-th period are lost",
-    "sync_extra": "an extra sync pulse arrives in every factor-th period",
-    "sync_jitter": "sync edges arrive up to factor (a share of the period) early or late",
+#: Faults of the light, by name: what happens, and the usual factor, if there is one.
+LAMP_FAULTS: Final[Mapping[str, tuple[str, float | None]]] = {
+    "lamp_open": ("the lamp stays dark; its driver does not notice", None),
+    "dim": ("the brightness is multiplied by factor", 0.5),
+    "wrong_frequency": ("the flicker frequency is multiplied by factor; the driver does not notice", 0.5),
+    "wrong_duty": ("the duty cycle is multiplied by factor; the driver does not notice", 0.5),
+    "no_sync": ("sync edges no longer reach the camera", None),
+    "sync_inverted": ("the sync line is inverted", None),
+    "sync_weak": ("the level of the sync line is too low: the share factor of its edges is lost", 0.3),
+    "sync_channel": ("the sync cable is plugged into the trigger channel factor", 1.0),
+    "sync_missing": ("both sync edges of every factor-th period are lost", 2.0),
+    "sync_extra": ("an extra sync pulse arrives in every factor-th period", 2.0),
+    "sync_jitter": ("sync edges arrive up to factor (a share of the period) early or late", 0.1),
 }
 
 
@@ -65,15 +64,7 @@ class Lamp:
         )
 
     def inject_fault(self, kind: str, factor: float = 0.5) -> None:
-        """Inject one of `LAMP_FAULTS` that lasts until `clear_faults`; some ignore the factor."""
-        if kind not in LAMP_FAULTS:
-            raise SimulatorError(
-                f"Unknown lamp fault {kind!r}.", remedy=f"Use one of: {', '.join(LAMP_FAULTS)}."
-            )
-        if factor <= 0.0:
-            raise SimulatorError(
-                f"The factor {factor} is not positive.", remedy="Give a factor greater than 0."
-            )
+        """Inject one of `LAMP_FAULTS` that lasts until `clear_faults`; some ignore the factor, which is positive."""
         if kind == "lamp_open":
             kind, factor = "dim", 0.0
         self._faults[kind] = factor

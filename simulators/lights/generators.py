@@ -20,7 +20,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from simulators.lights.driver import LightDriver
 from simulators.lights.scpi import (
@@ -103,41 +103,28 @@ class Generator(LightDriver):
     # ------------------------------------------------------------------ settings
     def reset(self) -> None:
         """Restore the settings of a reset."""
-        self._apply(Settings())
+        self.settings = Settings()
+        self._publish()
 
-    def set_shape(self, shape: Shape) -> None:
-        """Set the waveform."""
-        self._apply(replace(self.settings, shape=shape))
-
-    def switch(self, *, output: bool | None = None, sync: bool | None = None) -> None:
-        """Switch the output or the sync output."""
-        now = self.settings
-        self._apply(
-            replace(
-                now, output=now.output if output is None else output, sync=now.sync if sync is None else sync
-            )
-        )
-
-    def invert_sync(self, inverted: bool) -> None:
-        """Set the polarity of the sync output."""
-        self._apply(replace(self.settings, sync_inverted=inverted))
+    def change(self, **settings: Any) -> None:
+        """Change settings, which are in their range; the light follows."""
+        self.settings = replace(self.settings, **settings)
+        self._publish()
 
     def set_load(self, ohm: float) -> None:
         """Set the load for which voltages are shown; the output itself stays as it is."""
         scale = _voltage_share(ohm) / _voltage_share(self.settings.load_ohm)
-        low_v, high_v = self.settings.low_v * scale, self.settings.high_v * scale
-        self._apply(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
+        self.change(load_ohm=ohm, low_v=self.settings.low_v * scale, high_v=self.settings.high_v * scale)
 
     def set(self, name: Setting, value: float) -> ClipReason:
         """Set a value, clipped to its range."""
         lowest, highest = self.bounds(name)
         held: ClipReason = "lower limit" if value < lowest else "upper limit" if value > highest else ""
         value = min(max(value, lowest), highest)
-        now = self.settings
         if name == "frequency":
-            self._apply(replace(now, frequency_hz=round(value, 6)))
+            self.change(frequency_hz=round(value, 6))
         elif name == "duty":
-            self._apply(replace(now, duty_percent=round(value, 1)))
+            self.change(duty_percent=round(value, 1))
         else:
             moved = self._set_level(name, value)
             held = held or moved
@@ -164,7 +151,7 @@ class Generator(LightDriver):
 
     def trip(self) -> None:
         """Let the overload protection switch the output off, without a message."""
-        self.switch(output=False)
+        self.change(output=False)
 
     # ------------------------------------------------------------------ inside
     def _set_level(self, name: Setting, value: float) -> ClipReason:
@@ -174,7 +161,7 @@ class Generator(LightDriver):
         if name == "offset" and now.shape == "dc":
             # The amplitude has no effect on DC; it shrinks so that offset and amplitude fit the range later.
             half = min(now.amplitude_v / 2.0, max(self.most_v * share - abs(value), least / 2.0))
-            self._apply(replace(now, low_v=value - half, high_v=value + half))
+            self.change(low_v=value - half, high_v=value + half)
             return ""
         low_v, high_v = {
             "amplitude": (now.offset_v - value / 2.0, now.offset_v + value / 2.0),
@@ -185,12 +172,8 @@ class Generator(LightDriver):
         most = self.most_v * share
         conflict = low_v < -most - 1e-9 or high_v > most + 1e-9
         conflict |= (name == "high" and low_v < now.low_v) or (name == "low" and high_v > now.high_v)
-        self._apply(replace(now, low_v=round(max(low_v, -most), 4), high_v=round(min(high_v, most), 4)))
+        self.change(low_v=round(max(low_v, -most), 4), high_v=round(min(high_v, most), 4))
         return "conflict" if conflict else ""
-
-    def _apply(self, settings: Settings) -> None:
-        self.settings = settings
-        self._publish()
 
     def _publish(self) -> None:
         """Publish the state of the light."""
@@ -220,6 +203,16 @@ _VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
 _PERCENT: Final = {"PCT": 1.0, "%": 1.0}
 _OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
 _LOAD_OHM: Final = (1.0, 10_000.0)
+
+_VALUES: Final[tuple[tuple[str, Setting, dict[str, float], str], ...]] = (
+    ("FREQuency", "frequency", _HERTZ, "frequency_hz"),
+    ("FUNCtion:SQUare:DCYCle", "duty", _PERCENT, "duty_percent"),
+    ("VOLTage", "amplitude", _VOLTS, "amplitude_v"),
+    ("VOLTage:OFFSet", "offset", _VOLTS, "offset_v"),
+    ("VOLTage:HIGH", "high", _VOLTS, "high_v"),
+    ("VOLTage:LOW", "low", _VOLTS, "low_v"),
+)
+"""Header, name, units, and attribute of `Settings`, of each number."""
 
 _SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
 
@@ -284,30 +277,24 @@ class ScpiGenerator(Generator):
         for word in ("REMote", "LOCal", "RWLock"):
             tree.add(f"SYSTem:{word}", expect_no_arguments, None)
         tree.add(f"{source}:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._shape())
-        self._register_value(f"{source}:FREQuency", "frequency", _HERTZ, lambda: self.settings.frequency_hz)
-        self._register_value(
-            f"{source}:FUNCtion:SQUare:DCYCle", "duty", _PERCENT, lambda: self.settings.duty_percent
-        )
-        self._register_value(f"{source}:VOLTage", "amplitude", _VOLTS, lambda: self.settings.amplitude_v)
-        self._register_value(f"{source}:VOLTage:OFFSet", "offset", _VOLTS, lambda: self.settings.offset_v)
-        self._register_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: self.settings.high_v)
-        self._register_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: self.settings.low_v)
+        for header, name, units, attribute in _VALUES:
+            self._register_value(f"{source}:{header}", name, units, attribute)
         tree.add(f"{source}:VOLTage:UNIT", self._set_unit, lambda _: "VPP")
         tree.add(
             f"{output}[:STATe]",
-            lambda words: self.switch(output=boolean(only_argument(words))),
+            lambda words: self.change(output=boolean(only_argument(words))),
             lambda _: self._format_switch(self.settings.output),
         )
         tree.add(
             f"{output}:SYNC[:STATe]",
-            lambda words: self.switch(sync=boolean(only_argument(words))),
+            lambda words: self.change(sync=boolean(only_argument(words))),
             lambda _: self._format_switch(self.settings.sync),
         )
         if model.numbered_channels:
             tree.add(
                 f"{output}:SYNC:POLarity",
-                lambda words: self.invert_sync(
-                    choice(only_argument(words), self._sync_words()) in {"INV", "NEG"}
+                lambda words: self.change(
+                    sync_inverted=choice(only_argument(words), self._sync_words()) in {"INV", "NEG"}
                 ),
                 lambda _: choice(self._sync_words()[self.settings.sync_inverted], self._sync_words()),
             )
@@ -317,21 +304,18 @@ class ScpiGenerator(Generator):
             lambda _: _format_number(min(self.settings.load_ohm, 9.9e37)),
         )
 
-    def _register_value(
-        self, header: str, name: Setting, unit_factors: dict[str, float], read: Callable[[], float]
-    ) -> None:
+    def _register_value(self, header: str, name: Setting, units: dict[str, float], attribute: str) -> None:
         """Register a number: command, query, and query of a bound, as in ``FREQ? MAX``."""
 
         def set_value(arguments: list[str]) -> None:
             word = only_argument(arguments)
             bound = _bound(word)
-            lowest_highest = self.bounds(name)
-            value = number(word, unit_factors) if bound is None else lowest_highest[bound]
+            value = number(word, units) if bound is None else self.bounds(name)[bound]
             _raise_if_clipped(self.set(name, value))
 
         def read_value(arguments: list[str]) -> str:
             if not arguments:
-                return _format_number(read())
+                return _format_number(getattr(self.settings, attribute))
             bound = _bound(only_argument(arguments))
             if bound is None:
                 raise ScpiError(-224)
@@ -353,7 +337,7 @@ class ScpiGenerator(Generator):
 
     def _set_shape(self, arguments: list[str]) -> None:
         word = choice(only_argument(arguments), list(_SHAPES))
-        self.set_shape(next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
+        self.change(shape=next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
 
     def _shape(self) -> str:
         return {"square": "SQU", "sine": "SIN", "dc": "DC"}[self.settings.shape]
@@ -383,9 +367,7 @@ class ScpiGenerator(Generator):
 
 def _bound(word: str) -> int | None:
     """Return 0 for the word that means the lower bound, 1 for the upper bound, None for any other word."""
-    if word.upper() in {"MIN", "MINIMUM"}:
-        return 0
-    return 1 if word.upper() in {"MAX", "MAXIMUM"} else None
+    return {"MIN": 0, "MINIMUM": 0, "MAX": 1, "MAXIMUM": 1}.get(word.upper())
 
 
 def _raise_if_clipped(held: ClipReason) -> None:
@@ -397,6 +379,3 @@ def _raise_if_clipped(held: ClipReason) -> None:
 def _format_number(value: float) -> str:
     """Format a number as the 33250A does."""
     return f"{value:+.13E}"
-
-
-# ---------------------------------------------------------------- Siglent

@@ -73,13 +73,13 @@ class SiglentGenerator(Generator):
         for name, value in zip(words[::2], words[1::2], strict=False):
             number = _siglent_number(value)
             if name == "WVTP" and value in _SIGLENT_SHAPES:
-                self.set_shape(_SIGLENT_SHAPES[value])
+                self.change(shape=_SIGLENT_SHAPES[value])
             elif name in _VALUES and number is not None:
                 self.set(_VALUES[name], number)
 
     def _set_output(self, words: list[str]) -> None:
         if words[0] in {"ON", "OFF"}:
-            self.switch(output=words[0] == "ON")
+            self.change(output=words[0] == "ON")
         if "LOAD" in words[:-1]:
             load = words[words.index("LOAD") + 1]
             ohm = math.inf if load == "HZ" else _siglent_number(load)
@@ -88,7 +88,7 @@ class SiglentGenerator(Generator):
 
     def _set_sync(self, words: list[str]) -> None:
         if words[0] in {"ON", "OFF"}:
-            self.switch(sync=words[0] == "ON")
+            self.change(sync=words[0] == "ON")
 
     def _wave(self) -> str:
         now = self.settings

@@ -8,6 +8,7 @@ area is a ring of corners, clockwise as seen; a ring that runs the other way is 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.target import StarTarget
-from simulators.world.board import BoardTruth
+from simulators.world.board import STILL, BoardState, BoardTruth
 
 FloatArray = NDArray[np.float64]
 
@@ -86,33 +87,32 @@ def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
 
 def bright_areas(board: BoardTruth, target: StarTarget, *, pixels: bool) -> tuple[FloatArray, ...]:
     """Return the rings, mm, from which the board's light comes, kept: do not change them; ``pixels`` one by one."""
-    key = (board.kind, board.columns, board.rows, board.pitch_mm, board.surface, board.dot_mm)
-    return _areas(*key, board.margin_mm, board.pixel_mm if pixels else 0.0, board.fill, target)
+    return _areas(replace(board, state=BoardState(), shake=STILL), target, pixels)
 
 
 @lru_cache(maxsize=4)
-def _areas(
-    kind: str, columns: int, rows: int, pitch_mm: float, surface: str, dot_mm: float, margin_mm: float,
-    pixel_mm: float, fill: float, target: StarTarget,
-) -> tuple[FloatArray, ...]:  # fmt: skip
+def _areas(board: BoardTruth, target: StarTarget, pixels: bool) -> tuple[FloatArray, ...]:
     """Compute the rings of ``bright_areas``."""
-    board = BoardTruth(kind=kind, columns=columns, rows=rows, pitch_mm=pitch_mm)
-    points = points_mm(board, target)
-    if kind == "stars":
+    points, pitch_mm = points_mm(board, target), board.pitch_mm
+    if board.kind == "stars":
         size = target.pitch_mm * np.array([target.squares_x, target.squares_y])
         low, high = np.zeros(2), size
         marks: FloatArray = black_polygons(target)
-    elif kind == "checkerboard":
+    elif board.kind == "checkerboard":
         low, high = points.min(axis=0) - pitch_mm, points.max(axis=0) + pitch_mm
-        marks = _squares(columns, rows, pitch_mm)
-        if pixel_mm > 0.0:
-            marks = _screen_pixels(marks[:, 0], round(pitch_mm / pixel_mm), pixel_mm, fill)
+        marks = _squares(board.columns, board.rows, pitch_mm)
+        if pixels and board.pixel_mm > 0.0:
+            count = round(pitch_mm / board.pixel_mm)
+            marks = _screen_pixels(marks[:, 0], count, board.pixel_mm, board.fill)
     else:
-        low, high = points.min(axis=0) - 0.5 * dot_mm, points.max(axis=0) + 0.5 * dot_mm
-        marks = points[:, None] + _circle(0.5 * dot_mm)
-    if surface != "print":
+        radius_mm = 0.5 * board.dot_mm
+        low, high = points.min(axis=0) - radius_mm, points.max(axis=0) + radius_mm
+        marks = points[:, None] + _circle(radius_mm)
+    if board.surface != "print":
         return (marks,)
-    return _paper(low - margin_mm, high + margin_mm, pitch_mm or 8.0 * target.pitch_mm), marks[:, ::-1]
+    return _paper(low - board.margin_mm, high + board.margin_mm, pitch_mm or 8.0 * target.pitch_mm), marks[
+        :, ::-1
+    ]
 
 
 def _squares(columns: int, rows: int, side_mm: float) -> FloatArray:

@@ -72,7 +72,7 @@ def pose_rotation(
 def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
     """Return the true rotation camera <- target when the loads of the axes stand at certain angles; missing = 0.
 
-    With backlash they differ from the readings; see ``gimbal.load_angles_deg``. All simulated cameras and the rehearsed
+    With backlash they differ from the readings; see ``gimbal.Gears``. All simulated cameras and the rehearsed
     world use this function. Rotations: Diebel (2006).
     """
     rotation = pose_rotation(angles_deg, truth.optics, truth.gimbal)

@@ -186,10 +186,14 @@ class Sensor:
         self._rate_us = 0.0
 
     @property
+    def gains(self) -> NDArray[np.uint32]:
+        """(height, width) uint32, thresholds of the pixels as stored; a view."""
+        return self._pixels.gains[:, : self.width, sensor_state.GAINS]
+
+    @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Thresholds of this camera's pixels, ON and OFF, (height, width) each, in units of log intensity."""
-        gains = self._pixels.gains[:, : self.width, sensor_state.GAINS]
-        on, off = gains & np.uint32(GAIN_ONE - 1), gains >> np.uint32(sensor_state.ON_BITS)
+        on, off = self.gains & np.uint32(GAIN_ONE - 1), self.gains >> np.uint32(sensor_state.ON_BITS)
         with np.errstate(divide="ignore"):  # thresholds of a dead pixel are infinite
             return -np.log(on / GAIN_ONE), -np.log(off / GAIN_ONE)
 

@@ -18,19 +18,17 @@ coarse and changes every 8 ms. Its content also depends on earlier previews. Rec
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulators.optics import board_scene, scene
 from simulators.optics.board_scene import ImageOfLight, has_many_lights, images_of_lights
-from simulators.pixels import sensor_state
 from simulators.pixels.biases import FACTORY, FILTERS, PixelSettings
 from simulators.pixels.evt3_writer import Evt3Writer, RateController
 from simulators.pixels.sensor import Events, Sensor
@@ -43,26 +41,6 @@ from simulators.world.world import FULL_DRIVE_V, AxisName, LightState, World, se
 
 _STEADY = LightState(output=True, low_v=FULL_DRIVE_V, high_v=FULL_DRIVE_V)
 _LONGEST_S = 100.0
-
-
-class Window(Sensor):
-    """A sensor of some of a camera's pixels."""
-
-    @property
-    def gains(self) -> NDArray[np.uint32]:
-        """(height, width) uint32, thresholds of the pixels as stored; a view."""
-        return self._pixels.gains[:, : self.width, sensor_state.GAINS]
-
-    def take_gains(self, gains: NDArray[np.uint32]) -> None:
-        """Take the thresholds of other pixels, (height, width) uint32, as stored."""
-        self._pixels.gains[:, : self.width, sensor_state.GAINS] = gains
-
-
-class Part(NamedTuple):
-    """One light, and the sensor that sees it."""
-
-    light: ImageOfLight
-    sensor: Window
 
 
 class ManyLightsSensor:
@@ -83,13 +61,13 @@ class ManyLightsSensor:
         self._clock_s = float(np.random.default_rng(seed.spawn(1)[0]).uniform(0.0, _LONGEST_S))
         self._now_us = 0.0
         self._whole = self._sensor(self.width, self.height, truth.noise)
-        self.parts: list[Part] = []
+        self.parts: list[tuple[ImageOfLight, Sensor]] = []
         self._truth, self._angles = truth, dict(angles_deg)
 
-    def _sensor(self, width: int, height: int, noise: NoiseTruth) -> Window:
+    def _sensor(self, width: int, height: int, noise: NoiseTruth) -> Sensor:
         """Return a sensor with a seed of its own."""
         seed = self._seed.spawn(1)[0]
-        return Window(
+        return Sensor(
             width, height, noise=noise, settings=self._settings, camera_seed=self._camera_seed, seed=seed
         )
 
@@ -132,8 +110,8 @@ class ManyLightsSensor:
         for light in images_of_lights(self._truth, self._angles):
             height, width = light.share.shape
             sensor = self._sensor(width, height, quiet)
-            sensor.take_gains(gains[light.top : light.top + height, light.left : light.left + width])
-            self.parts.append(Part(light, sensor))
+            sensor.gains[:] = gains[light.top : light.top + height, light.left : light.left + width]
+            self.parts.append((light, sensor))
 
     def _for_each(
         self,
@@ -230,9 +208,7 @@ class SensorStream:
         asked_s = world.now_s()
         self._light = world.light(asked_s)
         key = stream_key(world, camera, asked_s)
-        repeat = repeats.get(key, 0)
-        repeats[key] = repeat + 1
-        seeds = _seed(world.seed, key, repeat)
+        seeds = world.recording_seed(key, repeats)
         rng = np.random.default_rng(seeds)
         phase = float(rng.random())
         self._vibration_phases = float(rng.random()), float(rng.random())
@@ -425,9 +401,3 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
     if setup.board != start.board:
         key["board"] = repr(setup.board)
     return json.dumps(key, sort_keys=True)
-
-
-def _seed(seed: int, key: str, repeat: int) -> np.random.SeedSequence:
-    """Return the seeds of a stream, from the world's seed, a digest of the key, and the count."""
-    digest = hashlib.sha256(key.encode()).digest()
-    return np.random.SeedSequence([seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])

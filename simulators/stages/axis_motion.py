@@ -16,7 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, cast
+from typing import ClassVar, Literal, NamedTuple, cast
 
 from simulators.world.trajectory import LoadTrajectory, MotorTrajectory
 
@@ -337,7 +337,7 @@ class Unit(ABC):
         self._boot_ends_s = now_s
 
     @abstractmethod
-    def _power_up(self, t_s: float) -> None:
+    def _power_up(self) -> None:
         """Set the state after power-up."""
 
     @abstractmethod
@@ -363,8 +363,13 @@ class Unit(ABC):
         """Reboot: no answers for a while, then the state after power-up; references are lost, counters are 0."""
         for axis in self._moved:
             axis.restart(t_s)
-        self._power_up(t_s)
+        self._power_up()
         self._boot_ends_s = t_s + self._boot_s
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Replace it by another one of its kind, fresh from power-up; most kinds tell a serial number."""
+        del serial
+        self.restart(t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press or release the emergency stop, which cuts the power; released, nothing happens if it was not cut."""
@@ -417,6 +422,29 @@ class Controller(Unit):
         """Take whole messages from the buffer, and return their answers."""
 
 
+class SingleController(Controller):
+    """A controller of one axis with a line of its own, whose serial number has digits only."""
+
+    BOOT_S: ClassVar[float]
+    BYTE_TIMEOUT_S: ClassVar[float]
+
+    def __init__(
+        self,
+        model: AxisModel,
+        clock: Callable[[], float],
+        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
+    ) -> None:
+        self.model = model
+        self.axis = Axis(model.mechanics, clock(), publish)
+        super().__init__([self.axis], clock, boot_s=self.BOOT_S, byte_timeout_s=self.BYTE_TIMEOUT_S)
+        self._power_up()
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """See `Unit.exchange`; serial number 0 if the given one is not a number."""
+        self.model = replace(self.model, serial=serial if serial.isdigit() else "0")
+        self.restart(t_s)
+
+
 @dataclass
 class AxisOfController:
     """One of several axes of a controller, for faults: what happens to the controller happens to all its axes."""
@@ -427,6 +455,10 @@ class AxisOfController:
     def restart(self, t_s: float) -> None:
         """See `AxisController.restart`."""
         self.controller.restart(t_s)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """See `AxisController.exchange`."""
+        self.controller.exchange(serial, t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """See `AxisController.emergency_stop`."""

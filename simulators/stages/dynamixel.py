@@ -148,17 +148,17 @@ class DynamixelServo(Unit):
         self._model_number = _MODEL_NUMBER
         self._values = {address: field.usual for address, field in _FIELDS.items()}
         self._values[7] = number
-        self._power_up(now_s)
+        self._power_up()
 
-    def _power_up(self, t_s: float) -> None:
+    def _power_up(self) -> None:
         for address, field in _FIELDS.items():
             if address >= _FIRST_VOLATILE:
                 self._values[address] = field.usual
         self.registered = b""
         self._errors = 0
-        self._turns = 0
-        self._turns = -(self._position(t_s) // _TURN)
-        self._values[116] = self._position(t_s)
+        at_rest_s = self.axis.motor.start_s
+        self._count_turns(at_rest_s)
+        self._values[116] = self._position(at_rest_s)
 
     # ------------------------------------------------------------------ state
     @property
@@ -168,6 +168,11 @@ class DynamixelServo(Unit):
 
     def _position(self, t_s: float) -> int:
         return round(self.axis.motor.position(t_s)) + _MIDDLE + _TURN * self._turns
+
+    def _count_turns(self, t_s: float) -> None:
+        """Count turns from the present one."""
+        self._turns = 0
+        self._turns = -(self._position(t_s) // _TURN)
 
     def table(self, t_s: float) -> bytes:
         """Return the whole control table."""
@@ -231,8 +236,7 @@ class DynamixelServo(Unit):
         elif address == 64 and not value:
             self.axis.halt(t_s)
         elif address == 11:
-            self._turns = 0
-            self._turns = -(self._position(t_s) // _TURN)
+            self._count_turns(t_s)
         elif address == 116:
             if not self._values[64] and self._values[10] & 0x08:
                 self._values[64] = 1
@@ -259,10 +263,9 @@ class DynamixelServo(Unit):
             self.axis.halt(t_s)
 
     def clear_turns(self, t_s: float) -> None:
-        """Count turns from the present one."""
+        """Count turns from the present one, unless the servo moves."""
         if not self.axis.busy(t_s):
-            self._turns = 0
-            self._turns = -(self._position(t_s) // _TURN)
+            self._count_turns(t_s)
 
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the servo by another model, fresh from power-up; ``serial`` is its number, else XM430-W350."""
@@ -413,9 +416,3 @@ class DynamixelBus:
                 data = struct.pack("<H", first) + rest[at + 1 : at + 1 + count]
                 self._execute(by_id[rest[at]], 0x03, data, now)
         return b""
-
-    # ------------------------------------------------------------------ events outside the protocol
-    def cut_power(self, t_s: float, *, restored: bool = False) -> None:
-        """Cut the power of the bus, or restore it; nothing happens if it was never cut."""
-        for servo in self.servos.values():
-            servo.emergency_stop(t_s, released=restored)

@@ -81,7 +81,7 @@ class EspAxis(AxisOfController):
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the stage by another one of this model, and restart the controller."""
         self.model = replace(self.model, serial=serial)
-        self.controller.restart(t_s)
+        super().exchange(serial, t_s)
 
     @property
     def scale(self) -> float:
@@ -108,11 +108,10 @@ class EspController(Controller):
             for number, model in enumerate(models, start=1)
         }
         self._stop_pressed = False
-        self._power_up(clock())
+        self._power_up()
         self._axis_commands = self._known_axis_commands()
 
-    def _power_up(self, t_s: float) -> None:
-        del t_s
+    def _power_up(self) -> None:
         self._buffer = b""
         self._commands: deque[str] = deque()
         self._waiting_for: EspAxis | None = None

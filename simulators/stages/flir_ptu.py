@@ -79,12 +79,6 @@ class PtuAxis(AxisOfController):
             "XU": end,
         }
 
-    def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the unit by another one, fresh from power-up."""
-        assert isinstance(self.controller, PtuController)
-        self.controller.serial = serial
-        self.controller.restart(t_s)
-
 
 class PtuController(Controller):
     """The unit; ``serial`` is the answer to ``VS``."""
@@ -103,11 +97,10 @@ class PtuController(Controller):
         super().__init__(moved.values(), clock, baud=baud, boot_s=_BOOT_S)
         self.serial = serial
         self.axes = {letter: PtuAxis(self, moved[letter], letter, model) for letter, model in models.items()}
-        self._power_up(clock())
+        self._power_up()
         self._banner = b""
 
-    def _power_up(self, t_s: float) -> None:
-        del t_s
+    def _power_up(self) -> None:
         self._buffer = b""
         self._banner = b"### Pan-Tilt Controller ###\r\n"
         self._waiting: deque[str] = deque()
@@ -273,6 +266,11 @@ class PtuController(Controller):
         return "*"
 
     # ------------------------------------------------------------------ events outside the protocol
+    def exchange(self, serial: str, t_s: float) -> None:
+        """See `Unit.exchange`."""
+        self.serial = serial
+        self.restart(t_s)
+
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         del event, t_s
         (one,) = (one for one in self.axes.values() if one.axis is axis)

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from simulators.stages.axis_motion import Axis, AxisModel, AxisOfController, MotionEvent, Unit
+from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, Unit
 from simulators.stages.grbl_planner import (
     Block,
     GcodeError,
@@ -35,7 +34,10 @@ State = Literal["Idle", "Run", "Jog", "Home", "Alarm", "Check", "Sleep"]
 SOFT_LIMITS, HOMING_ENABLED = 20, 22
 _HELP: Final = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
 _ZERO: Final = "0.000,0.000,0.000"
-_OFFSETS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
+_OFFSETS: Final = "".join(
+    f"[{name}:{_ZERO}]\r\n" for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
+)
+"""Work offsets, which are all zero."""
 
 
 class Answered(Exception):
@@ -222,7 +224,13 @@ class GrblController(Unit):
 
     # ------------------------------------------------------------------ commands that begin with $
     def _system(self, command: str) -> None:
-        always = {"": self._help, "$": self._list, "G": self._modes, "C": self._check, "X": self._unlock}
+        always: dict[str, Callable[[], None]] = {
+            "": lambda: self._say(_HELP),
+            "$": self._list,
+            "G": self._modes,
+            "C": self._check,
+            "X": self._unlock,
+        }
         if command in always:
             always[command]()
             return
@@ -230,12 +238,12 @@ class GrblController(Unit):
             raise GcodeError(3)
         if self._state not in {"Idle", "Alarm"}:
             raise GcodeError(8)
-        at_rest = {
-            "#": self._offsets,
+        at_rest: dict[str, Callable[[], None]] = {
+            "#": lambda: self._say(f"{_OFFSETS}[TLO:0.000]\r\n[PRB:{_ZERO}:0]\r\n"),
             "H": self._home,
             "SLP": self._sleep,
-            "I": self._build,
-            "N": self._start_lines,
+            "I": lambda: self._say(f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"),
+            "N": lambda: self._say("$N0=\r\n$N1=\r\n"),
         }
         if command in at_rest:
             at_rest[command]()
@@ -252,19 +260,8 @@ class GrblController(Unit):
         else:
             self._set(command)
 
-    def _help(self) -> None:
-        self._output += _HELP
-
-    def _offsets(self) -> None:
-        """List the work offsets; they are all zero."""
-        self._output += "".join(f"[{name}:{_ZERO}]\r\n" for name in _OFFSETS)
-        self._output += f"[TLO:0.000]\r\n[PRB:{_ZERO}:0]\r\n"
-
-    def _start_lines(self) -> None:
-        self._output += "$N0=\r\n$N1=\r\n"
-
-    def _build(self) -> None:
-        self._output += f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"
+    def _say(self, text: str) -> None:
+        self._output += text
 
     def _modes(self) -> None:
         modes = f"{self._motion} G54 G17 G21 {self._distance} G94 M5 M9 T0 F{self._feed:g} S0"
@@ -411,13 +408,12 @@ class GrblController(Unit):
         self._planner.halt(t_s)
         self._alarm(1)
 
-    def _power_up(self, t_s: float) -> None:
-        del t_s
+    def _power_up(self) -> None:
         self._reset_state("Alarm" if self.settings[HOMING_ENABLED] else "Idle")
 
-    def exchange(self, name: str, t_s: float) -> None:
-        """Replace the board by another one with factory settings."""
-        self.name = name
+    def exchange(self, serial: str, t_s: float) -> None:
+        """See `Unit.exchange`. GRBL has no serial number, but a name that a user gives it by ``$I=``."""
+        self.name = serial
         self.settings.clear()
         self.settings.update(self._factory)
         self.restart(t_s)
@@ -431,13 +427,3 @@ class GrblController(Unit):
             self._planner.halt(t_s)
             self._state = "Alarm"
             self._output = ""
-
-
-@dataclass
-class GrblAxis(AxisOfController):
-    """One axis of a controller, for fault injection."""
-
-    def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the board by another one: GRBL has no serial number, but a name that a user gives it by ``$I=``."""
-        assert isinstance(self.controller, GrblController)
-        self.controller.exchange(serial, t_s)

@@ -15,17 +15,12 @@ completed are dropped after 0.5 s, and what the unit does at unknown ids (nothin
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, AxisModel, Controller, MotionEvent
-from simulators.world.trajectory import LoadTrajectory
+from simulators.stages.axis_motion import Axis, MotionEvent, SingleController
 
 _COMPUTER: Final = 0x01
 _UNIT: Final = 0x50
-_BYTE_TIMEOUT_S: Final = 0.5
-_BOOT_S: Final = 1.0
 _UPDATE_S: Final = 0.1
 _HOME_SPEED_DEG_S: Final = 10.0
 """Speed of homing; the last part is ten times slower."""
@@ -43,19 +38,11 @@ _TRACKING, _SETTLED, _DOES_NOT_FOLLOW = 0x1000, 0x2000, 0x4000
 _POWER_OK, _ENABLED = 0x1000_0000, 0x8000_0000
 
 
-class AptController(Controller):
+class AptController(SingleController):
     """The controller; its model's name is "K10CR1", the usual one, or "KDC101"."""
 
-    def __init__(
-        self,
-        model: AxisModel,
-        clock: Callable[[], float],
-        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
-    ) -> None:
-        self.model = model
-        self.axis = Axis(model.mechanics, clock(), publish)
-        super().__init__([self.axis], clock, boot_s=_BOOT_S, byte_timeout_s=_BYTE_TIMEOUT_S)
-        self._power_up(clock())
+    BOOT_S = 1.0
+    BYTE_TIMEOUT_S = 0.5
 
     @property
     def _name(self) -> str:
@@ -72,8 +59,7 @@ class AptController(Controller):
             return _SERVO_PERIOD_S * 65_536.0, _SERVO_PERIOD_S**2 * 65_536.0
         return 53.68, 1.0 / 90.9
 
-    def _power_up(self, t_s: float) -> None:
-        del t_s  # updates count from the moment at which the restart is noticed
+    def _power_up(self) -> None:
         self._buffer = b""
         self._kept = {number: bytes(length) for number, length in _KEPT.items()}
         speed, acceleration = self._speed_units()
@@ -82,7 +68,7 @@ class AptController(Controller):
         self._kept[0x0413] = struct.pack("<Hiii", 1, 0, ramp, round(self.model.speed_deg_s * scale * speed))
         self._enabled = True
         self._updates = False
-        self._updated_at_s = self._clock()
+        self._updated_at_s = self._clock()  # the moment at which a restart is noticed
         self._unanswered = 0
         self._switches = 0
         self._does_not_follow = False
@@ -119,7 +105,7 @@ class AptController(Controller):
 
     def _end_of_motion(self, now: float) -> bytes:
         if self._motion == "home":
-            return struct.pack("<HBBBB", 0x0444, 1, 0, _COMPUTER, _UNIT)
+            return self._short(0x0444, 1, 0)
         return self._long(0x0464 if self._motion == "move" else 0x0466, self._update(now))
 
     def _long(self, number: int, content: bytes) -> bytes:
@@ -241,11 +227,6 @@ class AptController(Controller):
         return bits | (_DOES_NOT_FOLLOW if self._does_not_follow else 0)
 
     # ------------------------------------------------------------------ events outside the protocol
-    def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one of this model; serial number 0 if the given one is not a number."""
-        self.model = replace(self.model, serial=serial if serial.isdigit() else "0")
-        self.restart(t_s)
-
     def switch_off_channel(self, t_s: float) -> None:
         """Switch the channel off at the panel."""
         self._enable(False, t_s)

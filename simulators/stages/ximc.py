@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, AxisModel, Controller, MotionEvent
+from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, SingleController
 from simulators.world.trajectory import LoadTrajectory
 
 #: Microsteps per step; positions use them in each mode of the motor.
@@ -46,8 +45,6 @@ LAYOUTS: Final = {
     "fbs": (struct.Struct("<HBBI4x"), 12),
 }
 
-_BYTE_TIMEOUT_S: Final = 0.4
-_BOOT_S: Final = 0.5
 _HOME_SPEED_DEG_S: Final = 20.0
 """Speed of homing; the last part is ten times slower."""
 _COUNTS_PER_STEP: Final = 20
@@ -112,8 +109,11 @@ def to_steps(counts: int) -> tuple[int, int]:
     return sign * whole, sign * fraction
 
 
-class XimcController(Controller):
+class XimcController(SingleController):
     """The controller; the limits of its axis are its borders at power-up, at which it stops."""
+
+    BOOT_S = 0.5
+    BYTE_TIMEOUT_S = 0.4
 
     def __init__(
         self,
@@ -121,17 +121,13 @@ class XimcController(Controller):
         clock: Callable[[], float],
         publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
-        self.model = model
-        self.axis = Axis(model.mechanics, clock(), publish)
-        super().__init__([self.axis], clock, boot_s=_BOOT_S, byte_timeout_s=_BYTE_TIMEOUT_S)
+        super().__init__(model, clock, publish)
         self._counts_per_step = _COUNTS_PER_STEP if model.encoder else 0
         self._settings = self._factory_settings()
         self._stop_pressed = False
         self._commands = self._known_commands()
-        self._power_up(clock())
 
-    def _power_up(self, t_s: float) -> None:
-        del t_s
+    def _power_up(self) -> None:
         self._buffer = b""
         self._command = self._flags = self._edges = 0
         self._failed = False
@@ -306,10 +302,9 @@ class XimcController(Controller):
             self._flags |= _ALARM
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one of this model; serial number 0 if the given one is not a number."""
-        self.model = replace(self.model, serial=serial if serial.isdigit() else "0")
+        """See `SingleController.exchange`."""
+        super().exchange(serial, t_s)
         self._settings = self._factory_settings()
-        self.restart(t_s)
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         self._failed = True

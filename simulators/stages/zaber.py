@@ -300,7 +300,7 @@ class ZaberController(Unit):
         self._state.flags.add("FH")
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one of this model, fresh from power-up."""
+        """See `Unit.exchange`."""
         self.model = replace(self.model, serial=serial)
         self._state = self._as_delivered()
         self.restart(t_s)
@@ -315,8 +315,7 @@ class ZaberController(Unit):
         super().restart(t_s)
         self._moved = (self.axis,)
 
-    def _power_up(self, t_s: float) -> None:
-        del t_s
+    def _power_up(self) -> None:
         self._state.flags.clear()
         self._state.was_busy = False
 

@@ -38,6 +38,10 @@ from simulators.reading import (
 
 FloatArray = NDArray[np.float64]
 
+Shake = tuple[float, float, float, float, float, float]
+STILL: Final[Shake] = (0.0,) * 6
+"""No displacement: three mm and three degrees."""
+
 BOARD_KINDS: Final = ("checkerboard", "circles", "asymmetric-circles", "blinking-dots", "stars")
 """What a board shows. ``stars`` is the printed star target itself, of section ``target``."""
 
@@ -185,7 +189,7 @@ class BoardTruth(Section):
         default=(-1.0, -1.0, 1.0, 1.0), metadata=COMPUTED
     )
     state: BoardState = field(default_factory=BoardState, metadata=COMPUTED)
-    shake: tuple[float, float, float, float, float, float] = field(default=(0.0,) * 6, metadata=COMPUTED)
+    shake: Shake = field(default=STILL, metadata=COMPUTED)
 
     @property
     def present(self) -> bool:
@@ -338,7 +342,7 @@ class HandShake:
         self._hz = _drawn_frequencies(hand.shake_spectrum, rng, (6, _WAVES))
         self._phases = rng.random((6, _WAVES))
 
-    def at(self, t_s: float) -> tuple[float, float, float, float, float, float]:
+    def at(self, t_s: float) -> Shake:
         """Return the displacement at a time: three mm and three degrees, as `BoardTruth.shake`."""
         waves = np.sin(2.0 * math.pi * (self._hz * t_s + self._phases)).sum(axis=1) * math.sqrt(2.0 / _WAVES)
         x, y, z, a, b, c = (self._rms * waves).tolist()

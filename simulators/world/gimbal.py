@@ -13,7 +13,7 @@ with u = (cos n, -sin n, 0), n the non-orthogonality, and M the camera on its he
 zero at the readings 0. Errors of an encoder and of bearings are described so in ISO 230-7 and by Slocum, Precision
 Machine Design (1992); their size and random numbers are this project's own.
 
-The backlash acts in the gear, before these errors; see `load_angles_deg`. This module uses no devices and no optics.
+The backlash acts in the gear, before these errors; see `Gears`. This module uses no devices and no optics.
 """
 
 from __future__ import annotations
@@ -230,15 +230,21 @@ def rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float] | l
     return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
 
 
-def load_angles_deg(
-    angles_deg: Mapping[str, float], sides: Mapping[str, float], gimbal: GimbalTruth
-) -> dict[str, float]:
-    """Return the angles of the loads by axis, behind the play of their gears.
+class Gears:
+    """Gears with play. Own rule: a load stands half of the play behind its motor, on the side that it came from."""
 
-    Own rule: a load stands half of the play behind its motor, on the side that it came from. ``sides`` are the
-    directions of each axis's last motion: +1, -1, or 0 if it has not moved; missing = 0.
-    """
-    play = dict(zip(AXES, gimbal.backlash_deg, strict=True))
-    return {
-        name: angle - 0.5 * play.get(name, 0.0) * sides.get(name, 0.0) for name, angle in angles_deg.items()
-    }
+    def __init__(self, gimbal: GimbalTruth) -> None:
+        self._play_deg = dict(zip(AXES, gimbal.backlash_deg, strict=True))
+        self._read_deg: dict[str, float] = {}
+        self._sides: dict[str, float] = {}  # Direction of each axis's last motion: +1 or -1
+
+    def load_angles_deg(self, angles_deg: Mapping[str, float]) -> dict[str, float]:
+        """Return the angles of the loads by axis, which came from the angles given before; at first from 0."""
+        for name, angle in angles_deg.items():
+            if way := angle - self._read_deg.get(name, 0.0):
+                self._sides[name] = math.copysign(1.0, way)
+        self._read_deg = dict(angles_deg)
+        return {
+            name: angle - 0.5 * self._play_deg.get(name, 0.0) * self._sides.get(name, 0.0)
+            for name, angle in angles_deg.items()
+        }

@@ -7,6 +7,7 @@ protocol and no optics. `World` is thread-safe.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import threading
 import time
@@ -201,12 +202,15 @@ class AxisMotion:
 class History(Generic[_State]):
     """A state over time: past states can be looked up; ``first`` holds before the first one that is appended."""
 
+    KEPT_S = 120.0
+    """How long past states are kept, s."""
+
     def __init__(self, first: _State) -> None:
         self._since: list[float] = [-math.inf]
         self._states: list[_State] = [first]
 
     def append(self, since_s: float, state: _State) -> None:
-        """Set the state from a moment on."""
+        """Set the state from a moment on; states that ended ``KEPT_S`` before it are dropped."""
         if since_s < self._since[-1]:
             raise SimulationMisuse(
                 f"A state at {since_s} s cannot follow one at {self._since[-1]} s.",
@@ -214,6 +218,9 @@ class History(Generic[_State]):
             )
         self._since.append(since_s)
         self._states.append(state)
+        first = bisect_right(self._since, since_s - self.KEPT_S) - 1
+        del self._since[:first]
+        del self._states[:first]
 
     def at(self, t_s: float) -> _State:
         """Return the state at a moment."""
@@ -224,18 +231,9 @@ class History(Generic[_State]):
         """State that was appended last."""
         return self._states[-1]
 
-    def forget_before(self, t_s: float) -> None:
-        """Drop states that ended before a moment."""
-        first = bisect_right(self._since, t_s) - 1
-        del self._since[:first]
-        del self._states[:first]
-
 
 class World:
     """Physical state of the simulated bench; ``clock`` is its time, s, by default the machine's."""
-
-    HISTORY_S = 120.0
-    """How long past states are kept, s."""
 
     def __init__(
         self,
@@ -259,24 +257,28 @@ class World:
         """Return the world time."""
         return self._clock()
 
+    def recording_seed(self, key: str, repeats: dict[str, int]) -> np.random.SeedSequence:
+        """Return the seeds of a recording, whose content ``key`` tells; ``repeats`` counts those with the same."""
+        repeat = repeats.get(key, 0)
+        repeats[key] = repeat + 1
+        digest = hashlib.sha256(key.encode()).digest()
+        return np.random.SeedSequence([self.seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])
+
     # ------------------------------------------------------------- written by stages and lights
 
     def set_axis(self, name: AxisName, motion: AxisMotion, *, since_s: float | None = None) -> None:
         """Set an axis's motion from a world time (None: now) on; `SimulationMisuse` before the last one's."""
         with self._lock:
             since = self.now_s() if since_s is None else since_s
-            if name not in self._axes:
+            if name in self._axes:
+                self._axes[name].append(since, motion)
+            else:
                 self._axes[name] = History(motion)
-                return
-            self._axes[name].append(since, motion)
-            self._axes[name].forget_before(since - self.HISTORY_S)
 
     def set_light(self, state: LightState, *, since_s: float | None = None) -> None:
         """Set the state of the light from a world time (None: now) on; before the previous state's, it is refused."""
         with self._lock:
-            since = self.now_s() if since_s is None else since_s
-            self._light.append(since, state)
-            self._light.forget_before(since - self.HISTORY_S)
+            self._light.append(self.now_s() if since_s is None else since_s, state)
 
     def change_setup(
         self, change: Callable[[CameraSetup], CameraSetup], *, since_s: float | None = None
@@ -286,7 +288,6 @@ class World:
             since = self.now_s() if since_s is None else since_s
             setup = change(self._setup.latest)
             self._setup.append(since, setup)
-            self._setup.forget_before(since - self.HISTORY_S)
         return setup
 
     # ------------------------------------------------------------- read by the camera

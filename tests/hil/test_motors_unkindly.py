@@ -100,6 +100,11 @@ def test_homing_holds_an_axis_where_it_stands(gimbal) -> None:
     assert gimbal.open().is_homed()
 
 
+def cut_power(gimbal: Gimbal, *, restored: bool = False) -> None:
+    for servo in gimbal.bus.servos.values():
+        servo.emergency_stop(gimbal.clock.now_s, released=restored)
+
+
 def test_lost_power_is_noticed_and_the_angle_is_right_again_after_homing() -> None:
     gimbal = Gimbal(start_deg=-5.0, zero_count=10)
     # The servo counts 2048 at angle 0 of its own; with zero_count 10, the angle of the axis differs by a constant.
@@ -111,10 +116,10 @@ def test_lost_power_is_noticed_and_the_angle_is_right_again_after_homing() -> No
         for target in (offset_deg - 12.0, offset_deg + 12.0):
             stage.move_to({"pan": target})
             assert gimbal.true_deg() == pytest.approx(target - offset_deg, abs=0.1)
-        gimbal.bus.cut_power(gimbal.clock.now_s)
+        cut_power(gimbal)
         with pytest.raises(DriverError):
             stage.move_to({"pan": offset_deg})
-        gimbal.bus.cut_power(gimbal.clock.now_s, restored=True)
+        cut_power(gimbal, restored=True)
         gimbal.clock.sleep(1.0)
         assert not stage.is_homed()
         assert "pan: the torque is off" in stage.faults()

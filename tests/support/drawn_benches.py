@@ -19,7 +19,7 @@ from calib.model.rotation import exp_map
 from calib.view import View
 from simulators.optics import picture as optics
 from simulators.world.drift import drift_since_on_arcsec
-from simulators.world.gimbal import GimbalTruth, load_angles_deg
+from simulators.world.gimbal import Gears, GimbalTruth
 from simulators.world.truth import (
     COLLIMATORS,
     CameraTruth,
@@ -161,17 +161,11 @@ def draw_repeats(
 
 def _loads(poses: Sequence[Mapping[str, float]], truth: Truth) -> list[dict[str, float]]:
     """Return the angles of the loads in each pose, degrees: behind the backlash, and with the drift of the mount."""
-    sides: dict[str, float] = {}
-    last: Mapping[str, float] = {}
-    loads = []
+    gears, loads = Gears(truth.gimbal), []
     for number, pose in enumerate(poses):
-        for axis in pose:
-            moved = pose[axis] - last.get(axis, 0.0)
-            sides[axis] = math.copysign(1.0, moved) if moved else sides.get(axis, 0.0)
         drift = dict(zip(("pan", "tilt"), drift_since_on_arcsec(truth.mount, POSE_S * number), strict=True))
-        behind = load_angles_deg(pose, sides, truth.gimbal)
+        behind = gears.load_angles_deg(pose)
         loads.append({axis: angle + drift.get(axis, 0.0) / 3600.0 for axis, angle in behind.items()})
-        last = pose
     return loads
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.errors import ConfigError, SimulatorError
+from simulators.errors import ConfigError
 from simulators.faults.catalogue import (
     FaultOrder,
     fault_order,
@@ -156,8 +156,3 @@ def test_jitter_is_bounded_even_and_of_each_edge_its_own():
     assert len(np.unique(late)) > 800
     alone = carried(SyncLine(jitter_us=500.0), 5, 1)
     assert set(alone) <= set(carried(SyncLine(jitter_us=500.0)))
-
-
-def test_an_unknown_lamp_fault_is_refused():
-    with pytest.raises(SimulatorError, match="lamp_open"):
-        Lamp(lambda _state: None).inject_fault("burnt")

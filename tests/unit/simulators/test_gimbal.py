@@ -14,10 +14,10 @@ from simulators.optics.picture import true_rotation
 from simulators.world.gimbal import (
     AXES,
     NOISE_STEP_DEG,
+    Gears,
     GimbalTruth,
     drawn_errors,
     gimbal_rotation,
-    load_angles_deg,
     rotation_matrix,
     true_angles_deg,
 )
@@ -140,10 +140,10 @@ def test_the_camera_may_stand_crooked_on_its_head():
 
 
 def test_a_load_stands_half_the_play_behind_its_motor():
-    gimbal = GimbalTruth(backlash_deg=(0.03, 0.01, 0.0))
-    angles = {"pan": 2.0, "tilt": -1.0}
-    assert load_angles_deg(angles, {"pan": 1.0, "tilt": -1.0}, gimbal) == {"pan": 1.985, "tilt": -0.995}
-    assert load_angles_deg(angles, {}, gimbal) == angles
+    gears = Gears(GimbalTruth(backlash_deg=(0.03, 0.01, 0.0)))
+    assert gears.load_angles_deg({"pan": 0.0, "tilt": 0.0}) == {"pan": 0.0, "tilt": 0.0}
+    for _ in range(2):  # the second time, no axis moves
+        assert gears.load_angles_deg({"pan": 2.0, "tilt": -1.0}) == {"pan": 1.985, "tilt": -0.995}
 
 
 def test_one_section_of_the_configuration_holds_all_errors():

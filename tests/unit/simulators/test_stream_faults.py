@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from simulators.cameras.streaming import StreamFault, StreamFaults
-from simulators.errors import SimulatorError
 
 FRAME = np.array([0x8123, 0x6001, 0x0010, 0x2005, 0x8005, 0x6002], "<u2")
 
@@ -48,8 +47,3 @@ def test_a_jump_of_the_clock_and_silence_last(kind):
 
 def test_without_faults_frames_arrive_unchanged():
     assert carried(frames=2) == [WHOLE, WHOLE]
-
-
-def test_an_unknown_fault_is_refused():
-    with pytest.raises(SimulatorError, match="frames_lost"):
-        carried(StreamFault("hiccup"))
