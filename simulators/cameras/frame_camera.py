@@ -49,15 +49,7 @@ class PictureMaker:
 
     def connection_seed(self) -> np.random.SeedSequence:
         """Return a connection's seed: of bench, resting pose, light, and the number of earlier ones with the same."""
-        now_s = self._world.now_s()
-        key = json.dumps(
-            {
-                "microsteps": dict(self._world.resting_microsteps(now_s)),
-                "settled": self._world.is_settled(now_s),
-                "light": self._world.light(now_s).settings(),
-            },
-            sort_keys=True,
-        )
+        key = json.dumps(self._world.situation(self._world.now_s()), sort_keys=True)
         return self._world.recording_seed(key, self._repeats)
 
     def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:

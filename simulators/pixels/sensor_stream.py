@@ -379,14 +379,8 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
     It holds resting pose, light and camera settings; also temperature, drift and shift of the mount, if they are
     simulated, and what a person has changed at the camera since the start.
     """
-    key: dict[str, Any] = {
-        "microsteps": dict(world.resting_microsteps(at_s)),
-        "settled": world.is_settled(at_s),
-        "light": world.light(at_s).settings(),
-        "biases": dict(camera.biases),
-        "filters": dict(camera.filters),
-        "trigger_in": camera.trigger_in,
-    }
+    key = world.situation(at_s)
+    key |= {"biases": dict(camera.biases), "filters": dict(camera.filters), "trigger_in": camera.trigger_in}
     if drift.has_effect(world.truth.thermal):
         key["temperature_c"] = world.temperature_c(at_s)
     if drift.has_motion(world.truth.mount):

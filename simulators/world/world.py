@@ -14,7 +14,7 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -314,6 +314,14 @@ class World:
         """Return where each axis that was set rests, or will rest, by its motion at a time, in the order of names."""
         with self._lock:
             return {name: h.at(t_s).microsteps for name, h in sorted(self._axes.items())}
+
+    def situation(self, t_s: float) -> dict[str, Any]:
+        """Return what decides the content of a recording at a time: where the axes rest, and the light."""
+        return {
+            "microsteps": dict(self.resting_microsteps(t_s)),
+            "settled": self.is_settled(t_s),
+            "light": self.light(t_s).settings(),
+        }
 
     def light(self, t_s: float) -> LightState:
         """Return the light at a time, a board's as seen, its voltages scaled to the lamp's light at its temperature."""

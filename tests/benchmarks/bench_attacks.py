@@ -9,30 +9,17 @@ the error of fx over U and of the worst of fx, fy, cx, cy and corner; cases that
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-# Before numpy is loaded: on small matrices, threads of the linear algebra cost more than they gain.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+import measured
 import numpy as np
-
-sys.path.append(str(Path(__file__).parents[2]))
 from worlds.attacks import ATTACKS, attacked
-
-#: Seeds whose lens is k1k2.
-SEEDS = [seed for seed in range(100) if seed % 5 in (0, 2)]
+from worlds.polynomial import SEEDS
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--only", nargs="+", default=[""], help="attacks whose name holds one of these words")
     parser.add_argument("--seeds", type=int, default=5, help="number of seeds")
@@ -41,16 +28,10 @@ def main() -> None:
     parser.add_argument("--notes", action="store_true", help="print the notes of the first seed too")
     given = parser.parse_args()
     names = [name for name in ATTACKS if any(word in name for word in given.only)]
-    texts = given.output.read_text().splitlines() if given.output.exists() else []
-    done = {(line["attack"], line["seed"]): line for line in map(json.loads, texts)}
-    missing = [(name, seed) for seed in SEEDS[: given.seeds] for name in names if (name, seed) not in done]
+    done = measured.kept(given.output, lambda line: (line["attack"], line["seed"]))
     if not given.table:
-        with given.output.open("a") as file, ProcessPoolExecutor(given.jobs) as pool:
-            running = {pool.submit(attacked, *key): key for key in missing}
-            for future in as_completed(running):
-                line = done[running[future]] = future.result()
-                file.write(json.dumps(line, ensure_ascii=False) + "\n")
-                file.flush()
+        keys = [(name, seed) for seed in SEEDS[: given.seeds] for name in names]
+        measured.add_missing(given.output, done, keys, attacked, given.jobs)
     print(
         f"{'attack':42s} {'N':>3s} {'right':>5s} {'named':>5s} {'SILENT':>6s} {'ref':>4s} {'fx/U':>6s} {'worst/U':>7s}"
     )

@@ -9,17 +9,11 @@ between the two calibrations. Without images; the stars have noise of .014 px.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+import measured
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[2]))
 from calib.calibration import Calibration, CalibrationOptions
 from calib.engine import calibrate
 from calib.model.gimbal_readings import GimbalReadings
@@ -73,16 +67,13 @@ def expanded(one: Calibration, other: Calibration, name: str) -> float:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", default="100-139")
+    parser = measured.options(__doc__)
+    parser.add_argument("--seeds", type=measured.seeds, default="100-139")
     parser.add_argument("--profile", default="like-bench")
     given = parser.parse_args()
-    first, last = map(int, given.seeds.split("-"))
     called = {(kind, change): 0 for kind in KINDS for change in CHANGES}
     named, sizes = dict.fromkeys(called, 0), {kind: [] for kind in KINDS}
-    for seed in range(first, last + 1):
+    for seed in given.seeds:
         before = stated(given.profile, seed)
         passport, truth = before.passport(), CameraTruth()
         unmoved = later(given.profile, seed, truth, passport, 1)
@@ -98,7 +89,7 @@ def main() -> None:
             )  # fmt: skip
             called[kind, change] += not checked.right
             named[kind, change] += not checked.right and checked.cause == kind
-    benches = last - first + 1
+    benches = len(given.seeds)
     print(f"| {benches} benches | " + " | ".join(f"moved by {change:g} U" for change in CHANGES) + " |")
     print("| --- |" + " --- |" * len(CHANGES))
     for kind in KINDS:

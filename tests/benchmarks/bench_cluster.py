@@ -30,10 +30,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Self
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
-sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+import measured
 from quick_runs import THREE, write_sequence, write_station
 from varied_runs import make_runs
 
@@ -89,9 +86,7 @@ def main() -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument(
         "--base", type=Path, help="a finished run, in place of a new one of the simulated bench"
@@ -350,6 +345,4 @@ def _busy_share(ends: list) -> float:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "costs", "Many runs while workers are killed")

@@ -9,12 +9,9 @@ The result is text in Markdown, for docs/costs.md.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import os
 import resource
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -23,8 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
-sys.path.insert(0, str(Path(__file__).parents[2]))
+import measured
 
 from bench.base.home import forms
 from bench.cluster.recalculation import ResultsFolders
@@ -46,9 +42,7 @@ _WORKERS = (1, 2, 8, 32, 128)
 
 def main() -> None:
     """Measure, and print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--scaling", type=float, default=1.97, help="speed of two workers against one")
@@ -196,6 +190,4 @@ def _time(seconds: float) -> str:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "costs", "A pose, a run, a night")

@@ -15,14 +15,12 @@ import json
 import os
 import re
 import subprocess
-import sys
 import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
-
+import measured
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, STARBENCH, entering, environment, journal, start
 from servers import WebServer, serving
@@ -196,6 +194,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "faults", "From a fault to a message")

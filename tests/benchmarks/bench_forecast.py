@@ -14,20 +14,13 @@ and 1. The rows use other seeds. A laboratory takes its size from a finished run
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-# Before numpy is loaded: on small matrices, threads of the linear algebra cost more than they gain.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+import measured
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[2]))
 from bench.results.solve_options import limited_numbers
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
@@ -114,16 +107,12 @@ def row(profile: str, poses: int, asked: str, seeds: range) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("--profiles", nargs="+", default=list(ERRORS), choices=ERRORS)
     parser.add_argument("--poses", nargs="+", type=int, default=list(POSES), choices=POSES)
     parser.add_argument("--asked", nargs="+", default=list(ASKED), choices=ASKED)
-    parser.add_argument("--seeds", default="200-202")
+    parser.add_argument("--seeds", type=measured.seeds, default="200-202")
     given = parser.parse_args()
-    first, _, last = given.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
     print(
         f"{'profile':<11}{'poses':>5}  {'asked':<12}{'U(fx)':>8}{'stated':>8}{'ratio':>7}"
         f"{'corner':>8}{'stated':>8}{'ratio':>7}{'error':>8}{'U/error':>9}{'CPU':>7}"
@@ -132,7 +121,7 @@ def main() -> None:
     for poses in given.poses:
         for profile in given.profiles:
             for asked in given.asked:
-                one = row(profile, poses, asked, seeds)
+                one = row(profile, poses, asked, given.seeds)
                 ratio, corner = one["expected"] / one["stated"], one["expected_corner"] / one["stated_corner"]
                 rows, within = rows + 1, within + (1 / FACTOR <= ratio <= FACTOR)
                 print(

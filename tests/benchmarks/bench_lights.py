@@ -11,18 +11,17 @@ width of the edges as measured; poses that were refused.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from typing import Any
 
+import measured
 import numpy as np
+from star_scores import event_images, star_scores, whole_stars
 
 from calib.errors import CalibrationError
-from calib.events.event_image import make_images
-from calib.events.flicker import Flicker
 from calib.stars.detect import detect_stars
-from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.optics.picture import TARGET, pose_rotation, render
 from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.pixels.sensor import Sensor
 from simulators.world.truth import NOISE_LEVELS, OpticsTruth, Truth
@@ -81,39 +80,31 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
         "gbit_s": 16e-3 * words / length_us,
         "waited": sensor.stalled_us / length_us,
     }
-    edge_us = -phase * light.period_us % light.period_us
-    flicker = Flicker(light.period_us, edge_us, light.high_share, 0.0, 0, "triggers")
     size = truth.camera.width, truth.camera.height
     try:
-        images = make_images(*events, size, flicker, window_us=(0.0, length_us), periods=periods)
+        images = event_images(events, light, phase, size, length_us, periods)
         found = detect_stars(images.best().image, TARGET)
         view, width_px = found.view, found.edge_width_px
     except CalibrationError:
         return figures
-    errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
-    whole, _ = star_centres(
-        truth,
-        rotation,
-        clearance=0.72,
-        border_px=truth.camera.fx * TARGET.pitch_mm / truth.collimator.r / math.sqrt(2.0),
+    scores = star_scores(view, truth, rotation, whole_stars(truth, rotation))[1]
+    means = {"square": scores["square"] / 2.0 / len(view), "z_square": scores["z_square"] / len(view)}
+    sigma = float(np.median(np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2) / 2.0)))
+    return (
+        figures
+        | scores
+        | means
+        | {
+            "per_edge": images.facts.events_per_edge,
+            "sigma": sigma,
+            "width": width_px,
+        }
     )
-    squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(view.covariances_px2), errors) / 2.0
-    return figures | {
-        "per_edge": images.facts.events_per_edge,
-        "square": float((errors**2).mean()),
-        "sigma": float(np.median(np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2) / 2.0))),
-        "z_square": float(squares.mean()),
-        "missed": len(np.setdiff1d(whole, view.ids)),
-        "whole": len(whole),
-        "width": width_px,
-    }
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("--poses", type=int, default=3)
     parser.add_argument("--rows", choices=tuple(ROWS), action="append")
     options = parser.parse_args()
@@ -146,6 +137,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "stars", "Light and focus")

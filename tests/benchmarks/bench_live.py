@@ -9,17 +9,12 @@ the figures give, and errors of the beam's centre and radius. ``time``: CPU mill
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+import measured
 import numpy as np
 
 from bench.align import live_figures
@@ -31,7 +26,7 @@ from tests.support.live_slices import bench, drive, seen, write_slice
 SETTING = LiveSetting.of_station(load_station("simulated").value, frequency_hz=60.0, light_on=True)
 
 
-def measured(
+def figures(
     folder: Path, truth: Any, angles: dict[str, float], light: Any, meter: LiveMeter, at_s: float
 ) -> LiveFigures:
     """Return the figures of a slice."""
@@ -50,7 +45,7 @@ def focus_rows(folder: Path) -> None:
                 angles = {"pan": 1.0 - number, "tilt": 0.5 * number}
                 light = drive(level, waveform=waveform)
                 found.append(
-                    measured(folder, truth, angles, light, LiveMeter(stars_every_s=0.0), float(number))
+                    figures(folder, truth, angles, light, LiveMeter(stars_every_s=0.0), float(number))
                 )
             columns = []
             for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f"), ("sharpness", ".3f")):
@@ -66,7 +61,7 @@ def turn_rows(folder: Path) -> None:
     for circle, level in ((0.0, 100.0), (10.0, 10.0), (20.0, 10.0)):
         for pan, tilt in ((3.0, -2.0), (-6.0, 4.0), (8.0, 5.0), (12.0, -6.0), (17.0, 0.0)):
             truth, angles = bench(circle_px=circle), {"pan": pan, "tilt": tilt}
-            f = measured(folder, truth, angles, drive(level), LiveMeter(stars_every_s=0.0), 0.0)
+            f = figures(folder, truth, angles, drive(level), LiveMeter(stars_every_s=0.0), 0.0)
             there = {"pan": pan + (f.turn.pan or 0.0), "tilt": tilt + (f.turn.tilt or 0.0)}
             tag = project(np.array([TARGET.tag_centre_mm]), true_rotation(there, truth), truth)[0]
             rotation = true_rotation(angles, truth)
@@ -120,9 +115,7 @@ def time_rows(folder: Path) -> None:
 def main() -> None:
     """Print the tables."""
     rows = {"focus": focus_rows, "turn": turn_rows, "time": time_rows}
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("--rows", choices=tuple(rows), action="append")
     with tempfile.TemporaryDirectory() as folder:
         for name in parser.parse_args().rows or rows:
@@ -130,6 +123,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "align", "Focus and turns")

@@ -6,6 +6,7 @@ established clients (zaber-motion, libximc, pylablib, pymeasure, InstrumentKit, 
 
 from __future__ import annotations
 
+import measured
 import numpy as np
 
 from drivers.errors import DriverError
@@ -74,6 +75,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "faults", "Faults that a stage notices")

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import measured
 import numpy as np
 
 from simulators.optics import picture as optics
@@ -190,6 +191,4 @@ def report() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "simulated-bench", "The simulated sensor")

@@ -9,25 +9,16 @@ uncertainty over it, and how many triples are within U of the value by all views
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import sys
 from pathlib import Path
 
-# Before numpy is loaded: on small matrices, threads of the linear algebra cost more than they gain.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+import measured
 import numpy as np
-
-sys.path.append(str(Path(__file__).parents[2]))
 from worlds.recordings import COUNT, read, robust, solved, triples
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--triples", type=int, default=100)
     parser.add_argument("-o", "--output", type=Path)

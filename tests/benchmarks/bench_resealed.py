@@ -15,9 +15,6 @@ from pathlib import Path
 
 import measured
 
-sys.path.append(str(Path(__file__).parents[2]))
-sys.path.append(str(Path(__file__).parents[1] / "support"))
-
 from bench.evidence.keys import load_key
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.signers import read_signers

@@ -13,7 +13,6 @@ views labelled and refused, stars found of the complete ones, stars wrong by mor
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import re
@@ -23,12 +22,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import measured
 import numpy as np
 from numpy.typing import NDArray
+from star_scores import event_images, star_scores
 
 from calib.errors import CalibrationError
-from calib.events.event_image import make_images
-from calib.events.flicker import Flicker
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
@@ -58,11 +57,8 @@ def image_of(picture: NDArray[Any], kind: str, level: str, rng: np.random.Genera
         events = simulate(
             picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[level], camera_seed=7, seed=seed
         )
-        edge = -phase * light.period_us % light.period_us
-        flicker = Flicker(light.period_us, edge, 0.5, 0.0, 0, "triggers")
         size = picture.shape[1], picture.shape[0]
-        made = make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
-        image = made.best().image
+        image = event_images(events, light, phase, size, WINDOW_US).best().image
     return image.max() - image if rng.random() < 0.5 else image
 
 
@@ -106,16 +102,7 @@ def try_pose(seed: int, number: int) -> Pose:
     except CalibrationError as error:
         return result | {"refused": str(error)}
     cpu_s = time.process_time() - begin
-    off = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
-    squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(view.covariances_px2), off) / 2.0
-    return result | {
-        "stars": len(view),
-        "missed": len(np.setdiff1d(whole, view.ids)),
-        "wrong": int((np.linalg.norm(off, axis=1) > 0.5).sum()),
-        "square": float((off**2).sum()),
-        "z_square": float(squares.sum()),
-        "cpu_s": cpu_s,
-    }
+    return result | star_scores(view, truth, rotation, whole)[1] | {"cpu_s": cpu_s}
 
 
 def line_of(name: str, poses: Sequence[Pose]) -> str:
@@ -154,17 +141,12 @@ def table(poses: Sequence[Pose]) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("--poses", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--store", type=Path)
     options = parser.parse_args()
-    poses: dict[int, Pose] = {}
-    if options.store and options.store.exists():
-        stored = [json.loads(line) for line in options.store.read_text(encoding="utf-8").splitlines()]
-        poses = {pose["number"]: pose for pose in stored}
+    poses = measured.kept(options.store, lambda pose: pose["number"])
     for number in range(options.poses):
         if number not in poses:
             poses[number] = try_pose(options.seed, number)
@@ -175,6 +157,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "stars", "Stars that are named wrongly")

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import math
 import os
 import subprocess
 import sys
@@ -31,15 +30,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
+import measured
 import numpy as np
+from star_scores import event_images, star_scores, whole_stars
 
 from calib.errors import CalibrationError
-from calib.events.event_image import EventImages, make_images
-from calib.events.flicker import Flicker
+from calib.events.event_image import EventImages
 from calib.events.grey_image import to_uint8
 from calib.stars.detect import detect_view
 from calib.view import View
-from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.optics.picture import TARGET, pose_rotation, render
 from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
 from simulators.world.world import LightState
@@ -52,30 +52,23 @@ SCALE, FAR_PX = 500, 0.04
 """Enlargement of drawn errors, and error from which they are red, px."""
 
 
-def simulated(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> tuple[Any, float, float]:
-    """Return the events of a simulated recording, the period of the light, and the time of its first edge, us."""
+def simulated(
+    truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int
+) -> tuple[Any, LightState, float]:
+    """Return the events of a simulated recording, the light, and its phase at the start, in periods."""
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
     picture = render(truth, rotation)
     events = simulate(
         picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[noise], camera_seed=7, seed=seed
     )
-    return events, light.period_us, -phase * light.period_us % light.period_us
+    return events, light, phase
 
 
 def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
     """Return the event images of a simulated recording."""
-    events, period_us, first_edge = simulated(truth, noise, waveform, rotation, seed)
-    flicker = Flicker(period_us, first_edge, 0.5, 0.0, 0, "triggers")
     size = (truth.camera.width, truth.camera.height)
-    return make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
-
-
-def whole_stars(truth: Truth, rotation: Any) -> Any:
-    """Return the ids of the stars whose cells lie completely in the frame and in the bright part of the disc."""
-    pitch_px = truth.camera.fx * TARGET.pitch_mm / truth.collimator.r
-    ids, _ = star_centres(truth, rotation, clearance=0.72, border_px=pitch_px / math.sqrt(2.0))
-    return ids
+    return event_images(*simulated(truth, noise, waveform, rotation, seed), size, WINDOW_US)
 
 
 def measure(
@@ -86,22 +79,8 @@ def measure(
     begin = time.process_time()
     view = detect_view(image, TARGET)
     cpu_s = time.process_time() - begin
-    errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
-    squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(view.covariances_px2), errors) / 2.0
-    whole = whole_stars(truth, rotation)
-    return (
-        view,
-        errors,
-        {
-            "square": float((errors**2).sum()),
-            "z_square": float(squares.sum()),
-            "stars": len(view),
-            "whole": len(whole),
-            "missed": len(np.setdiff1d(whole, view.ids)),
-            "wrong": int((np.linalg.norm(errors, axis=1) > 0.5).sum()),
-            "cpu_s": cpu_s,
-        },
-    )
+    errors, scores = star_scores(view, truth, rotation, whole_stars(truth, rotation))
+    return view, errors, scores | {"cpu_s": cpu_s}
 
 
 def draw(path: Path, image: Any, view: View, errors: Any) -> None:
@@ -214,11 +193,13 @@ def compare_checkouts(old: Path, truth: Truth, poses: list[Any], given: list[Pat
         for number, (waveform, noise) in enumerate((w, n) for w in ("square", "sine") for n in NOISE_LEVELS):
             for pose, rotation in enumerate(poses):
                 seed = 1 + number * len(poses) + pose
-                events, period_us, first_us = simulated(truth, noise, waveform, rotation, seed)
-                edges = np.arange(first_us, WINDOW_US, period_us / 2.0).astype(np.int64)
+                events, light, phase = simulated(truth, noise, waveform, rotation, seed)
+                period_us = light.period_us
+                edges = np.arange(-phase * period_us % period_us, WINDOW_US, period_us / 2.0).astype(np.int64)
                 size = (truth.camera.width, truth.camera.height)
-                arrays = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
-                np.savez(Path(folder) / "r.npz", **arrays, edges=edges, size=size, hz=1e6 / period_us)
+                np.savez(
+                    Path(folder) / "r.npz", **events._asdict(), edges=edges, size=size, hz=1e6 / period_us
+                )
                 rows += compare(old, [(f"{waveform} {noise} {pose}", Path(folder) / "r.npz")], Path(folder))
     before, after = np.mean(rows, axis=0)
     print(f"mean of {len(rows)}: old {before:.3f} s, new {after:.3f} s, ratio {before / after:.2f}")
@@ -226,9 +207,7 @@ def compare_checkouts(old: Path, truth: Truth, poses: list[Any], given: list[Pat
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("--poses", type=int, help="default: 10, with --old 2")
     parser.add_argument("--r", type=float, default=280.0, help="mm, as r of the collimator")
     parser.add_argument("--half-angle", type=float, default=16.0, help="degrees, of the disc")
@@ -284,6 +263,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "stars", "Accuracy of star centres")

@@ -16,6 +16,8 @@ import sys
 import time
 from pathlib import Path
 
+import measured
+
 COMMAND = "import sys; from bench.commands.cli import main; sys.exit(main())"
 WRONG_REMEDIES = ("baud rate", "estart the simulated bench", "simulation section", "defect of the program")
 
@@ -50,20 +52,7 @@ def focal_px(folder: Path) -> str:
         values = json.loads((folder / "results.json").read_text())
     except OSError:
         return "-"
-    return f"{find(values, 'fx'):.6f}"
-
-
-def find(node, name):
-    """Return the first number of that name in nested JSON."""
-    if isinstance(node, dict):
-        if isinstance(node.get(name), int | float):
-            return node[name]
-        node = list(node.values())
-    for child in node if isinstance(node, list) else ():
-        found = find(child, name)
-        if found is not None:
-            return found
-    return None
+    return f"{values['calibration']['camera']['fx']:.6f}"
 
 
 def main() -> int:
@@ -99,6 +88,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "faults", "Twenty runs at once")

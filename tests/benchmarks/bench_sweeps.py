@@ -10,36 +10,25 @@ Rao for the spherical model: at most 1.4. Each part prints U of fx along the way
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-# Before numpy is loaded: on small matrices, threads of the linear algebra cost more than they gain.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+import measured
 import numpy as np
-
-sys.path.append(str(Path(__file__).parents[2]))
 from worlds.bench import NINE, THREE
 from worlds.bound import bound_px
 from worlds.judge import judged
-from worlds.polynomial import draw_world, record
+from worlds.polynomial import SEEDS, draw_world, record
 from worlds.scores import WHAT
 from worlds.sweeps import CHAINS, more_knowledge, more_poses, smooth_errors, steps
 
-#: Seeds whose lens is k1k2.
-SEEDS = [seed for seed in range(100) if seed % 5 in (0, 2)]
 PARTS = ("smooth", "poses", "knowledge", "bound")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = measured.options(__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds")
     parser.add_argument("--known", nargs="+", default=["cr", "c", "r", "0"])

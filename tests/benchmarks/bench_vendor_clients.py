@@ -7,7 +7,6 @@ Clients: zaber-motion, libximc, pymeasure (for the ESP). One that is not install
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import measured
 import numpy as np
 
 from simulators.faults.catalogue import fault_order_from_text
@@ -23,10 +23,7 @@ from simulators.faults.fault_injection import AxisController, BenchParts, fault_
 from simulators.faults.line_faults import FaultLine
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import Dialect, SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.esp301 import EspController
-from simulators.stages.ximc import XimcController
-from simulators.stages.zaber import ZaberChain, ZaberController
+from tests.hil.direct_stages import of_bench
 from tests.hil.mutated import XIMC, ZABER, Change, Mutated
 
 PATIENCE_S = 15.0
@@ -99,44 +96,20 @@ FAULTS = {
 """Orders; the first motion, homing, is let pass."""
 
 
-def mechanics(counts_per_deg: float) -> Mechanics:
-    """Give an axis that stands 1 degree off its reference."""
-    return Mechanics(counts_per_deg, -17.0, 17.0, start_deg=1.0)
-
-
-def zaber() -> tuple[Dialect, AxisController]:
-    """Make a chain of one."""
-    model = AxisModel(mechanics(6400), "100101", speed_deg_s=20.0, acceleration_deg_s2=100.0)
-    controller = ZaberController(model, time.monotonic())
-    return ZaberChain([controller], time.monotonic), controller
-
-
-def ximc() -> tuple[Dialect, AxisController]:
-    """Make one controller."""
-    model = AxisModel(mechanics(25600), "4242", speed_deg_s=20.0, acceleration_deg_s2=100.0)
-    controller = XimcController(model, time.monotonic)
-    return controller, controller
-
-
-def esp() -> tuple[Dialect, AxisController]:
-    """Make a controller with one axis."""
-    controller = EspController([AxisModel(mechanics(10_000), "1263")], time.monotonic)
-    return controller, controller.axes[1]
-
-
 class Family(NamedTuple):
-    """How to make a controller, what is wrong with it in turn, and its maker's client."""
+    """How to make a controller on a clock, what is wrong with it in turn, and its maker's client."""
 
-    make: Callable[[], tuple[Dialect, AxisController]]
+    make: Callable[[Callable[[], float]], tuple[Dialect, AxisController]]
     changes: Mapping[str, Change]
     client: str
     script: str
 
 
+SLOW = {"start_deg": 1.0, "speed_deg_s": 20.0, "acceleration_deg_s2": 100.0}
 FAMILIES: Mapping[str, Family] = {
-    "zaber": Family(zaber, ZABER, "zaber-motion", ZABER_MOTION),
-    "ximc": Family(ximc, XIMC, "libximc", LIBXIMC),
-    "esp": Family(esp, {}, "pymeasure", PYMEASURE),
+    "zaber": Family(of_bench("zaber", 6400, **SLOW), ZABER, "zaber-motion", ZABER_MOTION),
+    "ximc": Family(of_bench("ximc", 25_600, "4242", **SLOW), XIMC, "libximc", LIBXIMC),
+    "esp": Family(of_bench("esp301", 10_000, "1263", start_deg=1.0), {}, "pymeasure", PYMEASURE),
 }
 
 
@@ -165,21 +138,13 @@ def both(family: str, wrap: Callable[[Dialect, AxisController], tuple[Dialect, l
     told = []
     for script in (FAMILIES[family].script, OURS):
         with tempfile.TemporaryDirectory() as folder:
-            dialect, axis = FAMILIES[family].make()
+            dialect, axis = FAMILIES[family].make(time.monotonic)
             dialect, orders = wrap(dialect, axis)
             with SerialDevice(PseudoTerminal(Path(folder) / "stage"), dialect) as port:
                 for order in orders:
-                    parts = BenchParts(
-                        {"pan": axis},
-                        {"gimbal": port},
-                        {"gimbal": dialect},
-                        {"pan": "gimbal"},
-                        None,
-                        None,
-                        None,
-                        time.monotonic,
-                    )
-                    fault_action(fault_order_from_text(order), parts)()
+                    parts = {"pan": axis}, {"gimbal": port}, {"gimbal": dialect}, {"pan": "gimbal"}
+                    bench = BenchParts(*parts, light=None, lamp=None, camera=None, clock=time.monotonic)
+                    fault_action(fault_order_from_text(order), bench)()
                 told.append(verdict([sys.executable, "-c", script, port.address, folder, family], axis))
     return told
 
@@ -204,7 +169,7 @@ def faults(family: str) -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = measured.options(__doc__)
     parser.add_argument("--family", choices=[*FAMILIES], action="append")
     parser.add_argument("--table", choices=["mutations", "faults"], action="append")
     asked = parser.parse_args()
@@ -215,6 +180,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
     measured.run(main, "faults", "Controllers with one permanent fault")

@@ -1,4 +1,7 @@
-"""Tables of docs/measured, each written by the benchmark that measures it.
+"""What benchmarks share; above all, tables of docs/measured, each written by the benchmark that measures it.
+
+Whoever imports this module before numpy has linear algebra on one thread (on small matrices, threads cost more than they
+gain), and finds the modules of this checkout and of tests/support.
 
 A benchmark ends with ``measured.run(main, PAGE, TITLE)``. With ``--write`` on its command line, what it prints also
 replaces the table below ``## TITLE`` in docs/measured/PAGE.md, with a line above it: the command, the commit, the date.
@@ -7,19 +10,62 @@ What stands between the heading and this line (what is measured, and how to read
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
+import json
+import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 ROOT = Path(__file__).parents[2]
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path += [str(ROOT), str(ROOT / "tests" / "support")]
 FOLDER = ROOT / "docs" / "measured"
 ORIGIN = "Measured by `"
+
+
+def options(described: str | None) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark's options; its description is the head of the module."""
+    return argparse.ArgumentParser(
+        description=described, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def seeds(text: str) -> range:
+    """Read seeds: first-last, or one seed."""
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
+def kept(path: Path | None, key: Callable[[dict[str, Any]], Hashable]) -> dict[Any, dict[str, Any]]:
+    """Read the results that a file holds, one a line, by their keys; none if there is no such file."""
+    texts = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else []
+    return {key(line): line for line in map(json.loads, texts)}
+
+
+def add_missing(
+    path: Path, done: dict[Any, dict[str, Any]], keys: Iterable[Any], work: Callable[..., Any], jobs: int
+) -> None:
+    """Do the work of each key that is not done yet, and add its result to the file, so that nothing is lost."""
+    with path.open("a") as file, ProcessPoolExecutor(jobs) as pool:
+        running = {pool.submit(work, *key): key for key in keys if key not in done}
+        for future in as_completed(running):
+            try:
+                line = future.result()
+            except ArithmeticError as error:  # glass through which a ray of this bench does not get
+                print("not drawn:", *running[future], error, file=sys.stderr)
+                continue
+            done[running[future]] = line
+            file.write(json.dumps(line, ensure_ascii=False) + "\n")
+            file.flush()
 
 
 class _Tee(io.StringIO):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.assembly import make_stage
-from simulators.config import AxisConfig
+from simulators.config import AxisConfig, bench_config
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
@@ -224,11 +224,18 @@ class Family:
         return DirectStage(self.open(line), line, controller, lambda: self.open(line))
 
 
-def of_bench(kind: str, counts_per_deg: int, serial: str = "100101"):
-    """A controller as a simulated bench has it."""
+def of_one_port(kind: str, clock: Callable[[], float]) -> tuple[Dialect, Mapping[str, AxisController]]:
+    """The device on the port of a stage of that kind, and the controllers of its axes, as a bench has them."""
+    stage = make_stage(kind, bench_config({"stage": {"kind": kind}}).axes, clock, lambda *_: None)
+    (dialect,) = stage.dialects.values()
+    return dialect, stage.controllers
+
+
+def of_bench(kind: str, counts_per_deg: int, serial: str = "100101", start_deg: float = 2.4, **changes):
+    """A controller as a simulated bench has it, with the keys of `AxisConfig` that differ."""
 
     def simulate(clock: Callable[[], float]) -> tuple[Dialect, AxisController]:
-        axes = {"pan": AxisConfig(serial, 15.0, start_deg=2.4, microsteps_per_deg=counts_per_deg)}
+        axes = {"pan": AxisConfig(serial, 15.0, start_deg, counts_per_deg, **changes)}
         stage = make_stage(kind, axes, clock, lambda *_: None)
         (dialect,) = stage.dialects.values()
         return dialect, stage.controllers["pan"]

@@ -9,17 +9,8 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
-from simulators.stages.esp301 import EspController
-
-SCALE = 10_000.0
-
-
-def models() -> list[AxisModel]:
-    return [
-        AxisModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), "1263"),
-        AxisModel(Mechanics(SCALE, -12.0, 12.0, start_deg=-1.7), "1264", 10.0),
-    ]
+from simulators.stages.axis_motion import MotionFault
+from tests.hil.direct_stages import of_one_port
 
 
 class Controller:
@@ -27,7 +18,7 @@ class Controller:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.device = EspController(models(), lambda: self.now_s)
+        self.device, _ = of_one_port("esp301", lambda: self.now_s)
 
     def say(self, line: str) -> list[str]:
         return self.device.receive(f"{line}\r".encode()).decode().split("\r\n")[:-1]
@@ -52,7 +43,8 @@ def homed(controller: Controller) -> Controller:
 def test_an_independent_client_homes_moves_and_reads(tmp_path):
     newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
     adapters = pytest.importorskip("pymeasure.adapters")
-    with SerialDevice(PseudoTerminal(tmp_path / "stage"), EspController(models(), time.monotonic)) as device:
+    controller, _ = of_one_port("esp301", time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "stage"), controller) as device:
         adapter = adapters.SerialAdapter(
             device.address, baudrate=19_200, timeout=5, write_termination="\r", read_termination="\r\n"
         )
@@ -79,8 +71,8 @@ def test_an_independent_client_homes_moves_and_reads(tmp_path):
     ("line", "answers"),
     [
         ("VE?", ["ESP301 Version 3.0.1 6/1/99"]),
-        ("1ID?", ["URS75BCC, SN1263"]),
-        ("2ID?;1TP", ["URS75BCC, SN1264", "0.00000"]),
+        ("1ID?", ["URS75BCC, SN100101"]),
+        ("2ID?;1TP", ["URS75BCC, SN100102", "0.00000"]),
         ("1MO?", ["0"]),
         ("1SL?;1SR?;1SN?", ["-15", "15", "7"]),
         ("1va10;1VA?", ["10"]),

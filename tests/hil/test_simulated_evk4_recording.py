@@ -137,21 +137,11 @@ def test_a_second_host_is_refused_while_the_camera_is_held(dark):
 
 
 def test_an_overflow_shows_in_the_counters_until_it_is_cleared(tmp_path):
-    world = World(truth_from_config({}), seed=1)
-    world.set_light(LightState(output=True, sync=True))
-    simulated = SimulatedEvk4(world, paced=False)
-    simulated.start()
-    try:
-        camera = SimulatedEvk4Camera.open(
-            simulated.address, serial="00050423", clock=SystemClock(), utc_now=lambda: NOW
-        )
+    with bench(LightState(output=True, sync=True)) as (camera, _):
         camera.apply(SETTINGS)
-        simulated.stream_faults.overflows = True
+        camera.simulated.stream_faults.overflows = True
         spoilt = camera.record(tmp_path / "spoilt.raw", 0.020)
-        simulated.stream_faults.clear()
+        camera.simulated.stream_faults.clear()
         good = camera.record(tmp_path / "good.raw", 0.020)
-        camera.close()
-    finally:
-        simulated.close()
     assert spoilt.rate_controller_out < 0.9 * spoilt.rate_controller_in
     assert good.rate_controller_out == good.rate_controller_in

@@ -10,20 +10,7 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.flir_ptu import PtuController
-
-
-class Turned:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def unit(clock) -> PtuController:
-    axis = AxisModel(Mechanics(800.0, -17.0, 17.0, start_deg=2.4, stall_detection=False))
-    return PtuController({"P": axis, "T": axis}, "E1042", clock)
+from tests.hil.direct_stages import VirtualClock, of_one_port
 
 
 @pytest.mark.parametrize(
@@ -39,27 +26,28 @@ def unit(clock) -> PtuController:
         (b"PS999999 ", b"PS999999 ! Pan speed cannot exceed 80000 pos/sec\r\n"),
         (b"PR ", b"PR * 4.500000 seconds arc per position\r\n"),
         (b"XYZ ", b"XYZ ! Illegal command entered\r\n"),
-        (b"VS ", b"VS * E1042\r\n"),
+        (b"VS ", b"VS * 100101\r\n"),
         (b"PD ", b"PD * Current Pan speed is 0 positions/sec\r\n"),
     ],
 )
 def test_the_unit_answers_as_in_the_manual(sent, said) -> None:
-    assert unit(Turned()).receive(sent) == said
+    assert of_one_port("flir_ptu", VirtualClock().monotonic)[0].receive(sent) == said
 
 
 def test_a_reset_is_answered_at_its_end_and_other_commands_wait() -> None:
-    clock = Turned()
-    one = unit(clock)
+    clock = VirtualClock()
+    one, _ = of_one_port("flir_ptu", clock.monotonic)
     assert one.receive(b"R PP ") == b"R "
-    clock.now_s = 0.1
+    clock.sleep(0.1)
     assert one.unsolicited() == b""
-    clock.now_s = 60.0
+    clock.sleep(60.0)
     assert one.unsolicited() == b"!T!T!P!P*\r\nPP * Current Pan position is 0\r\n"
 
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[str]:
-    with SerialDevice(PseudoTerminal(tmp_path / "ptu"), unit(time.monotonic)) as device:
+    unit, _ = of_one_port("flir_ptu", time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "ptu"), unit) as device:
         yield device.address
 
 
@@ -67,7 +55,7 @@ def test_another_client_moves_and_reads_the_unit(port) -> None:
     flirptu = pytest.importorskip("flirptu.ptu", reason="pip install flirptu")
     client = flirptu.PTU(port, timeout=10)
     assert client.echo
-    assert (client.panResolution, client.minPan, client.maxTilt) == (4.5, -12000, 12000)
+    assert (client.panResolution, client.minPan, client.maxTilt) == (4.5, -12000, 8000)
     assert client.maxPanSpeed == 80_000
     assert client.send("RP ", strip_echo=False) == "RP !P!P*"
     assert client.setPanPosition(4000)

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GcodeError, parse_block
+from tests.hil.direct_stages import of_one_port
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -20,27 +19,12 @@ REPORT = re.compile(
 )
 
 
-def models() -> dict[str, AxisModel]:
-    def one(limit_deg: float, start_deg: float) -> AxisModel:
-        mechanics = Mechanics(
-            640.0,
-            -limit_deg - 2,
-            limit_deg + 2,
-            home_deg=limit_deg,
-            start_deg=start_deg,
-            stall_detection=False,
-        )
-        return AxisModel(mechanics, limit_deg=limit_deg + 0.5)
-
-    return {"X": one(15.0, 2.4), "Y": one(10.0, -1.7)}
-
-
 class Board:
     """The controller on a clock that the test advances in steps, as its own port would."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.device = GrblController(models(), lambda: self.now_s)
+        self.device, _ = of_one_port("grbl", lambda: self.now_s)
         self.greeting = self.device.unsolicited().decode()
 
     def say(self, *lines: str) -> str:
@@ -75,9 +59,6 @@ def homed(board: Board) -> Board:
     assert board.say("$H") == ""
     assert board.wait() == "ok\r\n"
     return board
-
-
-# ---------------------------------------------------------------- states
 
 
 def test_a_diagonal_is_as_fast_as_its_slowest_axis_lets_it_be(homed: Board):
@@ -216,16 +197,13 @@ def test_lists_of_what_the_board_has_not(homed: Board):
     assert homed.say("$").startswith("[HLP:$$ $#")
     homed.say("$130=5")
     assert homed.say("$RST=$") == "[MSG:Restoring defaults]\r\nok\r\n" + BANNER
-    assert "$130=32.000\r\n" in homed.say("$$")
+    assert "$130=31.000\r\n" in homed.say("$$")
 
 
 @given(st.text(alphabet="GXYFMP$J=-.0123456789 ();", max_size=30))
 def test_any_block_is_taken_or_refused_by_number(line: str):
     with suppress(GcodeError):
         assert set(parse_block(line).targets) <= set("XYZ")
-
-
-# ---------------------------------------------------------------- faults
 
 
 def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
@@ -235,6 +213,3 @@ def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
     homed.wait(0.1)
     assert homed.press(b"\x18") == "ALARM:6\r\n"
     assert homed.wait(1.0) == "ok\r\n" + BANNER + LOCKED
-
-
-# ---------------------------------------------------------------- the line

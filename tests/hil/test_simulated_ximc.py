@@ -9,14 +9,11 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
-from simulators.stages.ximc import XimcController, crc16
+from simulators.stages.axis_motion import MotionFault
+from simulators.stages.ximc import crc16
+from tests.hil.direct_stages import of_bench
 
-SCALE = 25_600
-
-
-def model(**changes) -> AxisModel:
-    return AxisModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), "4242", **changes)
+simulated = of_bench("ximc", 25_600, "4242")
 
 
 class Status(tuple):
@@ -36,9 +33,9 @@ class Status(tuple):
 class Controller:
     """The controller on a clock that the test advances."""
 
-    def __init__(self, **changes) -> None:
+    def __init__(self) -> None:
         self.now_s = 0.0
-        self.device = XimcController(model(**changes), lambda: self.now_s)
+        self.device, _ = simulated(lambda: self.now_s)
 
     def ask(self, letters: bytes, data: bytes = b"") -> bytes:
         """Send a command, check the CRC of its answer, and return the answer's data."""
@@ -74,7 +71,7 @@ def homed(controller: Controller) -> Controller:
 
 def test_the_makers_library_identifies_homes_moves_stops_and_reads(tmp_path):
     ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
-    controller = XimcController(model(), time.monotonic)
+    controller, _ = simulated(time.monotonic)
     with SerialDevice(PseudoTerminal(tmp_path / "pan"), controller) as device:
         axis = ximc.Axis(f"xi-com://{device.address}")
         axis.open_device()

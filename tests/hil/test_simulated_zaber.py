@@ -11,27 +11,20 @@ import serial
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
-from simulators.stages.zaber import ZaberChain, ZaberController, checksum
+from simulators.stages.axis_motion import MotionFault
+from simulators.stages.zaber import checksum
+from tests.hil.direct_stages import of_one_port
 
 SCALE = 6400
 
 
-def controller(
-    serial_number: str, limit_deg: int, start_deg: float, now_s: float, **changes
-) -> ZaberController:
-    mechanics = Mechanics(SCALE, -limit_deg - 2.0, limit_deg + 2.0, start_deg=start_deg)
-    return ZaberController(AxisModel(mechanics, serial_number, limit_deg, **changes), now_s)
-
-
 class Gimbal:
-    """Two chained controllers on a clock that the test advances."""
+    """The two chained controllers of a simulated bench on a clock that the test advances."""
 
-    def __init__(self, **changes) -> None:
+    def __init__(self) -> None:
         self.now_s = 0.0
-        self.pan = controller("100101", 15, 2.4, 0.0, **changes)
-        self.tilt = controller("100102", 10, -1.7, 0.0, **changes)
-        self.chain = ZaberChain([self.pan, self.tilt], lambda: self.now_s)
+        self.chain, controllers = of_one_port("zaber", lambda: self.now_s)
+        self.pan = controllers["pan"]
 
     def ask(self, body: str) -> list[str]:
         """Send a request with its checksum; check the checksums of the replies and return the replies without them."""
@@ -61,9 +54,8 @@ def homed(gimbal: Gimbal) -> Gimbal:
 
 @pytest.fixture
 def port(tmp_path) -> Iterator[SerialDevice]:
-    now_s = time.monotonic()
-    controllers = [controller("100101", 15, 2.4, now_s), controller("100102", 10, -1.7, now_s)]
-    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), ZaberChain(controllers, time.monotonic)) as device:
+    chain, _ = of_one_port("zaber", time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), chain) as device:
         yield device
 
 
@@ -235,9 +227,6 @@ def test_a_restart_in_motion_is_silence_then_a_lost_reference(homed: Gimbal):
     assert homed.ask("1 1 03") == []
     homed.wait(0.5)
     assert homed.ask("1 1 04 get pos") == ["@01 1 04 OK IDLE WR 0"]
-
-
-# ---------------------------------------------------------------- faults
 
 
 # ---------------------------------------------------------------- the line

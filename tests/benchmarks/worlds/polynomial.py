@@ -30,6 +30,8 @@ LEVELS = {
 HALF_ANGLE_DEG = 12.5
 BOW_RADIUS_MM = 40.0
 FAMILIES = ("k1k2", "p1p2k3", "k1k2", "p1p2k3", "fisheye")
+SEEDS = [seed for seed in range(100) if FAMILIES[seed % len(FAMILIES)] == "k1k2"]
+"""Seeds whose lens needs k1 and k2 only."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .bench import GRID, THREE, Bench, Pose
+from .bench import GRID, THREE, Pose
 from .judge import judged
-from .polynomial import World, draw_world, record
+from .polynomial import draw_world, record
 
 SMOOTH_PX = tuple(np.round(np.arange(0, 0.0105, 0.001), 3).tolist())
 COUNTS = (3, 4, 5, 6, 7, 9, 12, 16, 20, 25)
@@ -41,12 +41,8 @@ def more_poses(seed: int, known: str) -> list[dict[str, Any]]:
 
 def more_knowledge(seed: int, poses: Sequence[Pose]) -> dict[str, dict[str, Any]]:
     """Results of a real bench by what is known."""
-    bench = _bench(draw_world(seed), seed, poses)
+    bench = record(draw_world(seed), seed, poses)
     return {known: judged(bench, known, "right") for known in ("0", "r", "c", "cr")}
-
-
-def _bench(world: World, seed: int, poses: Sequence[Pose]) -> Bench:
-    return record(world, seed, poses)
 
 
 def steps(lines: Sequence[dict[str, Any]], what: str) -> list[float]:

@@ -15,7 +15,7 @@ from simulators.optics.collimator_errors import (
     radius_fraction,
     reticle_point,
 )
-from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
+from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
 from simulators.world.truth_config import truth_from_config
 
 COEFFICIENT = st.floats(-0.3, 0.3)
@@ -54,9 +54,10 @@ def test_displacement_is_the_gradient_of_the_wave_aberration(values, point, pupi
     np.testing.assert_allclose(moved, collimator.r * np.array(gradient), atol=1e-5)
 
 
+@pytest.mark.parametrize("reticle", [ReticleTruth(), ReticleTruth(bow_mm=0.05, print_scale=2e-4)])
 @given(x=st.floats(40, 150), y=st.floats(80, 200))
-def test_the_reticle_point_seen_somewhere_appears_there(x, y):
-    aberrations = aberrations_of(COLLIMATORS["like-real"], TURN)
+def test_the_reticle_point_seen_somewhere_appears_there(reticle, x, y):
+    aberrations = aberrations_of(COLLIMATORS["like-real"], TURN, reticle)
     p = np.array(reticle_point(x, y, aberrations))
     np.testing.assert_allclose(apparent_points(p[None], aberrations)[0], [x, y], atol=1e-5)
     assert np.hypot(*(p - [x, y])) > 1e-4

@@ -82,9 +82,13 @@ LIT = LightState(low_v=0.0, high_v=5.0, output=True, sync=True)
         ("wrong_frequency", 2.0, "frequency_hz", 120.0),
         ("wrong_duty", 0.5, "duty_percent", 25.0),
         ("no_sync", 1.0, "sync", False),
+        ("sync_inverted", 1.0, "sync_line", SyncLine(inverted=True)),
+        ("sync_missing", 3.0, "sync_line", SyncLine(missing_every=3)),
+        ("sync_extra", 4.0, "sync_line", SyncLine(extra_every=4)),
+        ("sync_jitter", 0.06, "sync_line", SyncLine(jitter_us=1000.0)),
     ],
 )
-def test_a_lamp_fails_at_once_and_until_it_is_mended(kind, factor, name, value):
+def test_lamp_and_sync_cable_fail_at_once_and_until_they_are_mended(kind, factor, name, value):
     shown: list[LightState] = []
     lamp = Lamp(shown.append)
     lamp.drive(LIT)
@@ -92,25 +96,6 @@ def test_a_lamp_fails_at_once_and_until_it_is_mended(kind, factor, name, value):
     assert getattr(shown[-1], name) == pytest.approx(value)
     lamp.drive(LIT)
     assert getattr(shown[-1], name) == pytest.approx(value)
-    lamp.clear_faults()
-    assert shown[-1] == LIT
-
-
-@pytest.mark.parametrize(
-    ("kind", "factor", "line"),
-    [
-        ("sync_inverted", 1.0, SyncLine(inverted=True)),
-        ("sync_missing", 3.0, SyncLine(missing_every=3)),
-        ("sync_extra", 4.0, SyncLine(extra_every=4)),
-        ("sync_jitter", 0.06, SyncLine(jitter_us=1000.0)),
-    ],
-)
-def test_the_sync_cable_fails_and_is_mended(kind, factor, line):
-    shown: list[LightState] = []
-    lamp = Lamp(shown.append)
-    lamp.drive(LIT)
-    lamp.inject_fault(kind, factor)
-    assert shown[-1].sync_line == line
     lamp.clear_faults()
     assert shown[-1] == LIT
 

@@ -48,11 +48,3 @@ def test_soft_limits_are_those_of_the_configuration(kind, home, to_the_limit, be
     assert built.angles()["pan"] == limit_deg
     built.say("gimbal", beyond)
     assert built.angles()["pan"] == limit_deg
-
-
-@pytest.mark.parametrize(
-    ("kind", "detects"), [("zaber", True), ("ximc", True), ("grbl", False), ("esp301", True)]
-)
-def test_every_kind_but_grbl_detects_a_stall(kind, detects):
-    built = Built(kind)
-    assert built.stage.controllers["pan"].axis.mechanics.stall_detection is detects
