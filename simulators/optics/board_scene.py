@@ -41,7 +41,7 @@ from simulators.optics.lens_focus import (
     signed_blur_px,
 )
 from simulators.optics.outlines import bright_areas, middle_mm, points_mm
-from simulators.world.board import is_flickering, pose, second_mm, view_of
+from simulators.world.board import is_flickering, pose, second_mm
 from simulators.world.truth import Truth
 
 FloatArray = NDArray[np.float64]
@@ -162,12 +162,11 @@ def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Placed
     """
     at_zero = optics.pose_rotation({}, truth.optics, truth.gimbal)
     turned = optics.true_rotation(angles_deg, truth) @ at_zero.T
-    view = view_of(truth.board, truth.target)
-    own, middle = pose(truth.board, view)
+    own, middle = pose(truth.board)
     from_middle = own @ middle_mm(truth.board, truth.target)
     shift = np.array([*truth.mount.shift_mm, 0.0])
     placed = [PlacedBoard(turned @ own, turned @ (middle - shift - from_middle))]
-    second = second_mm(truth.board, view)
+    second = second_mm(truth.board)
     if second is not None:
         placed.append(PlacedBoard(turned @ own, turned @ (middle - shift - from_middle + second)))
     return tuple(placed)
@@ -267,7 +266,7 @@ def has_many_lights(truth: Truth) -> bool:
 
 def images_of_lights(truth: Truth, angles_deg: Mapping[Any, float]) -> list[ImageOfLight]:
     """Return the images of all lights in view of the boards; a pixel belongs to one at most, that of the nearer dot."""
-    flickers = is_flickering(truth.board, view_of(truth.board, truth.target))
+    flickers = is_flickering(truth.board)
     boards = placed_boards(truth, angles_deg)
     if truth.board.blinks:
         return _dots(truth, boards, flickers)

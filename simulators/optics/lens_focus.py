@@ -33,7 +33,7 @@ from scipy import fft
 from scipy.special import j1
 
 from simulators.errors import ConfigError
-from simulators.world.board import placement_record, view_of
+from simulators.world.board import placement_record
 from simulators.world.truth import (
     BEYOND_M,
     CLOSEST_M,
@@ -330,7 +330,7 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "law": dict(LENS_LAW),
     }
     if truth.board.present:
-        for name in ("field_tangents", "state", "shake"):
+        for name in ("field_tangents", "size_mm", "state", "shake"):
             del record["board"][name]
-        record["board"]["placed"] = placement_record(truth.board, view_of(truth.board, truth.target))
+        record["board"]["placed"] = placement_record(truth.board)
     return record

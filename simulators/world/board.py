@@ -188,6 +188,7 @@ class BoardTruth(Section):
     field_tangents: tuple[float, float, float, float] = field(
         default=(-1.0, -1.0, 1.0, 1.0), metadata=COMPUTED
     )
+    size_mm: tuple[float, float] = field(default=(0.0, 0.0), metadata=COMPUTED)  # See `size_of`
     state: BoardState = field(default_factory=BoardState, metadata=COMPUTED)
     shake: Shake = field(default=STILL, metadata=COMPUTED)
 
@@ -228,13 +229,6 @@ _NEAREST_MM: Final = 5.0
 _CORNERS: Final = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 
 
-class View(NamedTuple):
-    """The camera's field of view, for random placements."""
-
-    tangents: tuple[float, float, float, float]  # Tangents of the field's left, upper, right and lower edge
-    board_mm: tuple[float, float]
-
-
 class BoardPose(NamedTuple):
     """Pose of the board."""
 
@@ -242,25 +236,21 @@ class BoardPose(NamedTuple):
     middle_mm: FloatArray  # (3,), middle of the board
 
 
-def view_of(board: BoardTruth, target: StarTarget) -> View:
-    """Return the camera's field of view, and the size of the board in it."""
+def size_of(board: BoardTruth, target: StarTarget) -> tuple[float, float]:
+    """Return width and height of a board; of a star target, of what a random placement keeps in view."""
     if board.kind == "stars":
         side = target.pitch_mm * (target.tag_squares + _AROUND_TAG)
-        return View(board.field_tangents, (side, side))
+        return side, side
     columns = 2 * board.columns - 1 if board.kind == "asymmetric-circles" else board.columns - 1
     around = 2.0 * (
         board.margin_mm + (board.pitch_mm if board.kind == "checkerboard" else 0.5 * board.dot_mm)
     )
-    size = (board.pitch_mm * columns + around, board.pitch_mm * (board.rows - 1) + around)
-    return View(board.field_tangents, size)
+    return board.pitch_mm * columns + around, board.pitch_mm * (board.rows - 1) + around
 
 
-def check_placements(board: BoardTruth, target: StarTarget) -> None:
+def check_placements(board: BoardTruth) -> None:
     """Check that the board stands wholly before the camera, and fits into the picture where it is placed at random."""
-    view = view_of(board, target)
-    if not board.present:
-        return
-    half = 0.5 * np.asarray([*view.board_mm, 0.0]) * _CORNERS
+    half = 0.5 * np.asarray([*board.size_mm, 0.0]) * _CORNERS
     for index, one in enumerate(board.placements):
         depth = half @ _matrix(np.asarray(one.turn_deg))[2] + one.position_mm[2]
         if depth.min() < _NEAREST_MM:
@@ -269,8 +259,8 @@ def check_placements(board: BoardTruth, target: StarTarget) -> None:
                 where=f"board.placements[{index}]",
                 remedy="Put the board further away, or turn it less.",
             )
-    left, top, right, bottom = (_VIEW * t * board.anywhere.distance_mm for t in view.tangents)
-    width, height = view.board_mm
+    left, top, right, bottom = (_VIEW * t * board.anywhere.distance_mm for t in board.field_tangents)
+    width, height = board.size_mm
     if not board.placements and (width > right - left or height > bottom - top):
         nearest = board.anywhere.distance_mm * max(width / (right - left), height / (bottom - top))
         raise ConfigError(
@@ -280,21 +270,21 @@ def check_placements(board: BoardTruth, target: StarTarget) -> None:
         )
 
 
-def placement(board: BoardTruth, view: View) -> Placement:
+def placement(board: BoardTruth) -> Placement:
     """Return the present placement as the script has it, or as drawn, without the hand's scatter and shaking."""
     number = board.state.number
     if board.placements:
         return board.placements[(number - 1) % len(board.placements)]
-    return _drawn(board.anywhere, view, np.random.default_rng((board.seed, _ANYWHERE, number)))
+    return _drawn(board, np.random.default_rng((board.seed, _ANYWHERE, number)))
 
 
-def pose(board: BoardTruth, view: View) -> BoardPose:
+def pose(board: BoardTruth) -> BoardPose:
     """Return where the board stands now.
 
     Own rule: the hand's scatter, what a person did since, and the shaking are rotations about the board's middle and
     displacements, all along the camera's axes at zero angles.
     """
-    placed, hand, state = placement(board, view), board.hand, board.state
+    placed, hand, state = placement(board), board.hand, board.state
     drawn = np.random.default_rng((board.seed, _SCATTER, state.number)).normal(size=6)
     rotation = (
         _matrix(np.asarray(board.shake[3:]))
@@ -306,30 +296,30 @@ def pose(board: BoardTruth, view: View) -> BoardPose:
     return BoardPose(rotation, np.asarray(middle, np.float64))
 
 
-def is_flickering(board: BoardTruth, view: View) -> bool:
+def is_flickering(board: BoardTruth) -> bool:
     """Return whether the board's light flickers, which the placement or a person may deny."""
-    return board.state.flicker and placement(board, view).flicker
+    return board.state.flicker and placement(board).flicker
 
 
-def second_mm(board: BoardTruth, view: View) -> FloatArray | None:
+def second_mm(board: BoardTruth) -> FloatArray | None:
     """Return where a second board lies from the first one, in the camera's axes at zero angles; None if it is alone."""
-    given = board.state.second_mm or placement(board, view).second_mm
+    given = board.state.second_mm or placement(board).second_mm
     return None if given is None else np.asarray(given, np.float64)
 
 
-def placement_record(board: BoardTruth, view: View) -> dict[str, Any]:
+def placement_record(board: BoardTruth) -> dict[str, Any]:
     """Return the present placement as plain numbers, for ``truth.json``.
 
     These are ``number``, ``position_mm`` and ``turn_deg`` with the hand's scatter but without its shaking, ``flicker``
     and ``second_mm``.
     """
-    rotation, middle = pose(board, view)
-    second = second_mm(board, view)
+    rotation, middle = pose(board)
+    second = second_mm(board)
     return {
         "number": board.state.number,
         "position_mm": middle.tolist(),
         "turn_deg": np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist(),
-        "flicker": is_flickering(board, view),
+        "flicker": is_flickering(board),
         "second_mm": None if second is None else second.tolist(),
     }
 
@@ -361,10 +351,11 @@ def _drawn_frequencies(
     return np.asarray(np.interp(shares * below[-1], below, fine))
 
 
-def _drawn(chosen: Anywhere, view: View, rng: np.random.Generator) -> Placement:
+def _drawn(board: BoardTruth, rng: np.random.Generator) -> Placement:
     """Draw a placement with the whole board in view; if none is found, one in the middle that faces the camera."""
-    left, top, right, bottom = (_VIEW * t for t in view.tangents)
-    half = 0.5 * np.asarray([*view.board_mm, 0.0])
+    chosen = board.anywhere
+    left, top, right, bottom = (_VIEW * t for t in board.field_tangents)
+    half = 0.5 * np.asarray([*board.size_mm, 0.0])
     corners = half * _CORNERS
     for _ in range(_MOST_DRAWS):
         distance = chosen.distance_mm * (1.0 + chosen.distance_spread * rng.uniform(-1.0, 1.0))

@@ -15,7 +15,7 @@ import numpy as np
 from calib.target import InputMismatch, StarTarget
 from simulators.errors import ConfigError
 from simulators.reading import Number, Pair, read, read_section
-from simulators.world.board import BOARD_KINDS, SURFACES, BoardTruth, check_placements
+from simulators.world.board import BOARD_KINDS, SURFACES, BoardTruth, check_placements, size_of
 from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import (
     CAMERAS,
@@ -63,7 +63,7 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     camera = _camera(config.get("camera", {}))
     screen, board = _screen(config.get("screen", {})), board_from_config(config.get("board", {}))
     if board.present:
-        board = replace(board, field_tangents=_field_tangents(camera))
+        board = replace(board, field_tangents=_field_tangents(camera), size_mm=size_of(board, target))
     if screen.columns and board.present:
         raise ConfigError(
             "There is a screen and a board.", where="board", remedy="Remove one of the two sections."
@@ -82,7 +82,8 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
         board=board,
         target=target,
     )
-    check_placements(truth.board, truth.target)
+    if board.present:
+        check_placements(board)
     return truth
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from simulators.errors import SimulationMisuse
 from simulators.world import drift
-from simulators.world.board import BoardState, BoardTruth, is_flickering, view_of
+from simulators.world.board import BoardState, BoardTruth, is_flickering
 from simulators.world.truth import LensTruth, Truth
 
 AxisName = Literal["pan", "tilt", "roll"]
@@ -141,7 +141,7 @@ class LightState:
         )
 
 
-def light_of_board(state: LightState, board: BoardTruth, *, flickers: bool, on_since_s: float) -> LightState:
+def light_of_board(state: LightState, board: BoardTruth, on_since_s: float) -> LightState:
     """Return the light of a board as the camera sees it, by the state of the bench's light.
 
     A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in steady light does not
@@ -155,7 +155,7 @@ def light_of_board(state: LightState, board: BoardTruth, *, flickers: bool, on_s
             output=True,
             origin_s=on_since_s,
         )
-    return state if flickers else replace(state, low_v=state.high_v)
+    return state if is_flickering(board) else replace(state, low_v=state.high_v)
 
 
 @dataclass(frozen=True)
@@ -331,9 +331,7 @@ class World:
         state = replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
         if not self.truth.board.present or self.truth.board.blinks:
             return state
-        truth = with_setup(self.truth, setup)
-        flickers = is_flickering(truth.board, view_of(truth.board, truth.target))
-        return light_of_board(state, truth.board, flickers=flickers, on_since_s=self._on_since_s)
+        return light_of_board(state, with_setup(self.truth, setup).board, self._on_since_s)
 
     def on_s(self, t_s: float) -> float:
         """Return the time since the bench was switched on."""

@@ -13,14 +13,12 @@ machine compare ratios, not absolute speeds.
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import measured
 import numpy as np
 
 from drivers.camera.evt3 import Evt3Decoder
@@ -105,11 +103,8 @@ def main() -> None:
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
     options = parser.parse_args()
     if options.old:
-        for name, folder in (("OLD", options.old), ("NEW", Path(__file__).parents[2])):
-            print(f"\n===== {name}", flush=True)
-            subprocess.run(
-                [sys.executable, __file__], check=True, env={**os.environ, "PYTHONPATH": str(folder)}
-            )
+        for name, folder in (("OLD", options.old), ("NEW", measured.ROOT)):
+            print(f"\n===== {name}\n{measured.in_checkout(folder)}", flush=True)
         return
     with tempfile.TemporaryDirectory() as folder:
         for name, (density, rate) in SCENES.items():

@@ -17,7 +17,6 @@ turn, each in a process of its own.
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 import time
@@ -141,11 +140,8 @@ def compare(old: Path) -> None:
     """Print ns an event of both versions, the best of some rounds in turn."""
     best: dict[str, dict[str, float]] = {"old": {}, "new": {}}
     for _ in range(ROUNDS):
-        for version, folder in (("old", old), ("new", Path(__file__).parents[2])):
-            command = [sys.executable, __file__, "--figures"]
-            env = {**os.environ, "PYTHONPATH": str(folder)}
-            found = subprocess.run(command, check=True, capture_output=True, text=True, env=env).stdout
-            for line in found.splitlines():
+        for version, folder in (("old", old), ("new", measured.ROOT)):
+            for line in measured.in_checkout(folder, "--figures").splitlines():
                 name, ns = line.rsplit("\t", 1)
                 best[version][name] = min(best[version].get(name, np.inf), float(ns))
     print("CPU time, ns an event                            old    new   share")

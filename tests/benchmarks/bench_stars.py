@@ -21,9 +21,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,7 +41,6 @@ from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
 from simulators.world.world import LightState
 
-HERE = Path(__file__).parents[2]
 WINDOW_US = 33_000.0
 REPETITIONS = 4
 IMAGES = ("best", "last-polarity")
@@ -150,20 +146,8 @@ def compare(old: Path, recordings: list[tuple[str, Path]], folder: Path) -> list
     rows = []
     for name, recording in recordings:
         found = []
-        for side, checkout in enumerate((old, HERE)):
-            environment = os.environ | {
-                "OPENBLAS_NUM_THREADS": "1",
-                "OMP_NUM_THREADS": "1",
-                "PYTHONPATH": str(checkout),
-            }
-            words = [
-                sys.executable,
-                str(Path(__file__)),
-                "--solve",
-                str(recording),
-                str(folder / f"{side}.npz"),
-            ]
-            subprocess.run(words, cwd=checkout, env=environment, check=True)
+        for side, checkout in enumerate((old, measured.ROOT)):
+            measured.in_checkout(checkout, "--solve", str(recording), str(folder / f"{side}.npz"))
             with np.load(folder / f"{side}.npz") as kept:
                 found.append(dict(kept))
         (before, after), ids = found, np.intersect1d(found[0]["ids"], found[1]["ids"])

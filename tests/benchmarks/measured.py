@@ -39,6 +39,15 @@ def options(described: str | None) -> argparse.ArgumentParser:
     )
 
 
+def in_checkout(folder: Path, *words: str) -> str:
+    """Run this program with the packages of another checkout; return what it prints."""
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    command = [sys.executable, str(Path(sys.argv[0]).resolve()), *words]
+    return subprocess.run(
+        command, cwd=folder, env=environment, check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
+
+
 def seeds(text: str) -> range:
     """Read seeds: first-last, or one seed."""
     first, _, last = text.partition("-")

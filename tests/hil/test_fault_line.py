@@ -13,16 +13,13 @@ import serial
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController
+from tests.hil.direct_stages import of_bench
 
 
 @pytest.fixture
 def device(tmp_path):
-    controller = ZaberController(AxisModel(Mechanics(6400.0, -20.0, 20.0), "100101"))
-    with SerialDevice(
-        PseudoTerminal(tmp_path / "device"), ZaberChain([controller], time.monotonic)
-    ) as device:
+    chain, _ = of_bench("zaber", 6400)(time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "device"), chain) as device:
         yield device
 
 

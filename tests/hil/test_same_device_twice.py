@@ -20,8 +20,7 @@ from drivers.file_lock import FOLDER_VARIABLE, DeviceHold
 from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice, TcpPort
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController
+from tests.hil.direct_stages import of_one_port
 
 HOLD = """
 import sys
@@ -40,12 +39,7 @@ def locks(tmp_path, monkeypatch) -> None:
 @pytest.fixture
 def ports(tmp_path: Path) -> Iterator[list[str]]:
     """The same controllers by two ports: a terminal, and the network."""
-    now_s = time.monotonic()
-    models = [
-        AxisModel(Mechanics(6400, -end - 2.0, end + 2.0), serial, end)
-        for serial, end in (("100101", 15.0), ("100102", 10.0))
-    ]
-    chain = ZaberChain([ZaberController(model, now_s) for model in models], time.monotonic)
+    chain, _ = of_one_port("zaber", time.monotonic)
     with ExitStack() as stack:
         yield [
             stack.enter_context(SerialDevice(port, chain)).address

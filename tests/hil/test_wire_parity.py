@@ -20,10 +20,7 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.esp301 import EspController
-from simulators.stages.ximc import XimcController
-from simulators.stages.zaber import ZaberChain, ZaberController
+from tests.hil.direct_stages import of_bench
 
 PATIENCE_S = 60.0
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
@@ -66,10 +63,6 @@ def line(device, folder: Path) -> Iterator[tuple[str, Tap]]:
         yield terminal.address, tap
 
 
-def mechanics(counts_per_deg: float) -> Mechanics:
-    return Mechanics(counts_per_deg, -17.0, 17.0, start_deg=2.4)
-
-
 def ours(stage: Stage, tap: Tap, split: Callable[[bytes], set]) -> dict[str, set]:
     """Return what each of our operations sends."""
     told = {}
@@ -96,8 +89,7 @@ def test_zaber_requests_are_those_of_zaber_motion(tmp_path) -> None:
     from zaber_motion import Library
 
     Library.enable_device_db_store(str(tmp_path))
-    controller = ZaberController(AxisModel(mechanics(6400), "100101"), time.monotonic())
-    with line(ZaberChain([controller], time.monotonic), tmp_path) as (address, tap):
+    with line(of_bench("zaber", 6400)(time.monotonic)[0], tmp_path) as (address, tap):
         axis = ZaberAxis(name="pan", device=1, serial="", microsteps_per_deg=6400, limits=LIMITS)
         told = ours(ZaberStage.open(address, [axis], clock=SystemClock()), tap, zaber_requests)
         with ascii_.Connection.open_serial_port(address) as connection:
@@ -121,8 +113,7 @@ def ximc_requests(data: bytes) -> set[bytes]:
 
 def test_ximc_requests_are_those_of_libximc(tmp_path) -> None:
     ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
-    controller = XimcController(AxisModel(mechanics(25600), "4242"), time.monotonic)
-    with line(controller, tmp_path) as (address, tap):
+    with line(of_bench("ximc", 25_600, "4242")(time.monotonic)[0], tmp_path) as (address, tap):
         axis = XimcAxis(name="pan", port=address, serial="", steps_per_deg=100.0, limits=LIMITS)
         told = ours(XimcStage.open([axis], clock=SystemClock()), tap, ximc_requests)
         theirs = ximc.Axis(f"xi-com://{address}")
@@ -156,8 +147,7 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
     newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
     from pymeasure.adapters import SerialAdapter
 
-    controller = EspController([AxisModel(mechanics(10_000.0), "1263")], time.monotonic)
-    with line(controller, tmp_path) as (address, tap):
+    with line(of_bench("esp301", 10_000, "1263")(time.monotonic)[0], tmp_path) as (address, tap):
         axis = EspAxis(name="pan", number=1, serial="", limits=LIMITS)
         told = ours(EspStage.open(address, [axis], clock=SystemClock()), tap, esp_requests)
         adapter = SerialAdapter(

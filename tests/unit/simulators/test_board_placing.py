@@ -13,7 +13,7 @@ from simulators.faults.catalogue import fault_order_from_text
 from simulators.optics import scene
 from simulators.optics.lens_focus import truth_record
 from simulators.rehearsed_world import RehearsedWorld
-from simulators.world.board import BoardState, HandShake, HandTruth, placement, pose, view_of
+from simulators.world.board import BoardState, HandShake, HandTruth, placement, pose
 
 CHECKER = {"kind": "checkerboard", "columns": 8, "rows": 5, "pitch_mm": 20}
 SCRIPT = [{"position_mm": [0, 0, 900]}, {"position_mm": [30, -10, 1000], "turn_deg": [20, 0, 180]}]
@@ -31,9 +31,7 @@ def placed(truth, number):
 
 def test_the_script_is_followed_and_begins_again():
     truth = truth_of(placements=SCRIPT)
-    depths = [
-        pose(placed(truth, n).board, view_of(truth.board, truth.target)).middle_mm[2] for n in (1, 2, 3)
-    ]
+    depths = [pose(placed(truth, n).board).middle_mm[2] for n in (1, 2, 3)]
     assert depths == [900.0, 1000.0, 900.0]
     upright, turned = (scene.corners(placed(truth, n), {}) for n in (1, 2))
     assert upright[0, 0] < upright[7, 0]
@@ -51,7 +49,7 @@ def test_the_same_number_gives_the_same_place_and_another_number_another():
 
 def test_the_hand_scatters_as_stated():
     truth = truth_of(placements=SCRIPT[:1], hand={"scatter_mm": 4, "scatter_deg": 2})
-    poses = [pose(placed(truth, n).board, view_of(truth.board, truth.target)) for n in range(1, 400)]
+    poses = [pose(placed(truth, n).board) for n in range(1, 400)]
     offsets = np.array([one.middle_mm for one in poses]) - [0, 0, 900]
     np.testing.assert_allclose(offsets.std(axis=0), 4.0, rtol=0.15)
     assert np.abs(offsets.mean(axis=0)).max() < 0.8
@@ -67,13 +65,7 @@ def test_random_places_show_the_whole_board_at_many_tilts():
         assert (corners > 10).all()
         assert (corners < [1270, 710]).all()
         middles.append(corners.mean(axis=0))
-        tilts.append(
-            math.degrees(
-                math.acos(
-                    pose(placed(truth, number).board, view_of(truth.board, truth.target)).rotation[2, 2]
-                )
-            )
-        )
+        tilts.append(math.degrees(math.acos(pose(placed(truth, number).board).rotation[2, 2])))
     assert np.ptp(middles, axis=0)[0] > 400
     assert max(tilts) > 30
     assert min(tilts) < 15
@@ -103,13 +95,12 @@ def test_orders_of_a_person_move_the_board(tmp_path):
         bench.hands.action(fault_order_from_text(text))()
         return bench.world.truth_at(bench.world.now_s()).board
 
-    view = view_of(config.truth.board, config.truth.target)
     assert do("board place number=2").state == BoardState(2)
     assert bench.hands.seen()["placement"] == 2
     assert truth_record(bench.world.truth_at(bench.world.now_s()))["board"]["placed"]["number"] == 2
-    np.testing.assert_allclose(pose(do("board move x_mm=5 z_mm=-40"), view).middle_mm, [35, -10, 960])
-    before = pose(bench.world.truth_at(bench.world.now_s()).board, view).rotation
-    turned = pose(do("board turn z_deg=90"), view).rotation
+    np.testing.assert_allclose(pose(do("board move x_mm=5 z_mm=-40")).middle_mm, [35, -10, 960])
+    before = pose(bench.world.truth_at(bench.world.now_s()).board).rotation
+    turned = pose(do("board turn z_deg=90")).rotation
     np.testing.assert_allclose(turned, np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ before, atol=1e-9)
     assert not do("board steady").state.flicker
     assert do("board second x_mm=200").state.second_mm == (200.0, 0.0, 0.0)
@@ -147,7 +138,7 @@ def test_a_star_target_is_placed_by_its_tag():
     truth = bench_config(
         {"board": {"kind": "stars", "placements": [{"position_mm": [10, 5, 700]}]}}
     ).truth_for(1)
-    assert placement(truth.board, view_of(truth.board, truth.target)).position_mm == (10.0, 5.0, 700.0)
+    assert placement(truth.board).position_mm == (10.0, 5.0, 700.0)
     ids = truth.target.ids
     nearest = np.linalg.norm(truth.target.positions_mm(ids) - truth.target.tag_centre_mm, axis=1)
     corners = scene.corners(truth, {})[np.argsort(nearest)[:8]].mean(axis=0)
@@ -158,7 +149,7 @@ def test_a_random_placement_does_not_depend_on_the_cameras_temperature():
     truth = truth_of(anywhere={})
     warm = replace(truth, camera=replace(truth.camera, fx=truth.camera.fx * 1.001))
     for number in range(1, 30):
-        one, other = (placement(placed(t, number).board, view_of(t.board, t.target)) for t in (truth, warm))
+        one, other = (placement(placed(t, number).board) for t in (truth, warm))
         assert one == other
 
 

@@ -62,7 +62,7 @@ def test_every_key_of_collimator_reticle_mount_and_gimbal_is_documented(section)
 @pytest.mark.parametrize("section", [BoardTruth, Placement, Anywhere, HandTruth])
 def test_every_key_of_a_board_is_documented(section):
     words = set(re.findall(r"\w+", TEXT.split("\n### Boards at finite distance", 1)[1].split("\n### ", 1)[0]))
-    computed = {"seed", "field_tangents", "state", "shake"}
+    computed = {"seed", "field_tangents", "size_mm", "state", "shake"}
     assert {one.name for one in fields(section)} - computed <= words
 
 
