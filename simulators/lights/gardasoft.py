@@ -71,13 +71,6 @@ class GardasoftRt(LightDriver):
     ) -> None:
         super().__init__(clock, drive, ends=b"\r", ignored=b"\n", longest=_MAX_MESSAGE)
         self._version = version
-        self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
-        self._trigger = False
-        self._period_ms = 20.0
-        self._events_enabled = False
-        self._event = ""
-        self._pending_events = ""
-        self._tripped = False
         self._max_percent = _MAX_PERCENT
         self._commands: dict[str, Callable[[list[str]], str]] = {
             "VR": lambda _words: self._version,
@@ -91,6 +84,13 @@ class GardasoftRt(LightDriver):
             "GR": self._clear,
             "AW": lambda words: _expect_at_most(words, 0),
         }
+        self._power_up()
+
+    def _power_up(self) -> None:
+        self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
+        self._trigger = self._events_enabled = self._tripped = False
+        self._period_ms = 20.0
+        self._event = self._pending_events = ""
         self._publish()
 
     def _answer(self, message: bytes) -> bytes:
@@ -117,10 +117,7 @@ class GardasoftRt(LightDriver):
     def exchange(self, serial: str) -> None:
         """See `LightDriver.exchange`. This controller does not report a serial number."""
         del serial
-        self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
-        self._trigger = self._events_enabled = self._tripped = False
-        self._event = ""
-        self._publish()
+        self._power_up()
 
     # ------------------------------------------------------------------ commands
     def _execute(self, command: str) -> str:

@@ -43,16 +43,16 @@ _VOLTAGE, _ENCODER, _OVERLOAD = 0x01, 0x08, 0x20
 _POSITION_MODES: Final = {3, 4, 5}
 
 
-class AccessError(Exception):
-    """An address that does not exist, or cannot be written now."""
+class _Refused(Exception):
+    """A refused instruction, with the error of its status packet."""
+
+    def __init__(self, error: int) -> None:
+        super().__init__(error)
+        self.error = error
 
 
-class RangeError(Exception):
-    """A value out of range; ``by_setting``: a setting of the servo limits it."""
-
-    def __init__(self, *, by_setting: bool = False) -> None:
-        super().__init__()
-        self.by_setting = by_setting
+def _unknown(_servo: DynamixelServo, _content: bytes, _now: float) -> bytes:
+    raise _Refused(_UNKNOWN)
 
 
 def crc_of(data: bytes) -> int:
@@ -196,13 +196,13 @@ class DynamixelServo(Unit):
 
     # ------------------------------------------------------------------ writing
     def write(self, first: int, data: bytes, t_s: float) -> None:
-        """Write whole fields from an address on, all checked before; `AccessError` if one cannot be written."""
+        """Write whole fields from an address on, all checked before; `_Refused` if one cannot be written."""
         values: list[tuple[int, int]] = []
         at = first
         while at < first + len(data):
             field = _FIELDS.get(at)
             if field is None or (at < _FIRST_VOLATILE and self._values[64]):
-                raise AccessError
+                raise _Refused(_ACCESS)
             part = data[at - first : at - first + field.size]
             if len(part) < field.size:
                 raise struct.error
@@ -218,15 +218,15 @@ class DynamixelServo(Unit):
     def _check(self, address: int, value: int) -> None:
         field = _FIELDS[address]
         if not field.lowest <= value <= field.highest:
-            raise RangeError
+            raise _Refused(_RANGE)
         if address == 11 and value not in {1, 3, 4, 16}:
-            raise RangeError
+            raise _Refused(_RANGE)
         if address == 64 and value and self._errors:
-            raise AccessError
+            raise _Refused(_ACCESS)
         lowest, highest = self._values[52], self._values[48]
         beyond = address == 116 and self._values[11] == 3 and not lowest <= value <= highest
         if beyond or (address == 112 and value > self._values[44]):
-            raise RangeError(by_setting=True)
+            raise _Refused(_LIMIT)  # a setting of the servo limits it
 
     def _set(self, address: int, value: int, t_s: float) -> None:
         before = self._values[address]
@@ -356,18 +356,13 @@ class DynamixelBus:
     def _execute(self, servo: DynamixelServo, instruction: int, content: bytes, now: float) -> bytes:
         servo.take_events(now)
         error, data = 0, b""
-        act = self._instructions.get(instruction)
-        if act is None:
-            error = _UNKNOWN
-        else:
-            try:
-                data = act(servo, content, now)
-            except AccessError:
-                error = _ACCESS
-            except RangeError as refused:
-                error = _LIMIT if refused.by_setting else _RANGE
-            except struct.error:
-                error = _LENGTH
+        act = self._instructions.get(instruction, _unknown)
+        try:
+            data = act(servo, content, now)
+        except _Refused as refused:
+            error = refused.error
+        except struct.error:
+            error = _LENGTH
         return status_packet(servo.number, error | servo.alert, data)
 
     # ------------------------------------------------------------------ instructions
@@ -375,7 +370,7 @@ class DynamixelBus:
         first, count = struct.unpack("<HH", content)
         table = servo.table(now)
         if not count or first + count > len(table):
-            raise AccessError
+            raise _Refused(_ACCESS)
         return table[first : first + count]
 
     def _write(self, servo: DynamixelServo, content: bytes, now: float) -> bytes:

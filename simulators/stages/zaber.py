@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, Unit
@@ -81,16 +81,6 @@ class CommandRejected(Exception):
     reason: str  # Data of the reply, e.g. ``BADDATA``.
 
 
-@dataclass
-class _State:
-    """Everything that a power cycle resets."""
-
-    settings: dict[str, int]
-    flags: set[str] = field(default_factory=set)
-    parked: bool = False
-    was_busy: bool = False
-
-
 class ZaberController(Unit):
     """A controller with one axis."""
 
@@ -103,7 +93,17 @@ class ZaberController(Unit):
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)
         super().__init__([self.axis], now_s, _BOOT_S)
-        self._state = self._as_delivered()
+        self._deliver()
+
+    def _deliver(self) -> None:
+        # On a bench, checksums are switched on; factory settings leave them off.
+        self._settings = factory_settings(self.model) | {"comm.checksum": 1}
+        self._parked = False
+        self._power_up()
+
+    def _power_up(self) -> None:
+        self._flags: set[str] = set()
+        self._was_busy = False
 
     # ------------------------------------------------------------------ fields of replies
     def awake(self, t_s: float) -> bool:
@@ -117,7 +117,7 @@ class ZaberController(Unit):
 
     def warnings(self, t_s: float) -> list[str]:
         """Return all active warning flags."""
-        flags = set(self._state.flags)
+        flags = set(self._flags)
         if not self.axis.referenced(t_s):
             flags.add("WR")
         return sorted(flags, key=_RANK.index)
@@ -125,14 +125,14 @@ class ZaberController(Unit):
     @property
     def checksums(self) -> bool:
         """Whether its messages end in a checksum."""
-        return bool(self._state.settings["comm.checksum"])
+        return bool(self._settings["comm.checksum"])
 
     def came_to_rest(self, t_s: float) -> bool:
         """Return whether an alert is due: a motion has ended since the last call, and alerts are enabled."""
         busy = self.axis.busy(t_s)
-        ended = self._state.was_busy and not busy
-        self._state.was_busy = busy
-        return ended and bool(self._state.settings["comm.alert"])
+        ended = self._was_busy and not busy
+        self._was_busy = busy
+        return ended and bool(self._settings["comm.alert"])
 
     # ------------------------------------------------------------------ commands
     def execute(self, axis: int, words: list[str], t_s: float) -> str:
@@ -176,14 +176,14 @@ class ZaberController(Unit):
             "pos": lambda: str(round(self.axis.counter(t_s))),
             "vel": lambda: str(round(self.axis.velocity(t_s) * SPEED_UNIT)),
             "limit.home.triggered": lambda: str(int(self.axis.referenced(t_s))),
-            "parking.state": lambda: str(int(self._state.parked)),
+            "parking.state": lambda: str(int(self._parked)),
         }
         if self.model.encoder:
             readings["encoder.pos"] = lambda: str(round(self.axis.encoder(t_s)))
         if name in readings:
             return readings[name]()
-        if name in self._state.settings:
-            return str(self._state.settings[name])
+        if name in self._settings:
+            return str(self._settings[name])
         raise CommandRejected("BADCOMMAND")
 
     def _set(self, words: list[str], t_s: float) -> str:
@@ -194,12 +194,12 @@ class ZaberController(Unit):
             self.axis.set_counter(value, t_s)
             self.axis.set_encoder(value, t_s)
             return "0"
-        if name not in self._state.settings:
+        if name not in self._settings:
             raise CommandRejected("BADCOMMAND")
-        lowest, highest = setting_range(name, self._state.settings)
+        lowest, highest = setting_range(name, self._settings)
         if not lowest <= value <= highest:
             raise CommandRejected("BADDATA")
-        self._state.settings[name] = value
+        self._settings[name] = value
         return "0"
 
     def _home(self, words: list[str], t_s: float) -> str:
@@ -207,14 +207,14 @@ class ZaberController(Unit):
         self._begin_motion(t_s)
         speed = min(self._speed("limit.approach.maxspeed"), self._speed("maxspeed"))
         self.axis.home(t_s, speed, speed / 10.0, self._acceleration())
-        self._state.was_busy = True
+        self._was_busy = True
         return "0"
 
     def _move(self, words: list[str], t_s: float) -> str:
         if not words:
             raise CommandRejected("BADCOMMAND")
         kind, arguments = words[0], [_integer(word) for word in words[1:]]
-        lowest, highest = self._state.settings["limit.min"], self._state.settings["limit.max"]
+        lowest, highest = self._settings["limit.min"], self._settings["limit.max"]
         speed, acceleration = self._speed("maxspeed"), self._acceleration()
         if kind in {"abs", "rel"} and 1 <= len(arguments) <= 3:
             start = 0 if kind == "abs" else round(self.axis.counter(t_s))
@@ -235,31 +235,31 @@ class ZaberController(Unit):
             raise CommandRejected("BADDATA")
         self._begin_motion(t_s)
         self.axis.move_to(target, t_s, speed, acceleration)
-        self._state.was_busy = self.axis.busy(t_s)
+        self._was_busy = self.axis.busy(t_s)
         return "0"
 
     def _begin_motion(self, t_s: float) -> None:
         """Reject an impossible motion; set flag NI if the motion interrupts another one."""
-        if self._state.parked:
+        if self._parked:
             raise CommandRejected("PARKED")
-        if "FH" in self._state.flags:
+        if "FH" in self._flags:
             raise CommandRejected("DRIVERDISABLED")
         if self.axis.busy(t_s):
-            self._state.flags.add("NI")
+            self._flags.add("NI")
         else:
-            self._state.flags.discard("NI")
+            self._flags.discard("NI")
 
     def _stop(self, words: list[str], t_s: float) -> str:
         _expect_no_arguments(words)
         if self.axis.busy(t_s):
-            self._state.flags.add("NI")
+            self._flags.add("NI")
             self.axis.stop(t_s, self._acceleration())
         return "0"
 
     def _estop(self, words: list[str], t_s: float) -> str:
         _expect_no_arguments(words)
         if self.axis.busy(t_s):
-            self._state.flags.add("NI")
+            self._flags.add("NI")
             self.axis.halt(t_s)
         return "0"
 
@@ -268,7 +268,7 @@ class ZaberController(Unit):
             raise CommandRejected("BADCOMMAND")
         flags = self.warnings(t_s)
         if words:
-            self._state.flags &= _NOT_CLEARABLE
+            self._flags &= _NOT_CLEARABLE
         return " ".join([f"{len(flags):02d}", *flags])
 
     def _tools(self, words: list[str], t_s: float) -> str:
@@ -278,14 +278,14 @@ class ZaberController(Unit):
             raise CommandRejected("BADCOMMAND")
         if self.axis.busy(t_s):
             raise CommandRejected("STATUSBUSY")
-        self._state.parked = words[1] == "park"
+        self._parked = words[1] == "park"
         return "0"
 
     def _system(self, words: list[str], t_s: float) -> str:
         if words == ["reset"]:
             self.restart(t_s)
         elif words == ["restore"]:
-            self._state.settings = factory_settings(self.model)
+            self._settings = factory_settings(self.model)
         else:
             raise CommandRejected("BADCOMMAND")
         return "0"
@@ -294,41 +294,33 @@ class ZaberController(Unit):
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency stop, which halts and holds the axis, or release it."""
         if released:
-            self._state.flags.discard("FH")
+            self._flags.discard("FH")
             return
         self.axis.halt(t_s)
-        self._state.flags.add("FH")
+        self._flags.add("FH")
 
     def exchange(self, serial: str, t_s: float) -> None:
         """See `Unit.exchange`."""
         self.model = replace(self.model, serial=serial)
-        self._state = self._as_delivered()
+        self._deliver()
         self.restart(t_s)
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         del axis, t_s
-        self._state.flags.add({"stall": "FS", "limit": "FE", "twist": "FT"}[event.kind])
+        self._flags.add({"stall": "FS", "limit": "FE", "twist": "FT"}[event.kind])
 
     def restart(self, t_s: float) -> None:
         """See `Unit.restart`. A parked axis keeps its reference, and settings are kept."""
-        self._moved = () if self._state.parked else (self.axis,)
+        self._moved = () if self._parked else (self.axis,)
         super().restart(t_s)
         self._moved = (self.axis,)
 
-    def _power_up(self) -> None:
-        self._state.flags.clear()
-        self._state.was_busy = False
-
     # ------------------------------------------------------------------ internals
-    def _as_delivered(self) -> _State:
-        # On a bench, checksums are switched on; factory settings leave them off.
-        return _State(factory_settings(self.model) | {"comm.checksum": 1})
-
     def _speed(self, setting: str) -> float:
-        return self._state.settings[setting] / SPEED_UNIT
+        return self._settings[setting] / SPEED_UNIT
 
     def _acceleration(self) -> float:
-        return self._state.settings["accel"] * 10_000.0 / SPEED_UNIT
+        return self._settings["accel"] * 10_000.0 / SPEED_UNIT
 
 
 def _integer(word: str) -> int:
