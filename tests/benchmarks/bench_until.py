@@ -20,19 +20,10 @@ import numpy as np
 
 from bench.base.clock import VirtualClock
 from bench.rehearsal.rehearsal import rehearse_run
-from calib.model.camera import CameraModel
+from bench.report.pose_plot import camera_of
 from calib.uncertainty.projection_uncertainty import camera_difference
 
 CASES = ("simulated", "simulated_ideal")
-
-
-def camera_of(values: dict[str, float]) -> CameraModel:
-    """Return the camera of a calibration or of the truth."""
-    values = dict(values)
-    width, height = values.pop("width", 1280), values.pop("height", 720)
-    pinhole = [values.pop(name) for name in ("fx", "fy", "cx", "cy")]
-    lens = {name: value for name, value in values.items() if name in ("k1", "k2", "p1", "p2", "k3")}
-    return CameraModel(*pinhole, (int(width), int(height)), lens)
 
 
 def measure(station: str, seed: int, settings: dict[str, str]) -> dict[str, object]:
@@ -53,18 +44,10 @@ def measure(station: str, seed: int, settings: dict[str, str]) -> dict[str, obje
         told = json.loads((Path(folder) / "run" / "results.json").read_text())
     last = told["untils"][-1]
     (fx,) = (row for row in told["comparison"] if row["name"] == "fx")
-    found = camera_of(told["calibration"]["camera"])
-    truth = camera_of(
-        {
-            **told["calibration"]["camera"],
-            **{
-                r["name"]: r["truth"]
-                for r in told["comparison"]
-                if r["name"] in told["calibration"]["camera"]
-            },
-        }
-    )
-    offset = np.linalg.norm(camera_difference(truth, found).offset_px, axis=2)
+    values, size = told["calibration"]["camera"], told["calibration"]["image_size"]
+    true = {row["name"]: row["truth"] for row in told["comparison"] if row["name"] in values}
+    cameras = camera_of(values | true, size), camera_of(values, size)
+    offset = np.linalg.norm(camera_difference(*cameras).offset_px, axis=2)
     return {
         "end": last["ended"],
         "poses": last["poses"],
