@@ -17,7 +17,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, Equations, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, gather, term_shapes, wavefront
-from calib.joint.layout import RIM, Layout
+from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.readings import Readings
@@ -78,13 +78,15 @@ def posed(
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
     readings = Readings.of(options.gimbal) if options.gimbal else None
     names = (*PINHOLE, *lens)
+    pupils = pupils_of(discs, centre.r) if discs else None
+    pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if discs else amp.Pupil.HELD
     layout = Layout(
         names,
         basis,
         term_shapes(options.budget, basis),
         readings.names if readings else (),
         wavefront(options.budget),
-        RIM if discs else (),
+        pupil,
     )
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}
@@ -94,7 +96,7 @@ def posed(
     for name in layout.gimbal:
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
-    hyper = amp.hyperprior(options.parallax_sigma, discs=discs is not None)
+    hyper = amp.hyperprior(options.parallax_sigma, pupil)
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
     blocks = layout.random_blocks(
         hyper, knowledge.in_passport, corner, parallax_known=knowledge.parallax_known
@@ -102,7 +104,6 @@ def posed(
     poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
     rims = [discs.of_views[pose] for pose in poses] if discs else []
-    pupils = pupils_of(discs, centre.r) if discs else None
     bench = Bench(
         layout,
         views[0].image_size,

@@ -58,16 +58,20 @@ _TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}
 #: The degrees of a pose's own field.
 POSE_DEGREES = (1, amp.POSE_DEGREE)
 POSE_PLACES = both((POSE_DEGREES[0] <= DEGREES) & (POSE_DEGREES[1] >= DEGREES))
+#: Where the fields by turn follow a pupil that is moved by hand, what differs from pose to pose may still change
+#: smoothly with the turn, in the degrees that imitate another focal length. Of a random function with a wave length of
+#: twice `amp.UNIT_TURN`, the part by turn is 1.5 times as large as the rest, which the own fields are.
+_SMOOTH_PLACES, _SMOOTH = both((DEGREES > 0) & (DEGREES <= 2)), 1.5
 
 
 @dataclass(frozen=True)
 class RandomBlock:
-    """Unknowns with the prior covariance stated + sum_j a_j^2 U_j U_j^T."""
+    """Unknowns with the prior covariance diag(stated) + sum_j a_j^2 U_j U_j^T."""
 
     group: str  # The row of the budget that it belongs to
     places: Places  # (K,) of the shared unknowns
     parts: tuple[tuple[int, Array], ...]  # For each amplitude its place and (K, M) its U_j
-    stated: Array | float = 0.0  # (K, K) covariance that a station states
+    stated: Array | float = 0.0  # (K,) variances that a station states
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,17 @@ class Layout:
     terms: Mapping[str, Array]  # Type B terms by name: (2 K,) field of a unit
     gimbal: tuple[str, ...]  # Names of the gimbal's unknowns; empty without readings
     wavefront: float = 0.0  # RMS slope of the collimator's wavefront that a station states, rad
-    rim: tuple[str, ...] = ()  # Names of the displacements about the visible discs
+    pupil: amp.Pupil = amp.Pupil.HELD
+
+    @property
+    def rim(self) -> tuple[str, ...]:
+        """Names of the displacements about the visible discs."""
+        return () if self.pupil is amp.Pupil.HELD else RIM
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether the fields by turn follow a pupil that is moved by hand."""
+        return self.pupil is amp.Pupil.BY_HAND
 
     @cached_property
     def common(self) -> Places:
@@ -109,15 +123,12 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of all shared unknowns."""
         fields = [f"common_{k}" for k in self.common]
-        for turns, degree in zip((_TURNS, _TURNS_2), self.turn_degrees, strict=True):
+        for turns, degree in zip((_TURNS, _TURNS_2), amp.TURN_DEGREES[self.pupil], strict=True):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
+        if self.by_hand:
+            fields += [f"own_{name}_{k}" for name in _TURNS for k in _SMOOTH_PLACES]
         errors = (*RADIAL, *self.turning, DRIFT, *self.rim, *fields, *self.terms)
         return (*self.camera, *CENTRE, *errors, *self.gimbal)
-
-    @property
-    def turn_degrees(self) -> tuple[int, int]:
-        """Highest degrees of the fields by turn and by turn squared."""
-        return amp.turn_degrees(discs=bool(self.rim))
 
     @cached_property
     def turning(self) -> tuple[str, ...]:
@@ -171,6 +182,8 @@ class Layout:
         found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
         by_turn = self.by_turn
         found[:, by_turn.rows, by_turn.columns] = by_turn.sizes(pupils)
+        if self.by_hand:
+            found[:, self.own_by_turn.rows, self.own_by_turn.columns] = self.own_by_turn.sizes(turns)
         times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
             found[pose, field : self.middle, self.index[DRIFT]] = times[pose] * self.basis.shape(
@@ -190,12 +203,21 @@ class Layout:
     def by_turn(self) -> TurnFields:
         """The fields that follow the turn."""
         parts = []
-        for names, degree in zip((_TURNS, _TURNS_2), self.turn_degrees, strict=True):
+        for names, degree in zip((_TURNS, _TURNS_2), amp.TURN_DEGREES[self.pupil], strict=True):
             places = both(degree >= DEGREES)
-            for name, powers in names.items():
-                columns = self.places([f"{name}_{j}" for j in places])
-                parts.append((self.field + places, columns, np.tile(powers, (len(places), 1))))
+            parts += [self._turned(name, powers, places) for name, powers in names.items()]
         return TurnFields(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    @cached_property
+    def own_by_turn(self) -> TurnFields:
+        """The part of the poses' own fields that changes smoothly with the turn."""
+        parts = [self._turned(f"own_{name}", powers, _SMOOTH_PLACES) for name, powers in _TURNS.items()]
+        return TurnFields(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def _turned(self, name: str, powers: tuple[int, int], places: Places) -> tuple[Places, Places, Places]:
+        """Return rows, columns and powers of one field, as `TurnFields`."""
+        columns = self.places([f"{name}_{j}" for j in places])
+        return self.field + places, columns, np.tile(powers, (len(places), 1))
 
     def random_blocks(
         self, hyper: amp.Hyperprior, known: frozenset[str], corner: float, *, parallax_known: bool
@@ -219,7 +241,16 @@ class Layout:
             blocks.append(self._common(hyper))
         if not parallax_known:
             blocks.append(self._parallax(hyper))
+        if self.by_hand:
+            blocks.append(self._own_by_turn(hyper))
         return [*blocks, self._turn(hyper), self._turn_2(hyper)]
+
+    def _own_by_turn(self, hyper: amp.Hyperprior) -> RandomBlock:
+        """Return the smooth part of the own fields: it has their amplitudes."""
+        degrees = np.tile(np.tile(DEGREES, 2)[_SMOOTH_PLACES], len(_TURNS))
+        names = [f"own_{turn}_{k}" for turn in _TURNS for k in _SMOOTH_PLACES]
+        parts = [(hyper.at(amp.POSE[d - 1]), _SMOOTH * _of_degree(degrees, d)) for d in np.unique(degrees)]
+        return RandomBlock(rows.POSE_FIELDS, self.places(names), tuple(parts))
 
     def _distortion(self, hyper: amp.Hyperprior, corner: float) -> RandomBlock:
         """Return the radial terms of the lens: powers of the tangent, or of the angle for a fisheye lens."""
@@ -246,7 +277,7 @@ class Layout:
         edge = (self.basis.radius_mm / self.basis.reference[2]) ** 2
         scale = _RADIAL_SCALE * edge * self.basis.shape(np.asarray)[self.common, None]
         names = [f"common_{k}" for k in self.common]
-        waves = np.diag(self.wavefront**2 / (DEGREE * (degrees + 1.0)))
+        waves = self.wavefront**2 / (DEGREE * (degrees + 1.0))
         return RandomBlock(
             rows.COMMON_FIELD,
             self.places(names),
@@ -275,7 +306,7 @@ class Layout:
         30 times larger than the others, and can be exchanged against fx. So has coma, which can be exchanged against
         p1, p2 and, with these, the principal point.
         """
-        highest = self.turn_degrees[0]
+        highest = amp.TURN_DEGREES[self.pupil][0]
         places = both((DEGREES > 0) & (highest >= DEGREES))
         degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
         shifted = np.concatenate(
@@ -294,7 +325,7 @@ class Layout:
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the fields by turn squared; those of round glass have an amplitude of their own, as in `_turn`."""
-        highest = self.turn_degrees[1]
+        highest = amp.TURN_DEGREES[self.pupil][1]
         places = both(highest >= DEGREES)
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
         parts = [(hyper.at(amp.TURN_2[d]), _of_degree(degrees, d)) for d in range(highest + 1)]
@@ -308,14 +339,7 @@ class Layout:
 
 
 #: Parallax by turn (`Layout.parallax`): one size, alike along both axes but for a fifth in all ways.
-PARALLAX_SHAPES = np.column_stack(
-    [
-        [1.0, 0.0, 0.0, 1.0],
-        0.2 * np.array([1.0, 0.0, 0.0, -1.0]),
-        0.2 * np.array([0.0, 1.0, 1.0, 0.0]),
-        0.2 * np.array([0.0, 1.0, -1.0, 0.0]),
-    ]
-)
+PARALLAX_SHAPES = np.column_stack([np.sqrt(0.08) * np.eye(4), np.sqrt(0.96) * np.array([1.0, 0.0, 0.0, 1.0])])
 
 
 def _turn_squared(powers: tuple[int, int], h: Array) -> Array:

@@ -49,7 +49,7 @@ class RandomPrior:
     places: Places  # (K,) of the shared unknowns
     shapes: Array  # (K, Q) columns u_q
     amplitudes: Places  # (Q,) place of the amplitude of each column
-    stated: Array  # (K, K)
+    stated: Array  # (K,) variances
     groups: tuple[str, ...]  # The row of the budget of each unknown
     blocks: tuple[tuple[slice, slice], ...]  # Rows and columns of unknowns that are independent of all others
 
@@ -59,26 +59,33 @@ class RandomPrior:
         places = np.concatenate([block.places for block in blocks])
         parts = [part for block in blocks for part in block.parts]
         amplitudes = np.repeat([at for at, _ in parts], [shape.shape[1] for _, shape in parts])
-        shapes, stated = np.zeros((len(places), len(amplitudes))), np.zeros((len(places), len(places)))
+        shapes, stated = np.zeros((len(places), len(amplitudes))), np.zeros(len(places))
         own, row, column = [], 0, 0
         for block in blocks:
             shape = np.concatenate([shape for _, shape in block.parts], axis=1)
             rows, columns = slice(row, row + len(shape)), slice(column, column + shape.shape[1])
-            shapes[rows, columns], stated[rows, rows] = shape, block.stated
+            shapes[rows, columns], stated[rows] = shape, block.stated
             own.append((rows, columns))
             row, column = rows.stop, columns.stop
         groups = tuple(block.group for block in blocks for _ in block.places)
         return cls(places, shapes, amplitudes, stated, groups, tuple(own))
 
+    @cached_property
+    def _alone(self) -> NDArray[np.bool_]:
+        """(Q,) whether a column scales one unknown; each unknown has such a column, or a stated variance."""
+        return np.asarray(np.count_nonzero(self.shapes, axis=0) == 1)
+
     def information(self, squares: Array) -> tuple[Array, float]:
-        """Return the (K, K) prior information for (A,) squares of amplitudes, and log det of the covariance."""
-        found, logarithm = np.zeros_like(self.stated), 0.0
-        for rows, columns in self.blocks:
-            shape = self.shapes[rows, columns] * np.sqrt(squares[self.amplitudes[columns]])
-            root, more = inverse_root(shape @ shape.T + self.stated[rows, rows])
-            found[rows, rows] = root.T @ root
-            logarithm += more
-        return found, logarithm
+        """Return the (K, K) prior information for (A,) squares of amplitudes, and log det of the covariance.
+
+        The covariance is diagonal but for few columns (Woodbury, 1950).
+        """
+        shapes = self.shapes * np.sqrt(squares[self.amplitudes])
+        variances, together = self.stated + (shapes[:, self._alone] ** 2).sum(axis=1), shapes[:, ~self._alone]
+        pulled = together / variances[:, None]
+        root, logarithm = inverse_root(np.eye(together.shape[1]) + together.T @ pulled)
+        part = root @ pulled.T
+        return np.diag(1.0 / variances) - part.T @ part, logarithm + float(np.log(variances).sum())
 
     def pulled(self, squares: Array, inside: Array) -> Array:
         """Return (K, Q) the (K, K) prior information times the columns with their amplitudes."""

@@ -65,17 +65,21 @@ def _without_turn(values: Mapping[str, float], rays: Array) -> Array:
 def compared(answer: Answer, camera: Camera) -> dict[str, Any]:
     """Errors and expanded uncertainties, as numbers of a line."""
     k, names = answer.coverage_factor, list(answer.values)
-    error = {name: answer.values[name] - camera.values[name] for name in CENTRE}
-    u = {
+    expanded = {
         name: answer.factors.get(name, k) * float(np.sqrt(answer.covariance[i, i]))
         for i, name in enumerate(names)
-        if name in CENTRE
     }
+    off = {name: value - camera.values.get(name, 0.0) for name, value in answer.values.items()}
+    error, u = {name: off[name] for name in CENTRE}, {name: expanded[name] for name in CENTRE}
+    has_lens = camera.image_of is None  # else no coefficients describe it
     error["corner"], sigma = corner(answer, camera)
     u["corner"] = k * sigma
     return {
         "error": {name: round(value, 5) for name, value in error.items()},
         "U": {name: round(value, 5) for name, value in u.items()},
+        "lens_over": {
+            name: round(off[name] / expanded[name], 3) for name in off if has_lens and name not in CENTRE
+        },
         "k": round(k, 3),
         "rms_px": round(answer.rms_px, 4),
         "left_out_px": answer.left_out_rms_px and round(answer.left_out_rms_px, 4),

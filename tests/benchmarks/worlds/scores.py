@@ -83,7 +83,23 @@ def table(lines: Sequence[Line]) -> str:
             label = " ".join(map(str, value)) if isinstance(value, tuple) else f"{name} {value}"
             text.append(row(label, [line for line in lines if of(line) == value]))
         text.append("")
-    return "\n".join([*text, *_worst(lines)])
+    return "\n".join([*text, _lens(lines), *_worst(lines)])
+
+
+def _lens(lines: Sequence[Line]) -> str:
+    """The coefficients of the lens, of all results whose truth has them: error over U."""
+    over: dict[str, list[float]] = {}
+    for line in lines:
+        for name, one in line.get("lens_over", {}).items():
+            over.setdefault(name, []).append(abs(one))
+    text = ["lens: covered, %; rms of 2 error/U; largest error/U"]
+    for name, found in over.items():
+        ratio = np.array(found)
+        rms = 2 * np.sqrt(np.mean(ratio**2))
+        text.append(
+            f"  {name:5s} {len(ratio):4d} {100 * np.mean(ratio <= 1):4.0f} {rms:5.2f} {ratio.max():5.1f}"
+        )
+    return "\n".join(text)
 
 
 def _worst(lines: Sequence[Line], count: int = 12) -> list[str]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib import CalibrationOptions, Passport, calibrate
+from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
@@ -44,6 +45,27 @@ def test_places_are_the_most_probable_ones_with_all_else_integrated_out(optimum)
     steps = [size * sigma * np.eye(at.size)[k].reshape(at.shape) for k in range(at.size)]
     slopes = [(doubt(optimum, at + step) - doubt(optimum, at - step)) / (2.0 * size) for step in steps]
     assert np.abs(slopes).max() < 0.2  # for a change by 1 sigma of what the discs say
+
+
+def test_own_fields_share_their_amplitudes_with_what_follows_the_turn(optimum):
+    """The gradient of the likelihood counts both."""
+    marginal, hyper, step = optimum.marginal, optimum.marginal.problem.hyper, 1e-4
+    gradient = marginal.solve(optimum.eta).gradient
+    for k in hyper.places(amp.POSE):
+        ahead, behind = (
+            marginal.solve(optimum.eta + s * np.eye(len(gradient))[k]).value for s in (step, -step)
+        )
+        assert gradient[k] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-4, abs=1e-3)
+    assert set(hyper.places(amp.POSE[:2])) < set(marginal.problem.random.amplitudes)
+
+
+def test_prior_information_is_the_inverse_of_the_covariance(optimum):
+    random, squares = optimum.marginal.problem.random, np.exp(2.0 * optimum.eta)
+    shapes = random.shapes * np.sqrt(squares[random.amplitudes])
+    covariance = shapes @ shapes.T + np.diag(random.stated)
+    information, logarithm = random.information(squares)
+    assert np.abs(information @ covariance - np.eye(len(covariance))).max() < 1e-6
+    assert logarithm == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
 
 
 def test_places_elsewhere_come_back(optimum):
