@@ -123,6 +123,16 @@ def test_a_killed_panel_leaves_no_gap(run, tabs):
         assert len(told) == 3
 
 
+def test_each_value_has_the_coverage_factor_of_its_own(run, tabs):
+    values, sigma = {"fx": 3346.0, "p1": -1e-9}, {"fx": 1.0, "p1": 2e-4}
+    factors = {"coverage_factor": 2.0, "coverage_factors": {"fx": 2.0, "p1": 3.0}}
+    run.write("solved", model="joint", converged=True, rms_px=0.1, values=values, sigma=sigma, **factors)
+    with served(panel_app(run.folder.parent)) as server:
+        tab = tabs.open(f"{server.url}run/run7")
+        wait_text(tab, "#uncertainty", "3346.0 ± 2.0")
+        wait_text(tab, "#uncertainty", "\t0.00000 ± 0.00060")
+
+
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
 def test_nothing_is_cut_on_a_phone(run, chromium, page):
     root = run.folder.parent

@@ -74,7 +74,8 @@ export function withUncertainty(value, sigma, k = 2) {
   const step = 10 ** (Math.floor(Math.log10(expanded)) - 1), near = Math.round(expanded / step);
   const rounded = step * (near * step < 0.99 * expanded ? near + 1 : near);
   const decimals = Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(rounded))));
-  return `${value.toFixed(decimals)} ± ${rounded.toFixed(decimals)}`;
+  const stated = value.toFixed(decimals);
+  return `${Number(stated) === 0 ? stated.replace("-", "") : stated} ± ${rounded.toFixed(decimals)}`;
 }
 
 export function plural(count, noun) {

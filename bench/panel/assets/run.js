@@ -356,7 +356,7 @@ function drawUncertainty() {
   setText(at("uncertainty-note"), `U, k = ${number(k)}, pose by pose`);
   if (parts.length) parts.push(legend([["var(--muted)", "expected by the plan", true], ...(head.decisions.length ? [["var(--plot-1)", "reached"], ["var(--plot-5)", "expected with the next pose"]] : [])]));
   if (solved) parts.push(el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, `Result (${solved.model}, RMS ${number(solved.rms_px)} px)`), el("th", { class: "n" }, "value ± U"))),
-    el("tbody", {}, Object.entries(solved.values).filter(([name]) => name in solved.sigma).slice(0, 12).map(([name, value]) => el("tr", {}, el("td", {}, name), el("td", { class: "n" }, withUncertainty(value, solved.sigma[name], k))))))));
+    el("tbody", {}, Object.entries(solved.values).filter(([name]) => name in solved.sigma).slice(0, 12).map(([name, value]) => el("tr", {}, el("td", {}, name), el("td", { class: "n" }, withUncertainty(value, solved.sigma[name], solved.coverage_factors?.[name] ?? k))))))));
   if (head.ended === "finished" && head.sealed) parts.push(el("p", { class: "screen" }, el("a", { class: "button", href: `/report/${key}` }, "Open the report")));
   if (head.evidence) parts.push(el("p", { class: "note" }, head.evidence));
   const decided = head.decisions.at(-1), why = decided?.chosen?.why || decided?.why || decided?.problem;
