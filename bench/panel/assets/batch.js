@@ -48,7 +48,7 @@ function doneRow(item) {
   const fx = item.parameters.fx;
   return el("tr", {}, el("td", { class: "name" }, name(item.item, true), item.report ? el("div", { class: "note screen" }, el("a", { href: link(item.item).replace("/run/", "/report/") }, "report")) : null),
     el("td", { "data-label": "End" }, el("span", { class: `pill ${TONES[item.how] || ""}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)), el("td", { class: "n", "data-label": "Poses" }, poses(item)),
-    el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma) : ""));
+    el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""));
 }
 
 function drawTimeline(items, status) {
@@ -93,7 +93,7 @@ function drawCameras(cameras) {
     const begin = Date.parse(camera.runs[0].begun_utc);
     return el("section", { class: "card" }, el("header", {}, el("h2", {}, `Camera ${camera.camera || "without a number"}, ${camera.model}`), el("span", { class: "note" }, `${plural(camera.runs.length, "run")}; each ± U (k = 2); band: weighted mean ± U; hours since the first run`)),
       el("div", { class: "trends" }, camera.parameters.map((trend) => {
-        const points = camera.runs.filter((run) => run.parameters[trend.name]).map((run) => [(Date.parse(run.begun_utc) - begin) / 3_600_000, run.parameters[trend.name].value, 2 * run.parameters[trend.name].sigma]);
+        const points = camera.runs.filter((run) => run.parameters[trend.name]).map((run) => [(Date.parse(run.begun_utc) - begin) / 3_600_000, run.parameters[trend.name].value, run.parameters[trend.name].expanded]);
         const drifts = trend.per_hour?.seen, warm = trend.per_c?.seen;
         const scatters = camera.runs.length > 1 && trend.birge > 1 + 3 / Math.sqrt(2 * (camera.runs.length - 1));
         const verdict = drifts ? `changes by ${number(trend.per_hour.value)} per hour` : warm ? `follows the temperature, ${number(trend.per_c.value)} per °C` : scatters ? "scatters more than its U" : "steady";
