@@ -1,7 +1,8 @@
 """The bound of Cramér and Rao for the spherical model of a bench with all that its station states.
 
 Own derivation, by numerical derivatives: the unknowns are the camera, the collimator's centre and radius, and for each
-pose a rotation; mounting, standing, squareness and scales of the gimbal if readings are given.
+pose a rotation; bow and scale of the print if anything is stated; mounting, standing, squareness and scales of the
+gimbal if readings are given.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from .bench import Bench
 from .geometry import DEG, by_names, turn
 from .judge import CENTRE
-from .polynomial import World
+from .polynomial import BOW_RADIUS_MM, World
 
 Array = NDArray[np.float64]
 _STEP = 1e-6
@@ -21,21 +22,25 @@ _STEP = 1e-6
 def bound_px(world: World, bench: Bench, known: str) -> dict[str, float]:
     """Twice the smallest standard uncertainty of fx, fy, cx, cy that any unbiased estimate can have."""
     names = list(bench.camera.values)
-    start = np.array([*bench.camera.values.values(), *world.glass.foot_mm, world.glass.r])
-    steps = np.array([*(1e-3 if name in CENTRE else 1e-6 for name in names), 1e-4, 1e-4, 1e-4])
+    start = np.array([*bench.camera.values.values(), *world.glass.foot_mm, world.glass.r, 0.0, 0.0])
+    steps = np.array([*(1e-3 if name in CENTRE else 1e-6 for name in names), 1e-4, 1e-4, 1e-4, 1e-3, 1e-6])
     shared, gimbal = len(start), 9 if "r" in known else 0
     count = shared + gimbal
     normal = np.zeros((count, count))
+    normal[range(shared - 2, shared), range(shared - 2, shared)] = _print_information(bench, known)
     if "c" in known:
-        normal[shared - 1, shared - 1] += bench.stated.r_sigma_mm**-2
+        normal[shared - 3, shared - 3] += bench.stated.r_sigma_mm**-2
     if gimbal:
         _add_gimbal_priors(normal[shared:, shared:], bench)
     for view, reading in zip(bench.views, bench.readings_deg, strict=True):
         rotation = world.gimbal.rotation(np.array(list(reading.values())), np.zeros(2))
 
         def seen(values: Array, by: Array, rotation: Array = rotation, mm: Array = view.mm) -> Array:
-            lens = dict(zip(names, values[:-3].tolist(), strict=True))
-            rays = np.column_stack([mm - values[-3:-1], np.full(len(mm), values[-1])])
+            lens = dict(zip(names, values[:-5].tolist(), strict=True))
+            x, y, r, bow_mm, scale = values[-5:]
+            h = (mm * (1 + scale) - [x, y]) / r
+            bow = bow_mm * r / BOW_RADIUS_MM**2 * (h * h).sum(axis=1, keepdims=True) * h
+            rays = np.column_stack([h + bow, np.ones(len(mm))])
             return by_names(lens, rays @ (turn(by) @ rotation).T).ravel()
 
         columns = [_slope(lambda at: seen(at, np.zeros(3)), start, i, steps[i]) for i in range(shared)]
@@ -60,6 +65,14 @@ def _slope(of: object, at: Array, i: int, step: float) -> Array:
     more[i] += step
     less[i] -= step
     return np.asarray((of(more) - of(less)) / (2 * step))
+
+
+def _print_information(bench: Bench, known: str) -> Array:
+    """What is stated about bow, mm, and scale of the print: two inverse variances; exact if nothing is stated."""
+    if known == "0":
+        return np.full(2, 1e18)
+    stated = bench.stated
+    return np.array([3 / stated.print_bow_mm**2, 1 / (stated.print_scale**2 / 3 + stated.thermal**2)])
 
 
 def _add_gimbal_priors(normal: Array, bench: Bench) -> None:
