@@ -14,7 +14,7 @@ from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geome
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, Equations, State, ViewStars, turns_of
+from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, gather, term_shapes, wavefront
 from calib.joint.layout import Layout
@@ -147,26 +147,35 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
         ) from error
 
 
-def _refuse_other_collimator(
-    problem: Problem, state: State, equations: Equations, options: CalibrationOptions
-) -> None:
+def _approached(problem: Problem, start: State, options: CalibrationOptions) -> State:
+    """Return a state near the optimum: where the views lead without a certificate, if they can do without."""
+    equations, knowledge = first_equations(problem, start), problem.knowledge
+    others = tuple(one for one in knowledge.statements if one.name != CERTIFICATE)
+    free = replace(problem, knowledge=replace(knowledge, statements=others))
+    try:
+        near = approached(free, start, equations, options.max_iterations)
+    except NotConverged:
+        return approached(problem, start, equations, options.max_iterations)
+    _refuse_other_collimator(free, near, options)
+    return near
+
+
+def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOptions) -> None:
     """Refuse a certificate whose radius is far from what the views alone show: it is another collimator's.
 
     Camera, lens and fields would take up even twice the radius. Views that show too little of it say nothing.
     """
     if options.passport is None or not options.passport.is_certificate:
         return
-    stated, knowledge = options.passport.values_by_name["r"], problem.knowledge
-    others = tuple(one for one in knowledge.statements if one.name != CERTIFICATE)
-    free = replace(problem, knowledge=replace(knowledge, statements=others))
-    try:
-        near = approached(free, state, equations, options.max_iterations)
-        marginal = Marginal(free, free.bench.linearised(near, _WIDE), near)
-        at, found = free.bench.layout.index["r"], solved(marginal, free.hyper.mean)
-    except (CalibrationError, np.linalg.LinAlgError):
+    stated, at = options.passport.values_by_name["r"], free.bench.layout.index["r"]
+    seen = float(near.shared[at])
+    if abs(stated - seen) <= _OTHER_RADIUS * seen:
         return
-    seen, sigma = float(near.shared[at]), float(np.sqrt(found.covariance[at, at]))
-    if abs(stated - seen) > max(_OTHER_RADIUS * seen, _CLEARLY * sigma):
+    try:
+        found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), free.hyper.mean)
+    except NotConverged:
+        return
+    if abs(stated - seen) > _CLEARLY * float(np.sqrt(found.covariance[at, at])):
         raise InputMismatch(
             f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen:.3g} mm.",
             remedy="Give the certificate of the collimator that was used, or leave it out.",
@@ -185,9 +194,7 @@ def _searched(
 ) -> Optimum:
     discs = _discs(views, options, start)
     problem, state = posed(views, options, start, lens, discs)
-    equations = first_equations(problem, state)
-    _refuse_other_collimator(problem, state, equations, options)
-    near = approached(problem, state, equations, options.max_iterations)
+    near = _approached(problem, state, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)

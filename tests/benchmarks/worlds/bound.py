@@ -7,6 +7,9 @@ gimbal if readings are given.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,17 +20,30 @@ from .polynomial import BOW_RADIUS_MM, World
 
 Array = NDArray[np.float64]
 _STEP = 1e-6
+#: Inverse variance of what is known exactly.
+_EXACT = 1e18
 
 
-def bound_px(world: World, bench: Bench, known: str) -> dict[str, float]:
-    """Twice the smallest standard uncertainty of fx, fy, cx, cy that any unbiased estimate can have."""
-    names = list(bench.camera.values)
-    start = np.array([*bench.camera.values.values(), *world.glass.foot_mm, world.glass.r, 0.0, 0.0])
+def bound_px(
+    world: World, bench: Bench, known: str, lens: Mapping[str, float] = MappingProxyType({})
+) -> dict[str, float]:
+    """Twice the smallest standard uncertainty of fx, fy, cx, cy that any unbiased estimate can have.
+
+    ``known`` is one of `KNOWN`; with an ``x`` in it, collimator and print are known exactly. ``lens``: standard
+    uncertainties of further coefficients, whose true value is 0.
+    """
+    coefficients = {**bench.camera.values, **dict.fromkeys(lens, 0.0)}
+    names = list(coefficients)
+    start = np.array([*coefficients.values(), *world.glass.foot_mm, world.glass.r, 0.0, 0.0])
     steps = np.array([*(1e-3 if name in CENTRE else 1e-6 for name in names), 1e-4, 1e-4, 1e-4, 1e-3, 1e-6])
     shared, gimbal = len(start), 9 if "r" in known else 0
     count = shared + gimbal
     normal = np.zeros((count, count))
     normal[range(shared - 2, shared), range(shared - 2, shared)] = _print_information(bench, known)
+    for name, sigma in lens.items():
+        normal[names.index(name), names.index(name)] += sigma**-2
+    if "x" in known:
+        normal[range(shared - 5, shared), range(shared - 5, shared)] = _EXACT
     if "c" in known:
         normal[shared - 3, shared - 3] += bench.stated.r_sigma_mm**-2
     if gimbal:
@@ -70,7 +86,7 @@ def _slope(of: object, at: Array, i: int, step: float) -> Array:
 def _print_information(bench: Bench, known: str) -> Array:
     """What is stated about bow, mm, and scale of the print: two inverse variances; exact if nothing is stated."""
     if known == "0":
-        return np.full(2, 1e18)
+        return np.full(2, _EXACT)
     stated = bench.stated
     return np.array([3 / stated.print_bow_mm**2, 1 / (stated.print_scale**2 / 3 + stated.thermal**2)])
 
