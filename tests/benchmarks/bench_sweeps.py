@@ -5,7 +5,8 @@
 ``smooth``: an ideal bench whose poses get a smooth error of 0 to .01 px in steps of .001 px: no step of U above 1.6.
 ``poses``: 3 to 25 poses, each set within the next: U never grows by more than 10 %. ``knowledge``: nothing, then readings
 or a certificate, then both: U never grows by more than 10 %. ``bound``: U of the ideal bench over the bound of Cramér and
-Rao for the spherical model: at most 1.4. Each part prints U of fx along the way and the largest step of each number.
+Rao for the spherical model: at most 1.4; and that bound for one pose before a collimator that is known exactly. Each
+part prints U of fx along the way and the largest step of each number.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 
 import measured
 import numpy as np
-from worlds.bench import NINE, THREE
+from worlds.bench import NINE, POSES, THREE
 from worlds.bound import bound_px
 from worlds.judge import judged
 from worlds.polynomial import SEEDS, draw_world, record
@@ -25,6 +26,9 @@ from worlds.scores import WHAT
 from worlds.sweeps import CHAINS, more_knowledge, more_poses, smooth_errors, steps
 
 PARTS = ("smooth", "poses", "knowledge", "bound")
+#: What is expected of the tangential terms of a lens (docs/adjustment.md).
+TANGENTIAL = {"p1": 4e-4, "p2": 4e-4}
+ONE_POSE = "one pose, collimator known"
 
 
 def main() -> None:
@@ -67,24 +71,37 @@ def ways(part: str, seed: int, knowns: Sequence[str]) -> list[tuple[str, list[di
             for label, results in found
             for chain in CHAINS
         ]
-    return [(known, [_over_bound(seed, known)]) for known in knowns]
+    return [*((known, [_over_bound(seed, known)]) for known in knowns), (ONE_POSE, [_one_pose(seed)])]
 
 
 def _over_bound(seed: int, known: str) -> dict[str, Any]:
     world = draw_world(seed, "ideal")
     bench = record(world, seed, NINE)
-    line, bound = judged(bench, known, "right"), bound_px(world, bench, known)
+    line, bound = judged(bench, known, "right"), bound_px(world, bench, known, TANGENTIAL)
     return {**line, "over_bound": {name: line["U"][name] / value for name, value in bound.items()}}
+
+
+def _one_pose(seed: int) -> dict[str, Any]:
+    """What no calibration with a passport can be better than: the glass has no errors, the pupil has its place."""
+    world = draw_world(seed, "ideal")
+    bench = record(world, seed, POSES[1])
+    return {"bound_px": bound_px(world, bench, "xr", TANGENTIAL)}
 
 
 def show(name: str, lines: Sequence[dict[str, Any]], part: str) -> None:
     """Print one way."""
     solved = [line for line in lines if "refused" not in line]
     refused = f"  {len(lines) - len(solved)} refused" if len(solved) < len(lines) else ""
-    if part == "bound":
+    if name.endswith(ONE_POSE):
+        print(name, "bound:", " ".join(f"{what} {px:.2f} px" for what, px in lines[0]["bound_px"].items()))
+    elif part == "bound":
         over = " ".join(f"{what} {ratio:.2f}" for what, ratio in solved[0]["over_bound"].items())
         print(f"{name:34s} U over the bound: {over}; U(fx) {solved[0]['U']['fx']:.2f}", flush=True)
-        return
+    else:
+        _show_steps(name, solved, part, refused)
+
+
+def _show_steps(name: str, solved: Sequence[dict[str, Any]], part: str, refused: str) -> None:
     largest = []
     for what in WHAT:
         ratios = np.array(steps(solved, what) or [1.0])
