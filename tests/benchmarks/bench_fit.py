@@ -1,0 +1,90 @@
+"""CPU time of a fit: the joint adjustment beside OpenCV's planar calibration of the same views, in one run.
+
+    python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1] [--checkout FOLDER]
+
+For each world and number of poses, the median over the seeds, s. ``cr``: certificate and bounded readings; a mount
+moved by hand (S1) has neither. OpenCV's ``calibrateCamera`` gets the same stars, and the same two coefficients.
+``--checkout`` measures another checkout in the same way, behind this one, and prints the ratio.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from itertools import product
+from pathlib import Path
+from statistics import median
+
+import cv2
+import measured
+import numpy as np
+from worlds.bench import GRID, POSES, Bench
+from worlds.catalogue import WORLDS
+from worlds.knowledge import options_for, views_of
+
+from calib.engine import calibrate
+
+
+def drawn(world: str, poses: int, seed: int) -> Bench:
+    """Draw a bench; of more poses than a sequence has, the first of the grid."""
+    bench = WORLDS[world](seed, poses if poses in POSES else len(GRID), 1, 0)
+    bench.views[poses:], bench.readings_deg[poses:] = [], []
+    return bench
+
+
+def seconds(world: str, poses: int, seed: int) -> tuple[float, float]:
+    """CPU time of the joint adjustment and of OpenCV's calibration."""
+    bench = drawn(world, poses, seed)
+    views, options = views_of(bench), options_for(bench, "0" if world.endswith(("S1", "S2")) else "cr")
+    begun = time.process_time()
+    calibrate(views, options)
+    fitted = time.process_time()
+    plane = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32) for v in views]
+    cv2.calibrateCamera(
+        plane,
+        [v.points_px.astype(np.float32) for v in views],
+        views[0].image_size,
+        np.eye(3),
+        np.zeros(5),
+        flags=cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    )
+    return fitted - begun, time.process_time() - fitted
+
+
+def main() -> None:
+    parser = measured.options(__doc__)
+    parser.add_argument("--poses", nargs="+", type=int, default=[3, 9, 20])
+    parser.add_argument("--seeds", type=measured.seeds, default="0-3")
+    parser.add_argument("--worlds", nargs="+", default=["polynomial", "product", "S1"], choices=WORLDS)
+    parser.add_argument("--checkout", type=Path)
+    parser.add_argument("--json", action="store_true", help="print the numbers only")
+    given = parser.parse_args()
+    seconds("polynomial", 3, 0)  # imports and compiled loops
+    found = {
+        f"{world}, {poses}": [
+            median(part) for part in zip(*(seconds(world, poses, seed) for seed in given.seeds), strict=True)
+        ]
+        for world, poses in product(given.worlds, given.poses)
+    }
+    if given.json:
+        print(json.dumps(found))
+        return
+    other = {}
+    if given.checkout:
+        words = [
+            "--json",
+            "--seeds",
+            f"{given.seeds[0]}-{given.seeds[-1]}",
+            "--poses",
+            *map(str, given.poses),
+        ]
+        other = json.loads(measured.in_checkout(given.checkout, *words, "--worlds", *given.worlds))
+    print("| world, poses | joint adjustment | OpenCV, planar | other checkout over this one |")
+    print("| --- | --- | --- | --- |")
+    for name, (joint, planar) in found.items():
+        ratio = f"{other[name][0] / joint:.2f}" if other else ""
+        print(f"| {name} | {joint:.2f} s | {planar:.2f} s | {ratio} |")
+
+
+if __name__ == "__main__":
+    measured.run(main, "costs", "A fit")
