@@ -98,11 +98,12 @@ def posed(
     knowledge = gather(options, layout, views[0].image_size, values)
     hyper = amp.hyperprior(options.parallax_sigma, pupil)
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
-    blocks = layout.random_blocks(
-        hyper, knowledge.in_passport, corner, parallax_known=knowledge.parallax_known
-    )
     poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
+    reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
+    blocks = layout.random_blocks(
+        hyper, knowledge.in_passport, corner, reach, parallax_known=knowledge.parallax_known
+    )
     rims = [discs.of_views[pose] for pose in poses] if discs else []
     bench = Bench(
         layout,

@@ -95,7 +95,7 @@ FAMILIES = (
     ),
     Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
-    Family((PRISM,), (2e-4,), 0.3, 0.0),
+    Family((PRISM,), (2e-4,), 1.0, 0.0),
     Family((RIM,), (2e-3,), 1.3, 0.0),
     Family((DISCS,), (1.0,), 0.3, 0.0),  # Errors of the visible discs over those that their fit states
 )

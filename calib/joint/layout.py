@@ -59,9 +59,10 @@ _TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}
 POSE_DEGREES = (1, amp.POSE_DEGREE)
 POSE_PLACES = both((POSE_DEGREES[0] <= DEGREES) & (POSE_DEGREES[1] >= DEGREES))
 #: Where the fields by turn follow a pupil that is moved by hand, what differs from pose to pose may still change
-#: smoothly with the turn, in the degrees that imitate another focal length. Of a random function with a wave length of
-#: twice `amp.UNIT_TURN`, the part by turn is 1.5 times as large as the rest, which the own fields are.
-_SMOOTH_PLACES, _SMOOTH = both((DEGREES > 0) & (DEGREES <= 2)), 1.5
+#: smoothly with the turn, in the degrees that imitate another focal length. If the poses turn by `amp.UNIT_TURN`, the
+#: part of a random function that is linear in the turn is so many times as large as the rest, which the own fields are.
+#: It bends: beyond, what is linear falls with the root of the turn, and its slope with the power 1.5.
+_SMOOTH_PLACES, _SMOOTH = both((DEGREES > 0) & (DEGREES <= 2)), 1.8
 
 
 @dataclass(frozen=True)
@@ -220,11 +221,12 @@ class Layout:
         return self.field + places, columns, np.tile(powers, (len(places), 1))
 
     def random_blocks(
-        self, hyper: amp.Hyperprior, known: frozenset[str], corner: float, *, parallax_known: bool
+        self, hyper: amp.Hyperprior, known: frozenset[str], corner: float, reach: float, *, parallax_known: bool
     ) -> list[RandomBlock]:
         """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
 
-        ``corner`` is the tangent of the angle between the axis and the sensor's corner.
+        ``corner`` is the tangent of the angle between the axis and the sensor's corner, ``reach`` the largest of those
+        between a pose and the middle of all.
         """
         decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
         blocks = [
@@ -242,14 +244,15 @@ class Layout:
         if not parallax_known:
             blocks.append(self._parallax(hyper))
         if self.by_hand:
-            blocks.append(self._own_by_turn(hyper))
+            blocks.append(self._own_by_turn(hyper, reach))
         return [*blocks, self._turn(hyper), self._turn_2(hyper)]
 
-    def _own_by_turn(self, hyper: amp.Hyperprior) -> RandomBlock:
+    def _own_by_turn(self, hyper: amp.Hyperprior, reach: float) -> RandomBlock:
         """Return the smooth part of the own fields: it has their amplitudes."""
+        size = _SMOOTH * min(1.0, amp.UNIT_TURN / reach) ** 1.5
         degrees = np.tile(np.tile(DEGREES, 2)[_SMOOTH_PLACES], len(_TURNS))
         names = [f"own_{turn}_{k}" for turn in _TURNS for k in _SMOOTH_PLACES]
-        parts = [(hyper.at(amp.POSE[d - 1]), _SMOOTH * _of_degree(degrees, d)) for d in np.unique(degrees)]
+        parts = [(hyper.at(amp.POSE[d - 1]), size * _of_degree(degrees, d)) for d in np.unique(degrees)]
         return RandomBlock(rows.POSE_FIELDS, self.places(names), tuple(parts))
 
     def _distortion(self, hyper: amp.Hyperprior, corner: float) -> RandomBlock:
