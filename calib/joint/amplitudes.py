@@ -42,7 +42,7 @@ TURN = tuple(f"field by turn, degree {d}" for d in range(1, DEGREE + 1))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(DEGREE))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
 SCALE_TURN_2 = "scale by turn squared"
-PARALLAX, RIM, DISCS = "parallax", "rim", "discs"
+PARALLAX, RIM, DISCS, ALONG = "parallax", "rim", "discs", "pupil along the axis"
 DISTORTION, TANGENTIAL, PRISM = "lens distortion", "tangential", "prism"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
@@ -98,6 +98,9 @@ FAMILIES = (
     Family((PRISM,), (2e-4,), 1.0, 0.0),
     Family((RIM,), (2e-3,), 1.3, 0.0),
     Family((DISCS,), (1.0,), 0.3, 0.0),  # Errors of the visible discs over those that their fit states
+    # Change of the radius from pose to pose, as a share: a pupil that moves along the axis by 1 mm before a collimator
+    # with a defocus of a twentieth.
+    Family((ALONG,), (2e-4,), 1.3, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
 _REACH = 3.0
@@ -154,7 +157,8 @@ class Hyperprior:
 def _families(pupil: Pupil) -> list[Family]:
     """Return the families of the amplitudes that there are."""
     degree, degree_2 = TURN_DEGREES[pupil]
-    counts = {TURN: degree, TURN_2: degree_2 + 1, (DISCS,): int(pupil is not Pupil.HELD)}
+    counts = {TURN: degree, TURN_2: degree_2 + 1}
+    counts |= {(DISCS,): int(pupil is not Pupil.HELD), (ALONG,): int(pupil is Pupil.BY_HAND)}
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 

@@ -162,9 +162,10 @@ class Layout:
 
     @cached_property
     def pose_places(self) -> Places:
-        """Places of the pose's own field in its basis, of its own part of the rim, and of the middle of its disc."""
+        """Places of the pose's own field in its basis, its radius if moved by hand, its rim, its disc's middle."""
+        radius = np.full(int(self.by_hand), len(self.camera))
         rims = np.arange(self.field - len(self.rim), self.field)
-        return np.concatenate([POSE_PLACES + self.field, rims, np.arange(self.middle, self.size)])
+        return np.concatenate([POSE_PLACES + self.field, radius, rims, np.arange(self.middle, self.size)])
 
     def maps(self, turns: Array, axes: Array, pupils: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State
+from calib.joint.layout import POSE_PLACES
 from calib.joint.marginal import Problem
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
@@ -44,9 +45,15 @@ def left_out_rms(optimum: Optimum) -> float | None:
             there.maps[pose] @ (optimum.state.shared + shared) - equations.maps[pose] @ optimum.state.shared
         )
         away[bench.layout.pose_places] -= optimum.state.fields[pose]
-        turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
         fields = optimum.state.fields.copy()
         fields[pose] = 0.0
+        if bench.layout.by_hand:
+            at = len(bench.layout.camera)
+            squares_there = equations.squares[pose, at]
+            along = (equations.right[pose, at] - squares_there @ away) / squares_there[at]
+            away[at] += along
+            fields[pose, len(POSE_PLACES)] = along
+        turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
         moved = there.moved(optimum.state, shared, fields - optimum.state.fields, turned)
         state = State(moved.shared, fields, moved.rotations)
         for v in np.flatnonzero(bench.poses == pose):

@@ -45,6 +45,7 @@ _PLAIN = (
     amp.TANGENTIAL,
     amp.PRISM,
     amp.RIM,
+    amp.ALONG,
 )
 #: Readings that scatter this many times more than stated contradict the stars, and do not enter.
 _MOST_SCATTER = 3.0
