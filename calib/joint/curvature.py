@@ -25,7 +25,7 @@ ROUGH, FINE = 0.02, 1e-3
 #: Products of columns are faster from so many times more rows on.
 _MANY = 2
 #: The curvature is found again after a step that changes a logarithm by more than this.
-_CURVED = 0.6
+_CURVED = 0.3
 
 
 def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array:

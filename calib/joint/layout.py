@@ -162,8 +162,8 @@ class Layout:
 
     @cached_property
     def pose_places(self) -> Places:
-        """Places of the pose's own field in its basis, its radius if moved by hand, its rim, its disc's middle."""
-        radius = np.full(int(self.by_hand), len(self.camera))
+        """Places of a pose's own field in its basis, and, where discs count, of its radius, rim and disc's middle."""
+        radius = np.full(int(bool(self.rim)), len(self.camera))
         rims = np.arange(self.field - len(self.rim), self.field)
         return np.concatenate([POSE_PLACES + self.field, radius, rims, np.arange(self.middle, self.size)])
 

@@ -47,7 +47,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
         away[bench.layout.pose_places] -= optimum.state.fields[pose]
         fields = optimum.state.fields.copy()
         fields[pose] = 0.0
-        if bench.layout.by_hand:
+        if bench.layout.rim:
             at = len(bench.layout.camera)
             squares_there = equations.squares[pose, at]
             along = (equations.right[pose, at] - squares_there @ away) / squares_there[at]

@@ -72,16 +72,20 @@ class Glass:
     bow_mm: float  # height at BOW_RADIUS_MM
     print_scale: Array  # (2,) relative, along each axis
 
-    def seen_mm(self, nominal_mm: Array, pupil: Array) -> tuple[Array, Array]:
+    def seen_mm(self, nominal_mm: Array, pupil: Array, along: float = 0.0) -> tuple[Array, Array]:
         """Where the stars appear (N, 2) on the nominal plane, and their distance (N,) from the disc in its radii.
 
-        pupil: (2,) middle of the visible disc from the foot of the axis, as a share of r.
+        pupil: (2,) middle of the visible disc from the foot of the axis, as a share of r; ``along``: how far the pupil
+        has moved along the axis, too: a ray then meets the glass elsewhere, in proportion to its tangent.
         """
         print_mm = nominal_mm * (1 + self.print_scale)
         h = (print_mm - self.foot_mm) / self.r
-        hh, hb, bb = (h * h).sum(axis=1, keepdims=True), (h @ pupil)[:, None], pupil @ pupil
+        place = pupil + along * h
+        hh, hb, bb = (
+            (one * other).sum(axis=1, keepdims=True) for one, other in ((h, h), (h, place), (place, place))
+        )
         t = self.terms
-        by_pupil = (t["defocus"] + 2 * t["coma"] * hb + 2 * t["curvature"] * hh) * pupil
+        by_pupil = (t["defocus"] + 2 * t["coma"] * hb + 2 * t["curvature"] * hh) * place
         by_field = (
             t["coma"] * bb + 2 * t["astigmatism"] * hb + t["distortion"] * hh + t["fifth"] * hh**2
         ) * h
@@ -93,7 +97,7 @@ class Glass:
         roll = self.roll_off_mm * np.minimum(rho, 1.2) ** 3 * away
         field = self.r * (by_pupil + by_field + decentred + bow) + roll
         # The glass is a lens: where a ray meets it depends on its direction and on the pupil's place.
-        return print_mm + field + self.waves_mm * self.waves.at(h - pupil), rho[:, 0]
+        return print_mm + field + self.waves_mm * self.waves.at(h - place), rho[:, 0]
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,7 @@ class Mount:
 
     off_pivot_mm: float
     aside_mm: Array  # (2,) of the disc with the camera straight
-    wander_mm: float = 0.0  # of the disc from pose to pose; a mount moved by hand
+    wander_mm: float = 0.0  # of the pupil from pose to pose, along each axis; a mount moved by hand
 
 
 @dataclass(frozen=True)
@@ -286,9 +290,9 @@ def record(
         fresh = np.random.default_rng((seed, 4, other_camera, *pose_key(pose), again))
         rotation = now.gimbal.rotation(np.array(pose, float), 0.002 * lasting.normal(size=2))
         axis = rotation[2, :2] / rotation[2, 2]
-        wander = now.mount.wander_mm * lasting.normal(size=2)
-        pupil = (now.mount.aside_mm + wander - now.mount.off_pivot_mm * axis) / now.glass.r
-        seen, rho = now.glass.seen_mm(nominal, pupil)
+        wander = now.mount.wander_mm * lasting.normal(size=3)
+        pupil = (now.mount.aside_mm + wander[:2] - now.mount.off_pivot_mm * axis) / now.glass.r
+        seen, rho = now.glass.seen_mm(nominal, pupil, wander[2] / now.glass.r)
         h = (seen - now.glass.foot_mm) / now.glass.r
         own = Waves.draw(lasting, 6, (0.2, 1.2)).at(h) * now.pose_field_px / now.camera.values["fx"]
         rays = np.column_stack([h + own, np.ones(len(h))]) @ rotation.T

@@ -205,7 +205,7 @@ def test_passport_of_a_result_calibrates_from_one_view(views, bench):
     read = Passport.from_dict(passport.to_dict())
     result = calibrate(views[:1], CalibrationOptions("joint", passport=read))
     assert abs(result.camera.fx - bench.fx) < result.coverage_factor * result.sigma["fx"]
-    assert result.coverage_factor * result.sigma["fx"] < 10.0
+    assert result.coverage_factor * result.sigma["fx"] < 12.0  # no bound says where the pupil is along the axis
 
 
 def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere():
