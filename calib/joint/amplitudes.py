@@ -99,7 +99,7 @@ FAMILIES = (
     Family((RIM,), (2e-3,), 1.3, 0.0),
     Family((DISCS,), (1.0,), 0.3, 0.0),  # Errors of the visible discs over those that their fit states
     # Change of the radius from pose to pose, as a share: a pupil that moves along the axis by 1 mm before a collimator
-    # with a defocus of a twentieth.
+    # with a defocus of a twelfth.
     Family((ALONG,), (3e-4,), 1.0, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
@@ -158,7 +158,7 @@ def _families(pupil: Pupil) -> list[Family]:
     """Return the families of the amplitudes that there are."""
     degree, degree_2 = TURN_DEGREES[pupil]
     counts = {TURN: degree, TURN_2: degree_2 + 1}
-    counts |= dict.fromkeys([(DISCS,), (ALONG,)], int(pupil is not Pupil.HELD))
+    counts |= {(DISCS,): int(pupil is not Pupil.HELD), (ALONG,): int(pupil is Pupil.BY_HAND)}
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 

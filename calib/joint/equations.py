@@ -214,7 +214,7 @@ class Bench:
     def _points(self, v: int, state: State, fields: Array) -> Array:
         """Return (N, 3) the displaced stars of a view, as `points`."""
         one, depth = self.stars[v], state.shared[self.layout.index["r"]]
-        if self.layout.rim:
+        if self.layout.by_hand:
             depth = depth + state.fields[self.poses[v], len(POSE_PLACES)]
         moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
         if self.layout.rim:

@@ -162,8 +162,8 @@ class Layout:
 
     @cached_property
     def pose_places(self) -> Places:
-        """Places of a pose's own field in its basis, and, where discs count, of its radius, rim and disc's middle."""
-        radius = np.full(int(bool(self.rim)), len(self.camera))
+        """Places of a pose's own field in its basis, its radius if moved by hand, its rim, its disc's middle."""
+        radius = np.full(int(self.by_hand), len(self.camera))
         rims = np.arange(self.field - len(self.rim), self.field)
         return np.concatenate([POSE_PLACES + self.field, radius, rims, np.arange(self.middle, self.size)])
 
@@ -222,7 +222,13 @@ class Layout:
         return self.field + places, columns, np.tile(powers, (len(places), 1))
 
     def random_blocks(
-        self, hyper: amp.Hyperprior, known: frozenset[str], corner: float, reach: float, *, parallax_known: bool
+        self,
+        hyper: amp.Hyperprior,
+        known: frozenset[str],
+        corner: float,
+        reach: float,
+        *,
+        parallax_known: bool,
     ) -> list[RandomBlock]:
         """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
 

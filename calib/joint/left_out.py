@@ -24,11 +24,12 @@ MIN_POSES = 3
 def left_out_rms(optimum: Optimum) -> float | None:
     """Return the root mean square residual of poses left out, of which only the rotation is adjusted, px.
 
-    The other poses predict the shared unknowns (one step from the mode). The left-out pose has no own field, and its
-    pupil is where its disc shows it. None with fewer than three poses.
+    The other poses predict the shared unknowns (one step from the mode). The left-out pose has no own field. A pupil
+    that is moved by hand is where the disc shows it; no disc shows where it is along the axis, which is adjusted too.
+    None with fewer than three poses.
     """
     marginal, solution = optimum.marginal, optimum.solution
-    bench, equations = marginal.problem.bench, marginal.equations
+    bench, weights = marginal.problem.bench, marginal.equations.weights
     n = bench.n_poses
     if n < MIN_POSES:
         return None
@@ -39,30 +40,31 @@ def left_out_rms(optimum: Optimum) -> float | None:
     for pose in range(n):
         own, right = _of_pose(optimum, pose, star, squares)
         left = np.linalg.solve(information - own, information @ solution.step - right)
-        shared: Array = np.asarray(left, np.float64)
-        there = _as_shown(marginal.problem, pose)
-        away = (
-            there.maps[pose] @ (optimum.state.shared + shared) - equations.maps[pose] @ optimum.state.shared
-        )
-        away[bench.layout.pose_places] -= optimum.state.fields[pose]
-        fields = optimum.state.fields.copy()
-        fields[pose] = 0.0
-        if bench.layout.rim:
-            at = len(bench.layout.camera)
-            squares_there = equations.squares[pose, at]
-            along = (equations.right[pose, at] - squares_there @ away) / squares_there[at]
-            away[at] += along
-            fields[pose, len(POSE_PLACES)] = along
-        turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
-        moved = there.moved(optimum.state, shared, fields - optimum.state.fields, turned)
-        state = State(moved.shared, fields, moved.rotations)
+        there, state = _predicted(optimum, pose, np.asarray(left, np.float64))
         for v in np.flatnonzero(bench.poses == pose):
             residual = there.view_residuals(state, int(v))
             seen = np.isfinite(residual).all(axis=1)
-            weights = equations.weights[v][seen]
-            total += float(weights @ (residual[seen] ** 2).sum(axis=1))
-            count += float(weights.sum())
+            total += float(weights[v][seen] @ (residual[seen] ** 2).sum(axis=1))
+            count += float(weights[v][seen].sum())
     return float(np.sqrt(total / count))
+
+
+def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
+    """Return bench and state after a step (S,) of the shared unknowns, with what a left-out pose has for itself."""
+    problem, equations, state = optimum.marginal.problem, optimum.marginal.equations, optimum.state
+    layout, there = problem.bench.layout, _as_shown(problem, pose)
+    away = there.maps[pose] @ (state.shared + step) - equations.maps[pose] @ state.shared
+    away[layout.pose_places] -= state.fields[pose]
+    fields = state.fields.copy()
+    fields[pose] = 0.0
+    if layout.by_hand:
+        at, squares = len(layout.camera), equations.squares[pose]
+        along = (equations.right[pose, at] - squares[at] @ away) / squares[at, at]
+        away[at] += along
+        fields[pose, len(POSE_PLACES)] = along
+    turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
+    moved = there.moved(state, step, fields - state.fields, turned)
+    return there, State(moved.shared, fields, moved.rotations)
 
 
 def _as_shown(problem: Problem, pose: int) -> Bench:

@@ -205,7 +205,7 @@ def test_passport_of_a_result_calibrates_from_one_view(views, bench):
     read = Passport.from_dict(passport.to_dict())
     result = calibrate(views[:1], CalibrationOptions("joint", passport=read))
     assert abs(result.camera.fx - bench.fx) < result.coverage_factor * result.sigma["fx"]
-    assert result.coverage_factor * result.sigma["fx"] < 12.0  # no bound says where the pupil is along the axis
+    assert result.coverage_factor * result.sigma["fx"] < 10.0
 
 
 def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere():
@@ -228,6 +228,13 @@ def test_a_wave_in_the_glass_that_no_field_holds_does_not_move_the_foot_of_the_a
     """25 poses show it so well that amplitudes ten times as large would imitate it, with fx 193 px wrong."""
     line = drawn_result("polynomial", 25, 7, "c", "shipped")
     assert abs(line["error"]["fx"]) < line["U"]["fx"] < 5.0
+
+
+def test_a_pupil_that_moves_along_the_axis_does_not_pass_for_errors_of_the_glass():
+    """A hand moves it by 8.5 mm (1 sigma), which changes the scale of each pose: 1.2 px in poses that are left out."""
+    line = drawn_result("S1", 9, 86, "c")
+    assert line["left_out_px"] < 0.1
+    assert all(abs(line["error"][name]) < line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner"))
 
 
 def test_two_statements_that_fail_at_once_are_both_named():
