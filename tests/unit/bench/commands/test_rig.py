@@ -70,7 +70,7 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     assert "cannot be measured through a collimator: no translation is given" in shown
     assert len(both["views"]) == 4
     assert len(both["boards"]) == 10
-    assert max(both["sigma_arcsec"]) < 0.8 * max(turned["sigma_arcsec"])
+    assert max(both["sigma_arcsec"]) < 0.9 * max(turned["sigma_arcsec"])
     files = [folder / "left.yaml", folder / "right.yaml"]
     words = ("rig", *stars, "--image-size", "1280x720", "--json", "--calibration")
     held = json.loads(out_of(capsys, *words, *files))  # no uncertainty is stated: the true values are held
