@@ -79,11 +79,11 @@ def main() -> None:
             *map(str, given.poses),
         ]
         other = json.loads(measured.in_checkout(given.checkout, *words, "--worlds", *given.worlds))
-    print("| world, poses | joint adjustment | OpenCV, planar | other checkout over this one |")
-    print("| --- | --- | --- | --- |")
+    print(f"| world, poses | joint adjustment | OpenCV, planar |{' other over this one |' if other else ''}")
+    print(f"| --- | --- | --- |{' --- |' if other else ''}")
     for name, (joint, planar) in found.items():
-        ratio = f"{other[name][0] / joint:.2f}" if other else ""
-        print(f"| {name} | {joint:.2f} s | {planar:.2f} s | {ratio} |")
+        ratio = f" {other[name][0] / joint:.2f} |" if other else ""
+        print(f"| {name} | {joint:.2f} s | {planar:.2f} s |{ratio}")
 
 
 if __name__ == "__main__":
