@@ -155,7 +155,7 @@ def _approached(problem: Problem, start: State, options: CalibrationOptions) -> 
     free = replace(problem, knowledge=replace(knowledge, statements=others))
     try:
         near = approached(free, start, equations, options.max_iterations)
-    except NotConverged:
+    except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations, options.max_iterations)
     _refuse_other_collimator(free, near, options)
     return near
@@ -174,7 +174,7 @@ def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOpt
         return
     try:
         found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), free.hyper.mean)
-    except NotConverged:
+    except (NotConverged, np.linalg.LinAlgError):
         return
     if abs(stated - seen) > _CLEARLY * float(np.sqrt(found.covariance[at, at])):
         raise InputMismatch(

@@ -256,7 +256,7 @@ class Layout:
 
     def _own_by_turn(self, hyper: amp.Hyperprior, reach: float) -> RandomBlock:
         """Return the smooth part of the own fields: it has their amplitudes."""
-        size = _SMOOTH * min(1.0, amp.UNIT_TURN / reach) ** 1.5
+        size = _SMOOTH * (amp.UNIT_TURN / max(reach, amp.UNIT_TURN)) ** 1.5
         degrees = np.tile(np.tile(DEGREES, 2)[_SMOOTH_PLACES], len(_TURNS))
         names = [f"own_{turn}_{k}" for turn in _TURNS for k in _SMOOTH_PLACES]
         parts = [(hyper.at(amp.POSE[d - 1]), size * _of_degree(degrees, d)) for d in np.unique(degrees)]
