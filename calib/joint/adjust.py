@@ -149,7 +149,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
 
 
 def _approached(problem: Problem, start: State, options: CalibrationOptions) -> State:
-    """Return a state near the optimum: where the views lead without a certificate, if they can do without."""
+    """Return a state near the optimum. The certificate takes no part, unless the views need it."""
     equations, knowledge = first_equations(problem, start), problem.knowledge
     others = tuple(one for one in knowledge.statements if one.name != CERTIFICATE)
     free = replace(problem, knowledge=replace(knowledge, statements=others))

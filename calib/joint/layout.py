@@ -232,8 +232,8 @@ class Layout:
     ) -> list[RandomBlock]:
         """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
 
-        ``corner`` is the tangent of the angle between the axis and the sensor's corner, ``reach`` the largest of those
-        between a pose and the middle of all.
+        ``corner`` is the tangent of the angle between the axis and the sensor's corner. ``reach`` is the largest
+        distance of a turn from the mean turn, as a tangent.
         """
         decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
         blocks = [

@@ -1,10 +1,10 @@
-"""CPU time of a fit: the joint adjustment beside OpenCV's planar calibration of the same views, in one run.
+"""CPU time of a fit by the joint adjustment, and by OpenCV's planar calibration of the same views.
 
     python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1] [--checkout FOLDER]
 
 For each world and number of poses, the median over the seeds, s. ``cr``: certificate and bounded readings; a mount
 moved by hand (S1) has neither. OpenCV's ``calibrateCamera`` gets the same stars, and the same two coefficients.
-``--checkout`` measures another checkout in the same way, behind this one, and prints the ratio.
+``--checkout`` then measures another checkout, and prints its time over this one's.
 """
 
 from __future__ import annotations

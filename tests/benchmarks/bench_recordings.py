@@ -19,7 +19,7 @@ from worlds.recordings import COUNT, read, robust, solved, triples
 
 
 def standard_error(values: np.ndarray, chosen: np.ndarray) -> float:
-    """The jackknife's standard error of the robust scatter of triples: those with each view are left out in turn."""
+    """Standard error of the robust scatter, by the jackknife: all triples with one view are left out, view by view."""
     without = np.array([robust(values[(chosen != view).all(axis=1)]) for view in range(COUNT)])
     return float(np.sqrt((COUNT - 1) / COUNT * ((without - without.mean()) ** 2).sum()))
 
