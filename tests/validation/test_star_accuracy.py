@@ -89,9 +89,10 @@ def test_stars_out_of_focus_are_all_found_with_true_covariances(waveform, rms_px
 
 
 @pytest.mark.slow
-def test_no_star_is_taken_for_another_at_any_pose():
+def test_no_star_is_taken_for_another_at_any_pose(monkeypatch):
     """Try some of the poses of ``bench_star_names.py``; the benchmark tries a thousand."""
     script = Path(__file__).parents[1] / "benchmarks" / "bench_star_names.py"
+    monkeypatch.syspath_prepend(str(script.parent))
     try_pose = runpy.run_path(str(script))["try_pose"]
     poses = [try_pose(1, number) for number in range(40)]
     found = [pose for pose in poses if "stars" in pose]
