@@ -87,6 +87,7 @@ def posed(
         readings.names if readings else (),
         wavefront(options.budget),
         pupil,
+        len(set(poses_of(start.rotations))),
     )
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import mapped
 from calib.joint.fields import COEFFICIENTS
-from calib.joint.layout import POSE_PLACES, RIM_POWERS, Layout
+from calib.joint.layout import RIM_POWERS, Layout
 from calib.joint.readings import Readings
 from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
@@ -213,9 +213,8 @@ class Bench:
 
     def _points(self, v: int, state: State, fields: Array) -> Array:
         """Return (N, 3) the displaced stars of a view, as `points`."""
-        one, depth = self.stars[v], state.shared[self.layout.index["r"]]
-        if self.layout.by_hand:
-            depth = depth + state.fields[self.poses[v], len(POSE_PLACES)]
+        one = self.stars[v]
+        depth = self.maps[self.poses[v], len(self.layout.camera)] @ state.shared
         moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
         if self.layout.rim:
             moved += one.about_disc(state.fields[self.poses[v], -2:])[0] @ self._rims(v, state)

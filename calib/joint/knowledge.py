@@ -18,10 +18,10 @@ from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
-from calib.joint.layout import CENTRE, DRIFT, RADIAL, RADIAL_RATIO, SHIFTED_SIZES, Layout
+from calib.joint.layout import ASIDE, CENTRE, DRIFT, RADIAL, RADIAL_RATIO, SHIFTED_SIZES, Layout
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
-from calib.model.gimbal_readings import GimbalReadings
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.type_b_terms import RADII, TypeBTerm
 from calib.model.type_b_terms import SCALES as SCALE_TERMS
@@ -159,7 +159,7 @@ def gather(
         statements.append(_passport(layout, options, passport))
     bound = options.gimbal.parallax if options.gimbal else None
     if bound is not None:
-        statements += _parallax(layout, bound.mean_and_sigma(start["r"]), options.parallax_sigma)
+        statements += _parallax(layout, bound, start["r"], options.parallax_sigma)
     if layout.gimbal and options.gimbal:
         statements += _gimbal(layout, options.gimbal)
     if options.radial_sigma is not None and not known & set(RADIAL):
@@ -288,8 +288,9 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
     return np.asarray(size**2 * shapes @ shapes.T)
 
 
-def _parallax(layout: Layout, stated: tuple[float, float], unbounded: float) -> list[Statement]:
-    """Return a bound of the parallax: its size, and that it is alike along both axes."""
+def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float, unbounded: float) -> list[Statement]:
+    """Return a bound of the parallax: its size, alike along both axes, and how far the pupil is aside."""
+    stated, aside = bound.mean_and_sigma(r_mm), max(bound.aside_sigma(r_mm), 1e-9)
     names = [layout.names[k] for k in layout.parallax]
     unit = amp.UNIT_TURN
     value, sigma = stated[0], max(stated[1], 1e-9)
@@ -304,6 +305,8 @@ def _parallax(layout: Layout, stated: tuple[float, float], unbounded: float) -> 
         {names[2]: 1.0 / unit},
     ):
         found += [_scalar(layout, PARALLAX, rows.PARALLAX, source, terms, (0.0, other))]
+    for name in ASIDE:
+        found += [_scalar(layout, PARALLAX, rows.PARALLAX, source, {name: 1.0}, (0.0, aside))]
     return found
 
 

@@ -12,6 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from calib.joint import amplitudes as amp
 from calib.joint.fields import COEFFICIENTS, DEGREE, DEGREES, FieldBasis, both
@@ -38,6 +39,11 @@ RIM_OWN = 0.2 * np.array([1.0, _RIM_RATIO])
 _LENS_RATIOS = {"k1": 1.0, "k2": 0.4, "k3": 0.15, "kb1": 1.0, "kb2": 0.4, "kb3": 0.15, "kb4": 0.05}
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
+#: Change of the radius by the tangents of the turns along X and Y, as a share: a pupil that is beside the pivot moves
+#: along the axis when the camera turns.
+ASIDE = ("aside_x", "aside_y")
+#: Without a bound of the parallax it is typically this share of the parallax, for a pupil 44 mm before the pivot.
+_ASIDE_SHARE = 0.1
 #: radial_4 is typically so many times radial.
 RADIAL_RATIO = 20.0
 #: Typical sizes of what radial terms become about a shifted axis (`FieldBasis.shifted`).
@@ -104,6 +110,7 @@ class Layout:
     gimbal: tuple[str, ...]  # Names of the gimbal's unknowns; empty without readings
     wavefront: float = 0.0  # RMS slope of the collimator's wavefront that a station states, rad
     pupil: amp.Pupil = amp.Pupil.HELD
+    n_poses: int = 1
 
     @property
     def rim(self) -> tuple[str, ...]:
@@ -114,6 +121,11 @@ class Layout:
     def by_hand(self) -> bool:
         """Whether the fields by turn follow a pupil that is moved by hand."""
         return self.pupil is amp.Pupil.BY_HAND
+
+    @property
+    def along(self) -> tuple[str, ...]:
+        """Names of the own radii of the poses, as shares of r: a hand moves the pupil along the axis, too."""
+        return tuple(f"along_{pose}" for pose in range(self.n_poses)) if self.by_hand else ()
 
     @cached_property
     def common(self) -> Places:
@@ -128,7 +140,7 @@ class Layout:
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
         if self.by_hand:
             fields += [f"own_{name}_{k}" for name in _TURNS for k in _SMOOTH_PLACES]
-        errors = (*RADIAL, *self.turning, DRIFT, *self.rim, *fields, *self.terms)
+        errors = (*RADIAL, *self.turning, DRIFT, *ASIDE, *self.rim, *self.along, *fields, *self.terms)
         return (*self.camera, *CENTRE, *errors, *self.gimbal)
 
     @cached_property
@@ -162,10 +174,9 @@ class Layout:
 
     @cached_property
     def pose_places(self) -> Places:
-        """Places of a pose's own field in its basis, its radius if moved by hand, its rim, its disc's middle."""
-        radius = np.full(int(self.by_hand), len(self.camera))
+        """Places of a pose's own field in its basis, its rim, its disc's middle."""
         rims = np.arange(self.field - len(self.rim), self.field)
-        return np.concatenate([POSE_PLACES + self.field, radius, rims, np.arange(self.middle, self.size)])
+        return np.concatenate([POSE_PLACES + self.field, rims, np.arange(self.middle, self.size)])
 
     def maps(self, turns: Array, axes: Array, pupils: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.
@@ -177,6 +188,9 @@ class Layout:
         found = np.zeros((len(turns), self.size, len(self.names)))
         found[:, range(k), range(k)] = 1.0
         found[:, k, self.index["r"]] = 1.0
+        found[:, k, self.places(ASIDE)] = r_mm * turns
+        if self.by_hand:
+            found[:, k, self.places(self.along)] = r_mm * np.eye(len(turns))
         found[:, range(k + 1, self.field), self.places(self.rim)] = 1.0
         field, half = self.field, COEFFICIENTS // 2
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
@@ -252,6 +266,8 @@ class Layout:
             blocks.append(self._parallax(hyper))
         if self.by_hand:
             blocks.append(self._own_by_turn(hyper, reach))
+            own = ((hyper.at(amp.ALONG), np.eye(self.n_poses)),)
+            blocks.append(RandomBlock(rows.POSE_FIELDS, self.places(self.along), own))
         return [*blocks, self._turn(hyper), self._turn_2(hyper)]
 
     def _own_by_turn(self, hyper: amp.Hyperprior, reach: float) -> RandomBlock:
@@ -296,12 +312,10 @@ class Layout:
         )
 
     def _parallax(self, hyper: amp.Hyperprior) -> RandomBlock:
-        """Return the parallax: alike along X and Y but for a fifth."""
-        return RandomBlock(
-            rows.UNBOUNDED_PARALLAX,
-            self.parallax,
-            ((hyper.at(amp.PARALLAX), amp.UNIT_TURN * PARALLAX_SHAPES),),
-        )
+        """Return the parallax: alike along X and Y but for a fifth; and what a pupil beside the pivot does."""
+        shapes = linalg.block_diag(amp.UNIT_TURN * PARALLAX_SHAPES, _ASIDE_SHARE * np.eye(len(ASIDE)))
+        places = np.append(self.parallax, self.places(ASIDE))
+        return RandomBlock(rows.UNBOUNDED_PARALLAX, places, ((hyper.at(amp.PARALLAX), shapes),))
 
     @cached_property
     def parallax(self) -> Places:

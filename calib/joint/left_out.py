@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State
-from calib.joint.layout import POSE_PLACES
 from calib.joint.marginal import Problem
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
@@ -57,11 +56,12 @@ def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
     away[layout.pose_places] -= state.fields[pose]
     fields = state.fields.copy()
     fields[pose] = 0.0
-    if layout.by_hand:
+    if layout.along:
         at, squares = len(layout.camera), equations.squares[pose]
+        column = layout.index[layout.along[pose]]
         along = (equations.right[pose, at] - squares[at] @ away) / squares[at, at]
         away[at] += along
-        fields[pose, len(POSE_PLACES)] = along
+        step[column] += along / there.maps[pose, at, column]
     turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
     moved = there.moved(state, step, fields - state.fields, turned)
     return there, State(moved.shared, fields, moved.rotations)

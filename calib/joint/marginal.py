@@ -57,9 +57,8 @@ class Problem:
     def pose_amplitudes(self) -> NDArray[np.int64]:
         """(F,) place of the amplitude of each coefficient of an own field."""
         fields = self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
-        along = (amp.ALONG,) if self.bench.layout.by_hand else ()
         rim = (amp.RIM, amp.RIM, amp.DISCS, amp.DISCS) if self.bench.layout.rim else ()
-        return np.concatenate([fields, self.hyper.places((*along, *rim))])
+        return np.concatenate([fields, self.hyper.places(rim)])
 
     @cached_property
     def places_cost(self) -> float:
@@ -77,8 +76,6 @@ class Problem:
         """Return (F,) prior information of the coefficients of an own field."""
         sizes = np.ones(self._own)
         sizes[: len(_POSE_DEGREE)] += _POSE_DEGREE
-        if self.bench.layout.by_hand:
-            sizes[len(_POSE_DEGREE)] = self.bench.layout.basis.reference[2] ** -2
         if self.bench.layout.rim:
             sizes[-4:-2] = RIM_OWN**-2
         return np.asarray(sizes / squares[self.pose_amplitudes])

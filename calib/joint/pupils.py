@@ -18,9 +18,9 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by less than a tenth of it.
-_WANDERS = 0.012
-#: A wander counts if it is more than this share of the discs' uncertainty; discs that are known worse would be noise.
+#: A pupil that wanders by this share of the radius is moved by hand; on a gimbal, by less than a quarter of it.
+_WANDERS = 0.01
+#: A wander counts if it is more than this share of the uncertainty of the discs' differences, which is a safe one.
 _SEEN = 1.0 / 3.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
@@ -47,13 +47,14 @@ def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
     middles = np.array([disc.centre_mm for disc in of_poses])
     aside = middles - np.array([disc.expected_mm for disc in of_poses])
     wander = _rms(aside - aside.mean(axis=0))
-    sigma = np.sqrt(np.mean([np.trace(disc.covariance_mm2) for disc in of_poses]))
+    n = len(middles)
+    about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
+    differences = about @ found.covariance_mm2 @ about
+    sigma = np.sqrt(np.trace(differences) / n)
     if wander < max(_WANDERS * r_mm, _SEEN * sigma):
         return None
     as_turns = _AS_TURNS / r_mm
-    n = len(middles)
-    about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
-    covariance = as_turns**2 * about @ found.covariance_mm2 @ about
+    covariance = as_turns**2 * differences
     covariance += _SAME**2 * (np.eye(2 * n) - about)
     shown = as_turns * (middles - middles.mean(axis=0))
     return Pupils(shown, np.asarray(np.linalg.inv(covariance)))

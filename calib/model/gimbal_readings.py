@@ -18,6 +18,8 @@ from calib.errors import InputMismatch
 
 #: Names of the axes in readings, in the order of the rotations Ry(pan), Rx(tilt), Rz(roll).
 AXES = ("pan_deg", "tilt_deg", "roll_deg")
+#: How far a camera's pupil is beside the axes that turn it, 1-sigma, if the camera was set up by eye.
+_ASIDE_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,10 @@ class ParallaxBound:
             + (self.defocus_sigma * self.pupil_off_pivot_sigma_mm) ** 2
         )
         return -d * off / r_mm, float(sigma / r_mm)
+
+    def aside_sigma(self, r_mm: float) -> float:
+        """Return the 1-sigma change of the radius per tangent of the turn, as a share, by a pupil beside the pivot."""
+        return float(np.hypot(self.defocus, self.defocus_sigma)) * _ASIDE_MM / r_mm
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,7 @@ class Mount:
 
     off_pivot_mm: float
     aside_mm: Array  # (2,) of the disc with the camera straight
+    beside_mm: Array  # (2,) of the pupil from the axes that turn it: when they turn, it moves along the axis
     wander_mm: float = 0.0  # of the pupil from pose to pose, along each axis; a mount moved by hand
 
 
@@ -170,7 +171,7 @@ def draw_world(seed: int, kind: str = "real", other_camera: int = 0) -> World:
     family = "k1k2" if kind == "ideal" else FAMILIES[(seed + other_camera) % len(FAMILIES)]
     camera = draw_camera(own, family)
     gimbal = _gimbal(own, draws)
-    mount = _mount(own, kind)
+    mount = _mount(own, kind, np.random.default_rng((seed, 5, other_camera)).normal(0, 2, 2))
     star = float(own.uniform(0.01, 0.02))
     sigma_defocus = 0.002 if kind == "ideal" else max(0.002, 0.15 * LEVELS["defocus"] * size)
     stated = replace(
@@ -262,11 +263,12 @@ def _gimbal(rng: np.random.Generator, draws: Mapping[str, Any]) -> Gimbal:
     )
 
 
-def _mount(rng: np.random.Generator, kind: str) -> Mount:
+def _mount(rng: np.random.Generator, kind: str, beside: Array) -> Mount:
     off, aside = float(rng.normal(0, 3)), rng.normal(0, 4, 2)
     if kind in ("S1", "S2"):
-        return Mount(float(44 * rng.choice([-1, 1])), aside, 8.5 if kind == "S1" else 0.0)
-    return Mount(0.0 if kind == "ideal" else off, 0.0 * aside if kind == "ideal" else aside)
+        return Mount(float(44 * rng.choice([-1, 1])), aside, beside, 8.5 if kind == "S1" else 0.0)
+    real = float(kind != "ideal")
+    return Mount(real * off, real * aside, real * beside)
 
 
 def record(
@@ -292,7 +294,8 @@ def record(
         axis = rotation[2, :2] / rotation[2, 2]
         wander = now.mount.wander_mm * lasting.normal(size=3)
         pupil = (now.mount.aside_mm + wander[:2] - now.mount.off_pivot_mm * axis) / now.glass.r
-        seen, rho = now.glass.seen_mm(nominal, pupil, wander[2] / now.glass.r)
+        along = wander[2] + now.mount.beside_mm @ axis
+        seen, rho = now.glass.seen_mm(nominal, pupil, along / now.glass.r)
         h = (seen - now.glass.foot_mm) / now.glass.r
         own = Waves.draw(lasting, 6, (0.2, 1.2)).at(h) * now.pose_field_px / now.camera.values["fx"]
         rays = np.column_stack([h + own, np.ones(len(h))]) @ rotation.T
