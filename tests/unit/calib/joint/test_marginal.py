@@ -16,8 +16,11 @@ from calib.joint.posterior import posterior
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.samples import log_odds
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from tests.benchmarks.worlds import polynomial
 from tests.benchmarks.worlds.attacks import attacked
+from tests.benchmarks.worlds.bench import NINE
 from tests.benchmarks.worlds.catalogue import result as drawn_result
+from tests.benchmarks.worlds.judge import judged
 
 POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
 ANGLES = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES)
@@ -234,6 +237,14 @@ def test_a_pupil_that_moves_along_the_axis_does_not_pass_for_errors_of_the_glass
     """A hand moves it by 8.5 mm (1 sigma), which changes the scale of each pose: 1.2 px in poses that are left out."""
     line = drawn_result("S1", 9, 86, "c")
     assert line["left_out_px"] < 0.1
+    assert all(abs(line["error"][name]) < line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner"))
+
+
+def test_a_pupil_beside_the_axes_does_not_pass_for_another_principal_point():
+    """It moves along the axis when they turn: 8.6 px of cx at U 4.0, if nothing holds that."""
+    world = polynomial.draw_world(7)
+    beside = replace(world, mount=replace(world.mount, beside_mm=np.array([6.0, -6.0])))
+    line = judged(polynomial.record(beside, 7, NINE), "cr", "right")
     assert all(abs(line["error"][name]) < line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner"))
 
 
