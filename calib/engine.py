@@ -21,7 +21,7 @@ from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, summarize
 from calib.joint.result import calibrate_jointly
 from calib.model.camera import PINHOLE
-from calib.model.collimator import CENTRE, Collimator
+from calib.model.collimator import Collimator
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.view import View
@@ -50,7 +50,8 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     Raises
     ------
     InputMismatch
-        If views contradict each other (image sizes, names) or show the target mirrored.
+        If views contradict each other (image sizes, names) or show the target mirrored, or if ``spherical`` or
+        ``planar`` is given a passport.
     TooFewStars
         If a view has fewer than 4 stars.
     DegenerateViews
@@ -59,6 +60,11 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         If the adjustment did not reach an optimum.
     """
     options = options or CalibrationOptions()
+    if options.passport and options.model in REFERENCE_MODELS:
+        raise InputMismatch(
+            f"The {options.model} model is a method of reference: it uses no passport or certificate.",
+            remedy="Use the joint model, or give no passport.",
+        )
     _check(views, 1 if options.passport and not options.passport.is_certificate else 2)
     options, views = _corrected(options, views)
     wrong = find_gross_stars(views)
@@ -66,10 +72,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
     if options.model not in REFERENCE_MODELS:
         return _jointly(views, options, wrong, doubts)
-    if options.passport:  # the collimator of these methods is ideal
-        held = [name for name in CENTRE if name in options.passport.names]
-        options = replace(options, passport=options.passport.subset(held))
-    result = summarize(fit_model(views, options, options.model, wrong=wrong), options)
+    result = summarize(fit_model(views, options, options.model, wrong=wrong))
     named = (one.sentence for one in wrong if one.sentence)
     return replace(result, notes=(*named, *doubts, *result.notes))
 

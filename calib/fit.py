@@ -38,7 +38,6 @@ from calib.uncertainty.covariance import (
     covariance_at_optimum,
     enlarged,
     leave_one_out,
-    propagate_passport,
     rotation_covariance,
     views_of_poses,
 )
@@ -76,7 +75,7 @@ def fit_model(
     leave_out: bool = False,
     wrong: Sequence[GrossStars] = (),
 ) -> Fit:
-    """Fit ``spherical`` or ``planar`` to views without wrong stars; values of a passport are held.
+    """Fit ``spherical`` or ``planar`` to views without wrong stars; values of a passport are held as exact.
 
     ``leave_out`` leaves out each view in turn even if the views are consistent. Errors as of `calib.engine.calibrate`.
     """
@@ -89,12 +88,7 @@ def fit_model(
     left_out = None
     if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
         left_out = leave_one_out(bundle, refined.parameters, loss)
-    passport = options.passport
-    final = (
-        enlarged(estimate)
-        if passport is None
-        else propagate_passport(bundle, refined.parameters, estimate, passport)
-    )
+    final = enlarged(estimate)
     require_constrained(refined.parameters, final.names, final.covariance)
     everything = np.concatenate(used)
     whole = bundle if everything.all() else replace(bundle, observations=Observations.from_views(views))
@@ -181,12 +175,11 @@ _WEAK_FOCAL_SIGMA = 0.01
 _SOURCES = {
     names.STARS: "residuals of the stars",
     names.POSE_FIELDS: "differences between the views",
-    names.PASSPORT: "passport of the collimator",
 }
 
 
-def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
-    """Convert a fit to a calibration result; the options say where the passport comes from."""
+def summarize(fitted: Fit) -> Calibration:
+    """Convert a fit to a calibration result."""
     parameters, whole, used, uncertainty = fitted.parameters, fitted.whole, fitted.used, fitted.uncertainty
     residuals = whole.residuals_px(parameters)
     weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
@@ -224,11 +217,11 @@ def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
         },
         notes=_notes(fitted),
         poses=whole.poses or (),
-        budget_rows=_budget_rows(parameters.camera, uncertainty, options.passport_source),
+        budget_rows=_budget_rows(parameters.camera, uncertainty),
     )
 
 
-def _budget_rows(camera: CameraModel, uncertainty: Uncertainty, passport: str) -> tuple[BudgetRow, ...]:
+def _budget_rows(camera: CameraModel, uncertainty: Uncertainty) -> tuple[BudgetRow, ...]:
     """Return the rows of the budget; the squares of their contributions add up to those of the result."""
     size = len(camera.parameter_names)
     gradients = np.zeros((len(ROW_QUANTITIES), len(uncertainty.names)))
@@ -239,12 +232,11 @@ def _budget_rows(camera: CameraModel, uncertainty: Uncertainty, passport: str) -
         for source, part in uncertainty.parts.items()
     }
     total = sum(variances.values(), start=np.zeros(len(gradients)))
-    sources = {**_SOURCES, **({names.PASSPORT: passport} if passport else {})}
     return tuple(
         BudgetRow(
             source,
-            "B" if source == names.PASSPORT else "A",
-            sources[source],
+            "A",
+            _SOURCES[source],
             contribution=dict(zip(ROW_QUANTITIES, np.sqrt(part).tolist(), strict=True)),
             share=dict(zip(ROW_QUANTITIES, (part / np.where(total > 0, total, 1.0)).tolist(), strict=True)),
         )

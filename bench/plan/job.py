@@ -20,7 +20,7 @@ from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import at_most, failed_gate_texts
 from calib.boards.board import Board
-from calib.calibration import CalibrationOptions
+from calib.calibration import REFERENCE_MODELS, CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
@@ -61,7 +61,7 @@ def calibration_options(
     budget: tuple[TypeBTerm, ...] = (),
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step; one without a model is solved with ``auto``."""
-    passport = passport if step.model != "planar" else None  # it has no collimator
+    passport = passport if step.model not in REFERENCE_MODELS else None
     return CalibrationOptions(
         step.model or DEFAULT_MODEL,
         step.distortion,

@@ -22,6 +22,7 @@ from bench.base.home import home_folder
 from bench.records.storage import storage_errors
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
+from calib.calibration import REFERENCE_MODELS
 from calib.errors import InputMismatch
 from calib.model.collimator import ABERRATIONS, CENTRE
 from calib.model.passport import Passport
@@ -438,7 +439,7 @@ def _named(sequence: Located[Sequence], station: Located[Station], step: SolveSt
         file = sequence.file_at(path, step.passport)
         return _Named(sequence, path, "sequence", file, None, accepted)
     collimator = station.value.collimator
-    if step.model == "planar":  # it has no collimator
+    if step.model in REFERENCE_MODELS:
         return None
     if collimator.passport is not None:
         path = ("collimator", "passport")

@@ -14,6 +14,7 @@ from bench.base.bounded_json import leaves
 from bench.plan.passports import NO_PASSPORT, setting_path
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
+from calib.calibration import REFERENCE_MODELS
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (
@@ -281,10 +282,10 @@ def _solve_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
     """Yield limits on parameters that the solve does not estimate, and passports that it cannot use."""
     for step in steps:
         if isinstance(step, SolveStep):
-            if step.model == "planar" and step.passport not in (None, NO_PASSPORT):
+            if step.model in REFERENCE_MODELS and step.passport not in (None, NO_PASSPORT):
                 yield document.fault(
                     setting_path(document, step.path, "passport", "solve"),
-                    "the planar model has no collimator, so it cannot use a passport: use another model.",
+                    f"the {step.model} model is a method of reference, and uses no passport: use another model.",
                 )
             estimated = _estimated(step)
             for name in step.limits:

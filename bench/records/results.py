@@ -234,6 +234,7 @@ class ParallaxBound(TypedDict):
     defocus_sigma: float
     pupil_off_pivot_mm: float
     pupil_off_pivot_sigma_mm: float
+    pupil_beside_axes_mm: NotRequired[float]  # 1-sigma; earlier versions did not state it
     parallax: NotRequired[float]  # Missing, as its sigma, without a collimator
     parallax_sigma: NotRequired[float]
 

@@ -180,6 +180,8 @@ def _bound(bound: ParallaxBound) -> str:
         f"and a pupil {bound['pupil_off_pivot_mm']:g} mm off the pivot, standard uncertainty "
         f"{bound['pupil_off_pivot_sigma_mm']:g} mm"
     )
+    if "pupil_beside_axes_mm" in bound:
+        text += f" (beside the axes {bound['pupil_beside_axes_mm']:g} mm)"
     if "parallax" not in bound:
         return text
     share, sigma = 100 * bound["parallax"], 100 * bound["parallax_sigma"]

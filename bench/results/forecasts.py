@@ -17,6 +17,7 @@ from bench.plan.plan import Plan
 from bench.report.text import meaning_of_goal
 from bench.results.solve_options import gimbal_readings, stated_radial_sigma
 from bench.stations.station import Station
+from calib.calibration import REFERENCE_MODELS
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
@@ -96,7 +97,7 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
     return replace(
         bench,
         camera=lens,
-        passport=planned.passport_for(step) if planned.model_for(step) != "planar" else None,
+        passport=planned.passport_for(step) if planned.model_for(step) not in REFERENCE_MODELS else None,
         readings=gimbal_readings(station, []) if step.readings == "auto" else None,
     )
 

@@ -21,7 +21,7 @@ from bench.results.solve_options import solve_options
 from bench.stations.station import load_station
 from calib.adjustment.loss import LossName
 from calib.boards.board import Board
-from calib.calibration import ModelName
+from calib.calibration import REFERENCE_MODELS, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError, InputMismatch
 from calib.target import StarTarget
@@ -246,13 +246,13 @@ class OfflineOptions:
 
     def without_run(self, passport: PassportInUse | None = None) -> CalibrationOptions:
         """Return the engine's options for views that are not from one run; without a model, ``auto``."""
-        used = self.passport or (None if self.without_passport else passport)
-        found = used.passport if used and self.model != "planar" else None
+        none = self.without_passport or self.model in REFERENCE_MODELS
+        used = self.passport or (None if none else passport)
         return CalibrationOptions(
             self.model or DEFAULT_MODEL,
             self.distortion or ("k1", "k2"),
             self.loss or "huber",
-            passport=found,
+            passport=used.passport if used else None,
             guard_band=self.guard_band or 1.0,
         )
 

@@ -75,7 +75,7 @@ def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]
         return None
     off = gimbal.pupil_off_pivot_mm
     bound = (
-        ParallaxBound(defocus.value, defocus.sigma, off.value, off.sigma)
+        ParallaxBound(defocus.value, defocus.sigma, off.value, off.sigma, gimbal.pupil_beside_axes_mm)
         if defocus is not None and off is not None
         else None
     )

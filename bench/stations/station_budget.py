@@ -25,6 +25,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import FocalLength, Positive, Serial, Text
+from calib.model.gimbal_readings import BESIDE_AXES_MM
 from calib.model.type_b_terms import Distribution, TermKind, TypeBTerm
 from sequences.schema import Name
 from sequences.strict_model import StrictModel, Within
@@ -191,6 +192,11 @@ class GimbalConfig(StrictModel):
         StatedValue | None,
         Field(description="Distance of the lens's entrance pupil in front of the pivot."),
     ] = None
+    pupil_beside_axes_mm: Annotated[
+        float,
+        Within(0, 100, "mm"),
+        Field(description="Standard uncertainty of the pupil's place beside the axes."),
+    ] = BESIDE_AXES_MM
     faces: Annotated[
         dict[Name, FaceConfig] | None,
         Field(description="Faces of the camera's mount, by name, for the boresight."),

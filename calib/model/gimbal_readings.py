@@ -9,7 +9,7 @@ the beam when the camera turns, and the pattern moves with it. This module holds
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from calib.errors import InputMismatch
 #: Names of the axes in readings, in the order of the rotations Ry(pan), Rx(tilt), Rz(roll).
 AXES = ("pan_deg", "tilt_deg", "roll_deg")
 #: How far a camera's pupil is beside the axes that turn it, 1-sigma, if the camera was set up by eye.
-_ASIDE_MM = 2.0
+BESIDE_AXES_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -28,21 +28,20 @@ class ParallaxBound:
 
     Defocus, dimensionless: when the camera moves across the beam by s, the pattern appears to move by -defocus s on the
     target. A target at the finite distance D has the defocus r / D; an ideal collimator has 0. Off pivot, mm, is how
-    far the entrance pupil is in front of the pivot.
+    far the entrance pupil is in front of the pivot; beside axes is the 1-sigma of its place along the other directions.
     """
 
     defocus: float
     defocus_sigma: float
     pupil_off_pivot_mm: float
     pupil_off_pivot_sigma_mm: float
+    pupil_beside_axes_mm: float = BESIDE_AXES_MM
 
     def __post_init__(self) -> None:
-        for name in ("defocus_sigma", "pupil_off_pivot_sigma_mm"):
+        for name in ("defocus_sigma", "pupil_off_pivot_sigma_mm", "pupil_beside_axes_mm"):
             if not getattr(self, name) >= 0:
                 raise InputMismatch(f"{name} is {getattr(self, name)}; it must not be negative.")
-        if not np.isfinite(
-            [self.defocus, self.defocus_sigma, self.pupil_off_pivot_mm, self.pupil_off_pivot_sigma_mm]
-        ).all():
+        if not np.isfinite(astuple(self)).all():
             raise InputMismatch("The bound of the parallax contains a number that is not finite.")
 
     def mean_and_sigma(self, r_mm: float) -> tuple[float, float]:
@@ -61,7 +60,7 @@ class ParallaxBound:
 
     def aside_sigma(self, r_mm: float) -> float:
         """Return the 1-sigma change of the radius per tangent of the turn, as a share, by a pupil beside the pivot."""
-        return float(np.hypot(self.defocus, self.defocus_sigma)) * _ASIDE_MM / r_mm
+        return float(np.hypot(self.defocus, self.defocus_sigma)) * self.pupil_beside_axes_mm / r_mm
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ views test that: if their estimates differ by more than star noise allows, the c
 the Birge ratio.
 
 Views of one pose are one where poses are compared: they share the errors of the collimator, of the pixel grid and of
-the sensor's fixed pattern. If a passport holds the collimator, its covariance is propagated to the camera.
+the sensor's fixed pattern.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from calib.adjustment.parameters import AdjustmentParameters, members
 from calib.arrays import Array, Ints
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
-from calib.model.passport import Passport
-from calib.model.result_parts import PASSPORT, POSE_FIELDS, STARS
+from calib.model.result_parts import POSE_FIELDS, STARS
 
 #: Below this ratio of eigenvalues, the information matrix (scaled to a unit diagonal) is numerically singular.
 _SINGULAR = 1e-13
@@ -200,57 +199,6 @@ def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
         np.array([scores.information[views].sum(axis=0) for views in poses]),
         np.array([scores.score[views].sum(axis=0) for views in poses]),
     )
-
-
-def propagate_passport(
-    bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty, passport: Passport
-) -> Uncertainty:
-    """Return the uncertainty of all parameters of a bundle that was adjusted with the passport's values held.
-
-    Star noise is multiplied by the Birge ratio of these views or of those from which the passport was made, whichever
-    is larger. Otherwise the small errors of a model would appear as knowledge. Consider covariance: Tapley, Schutz and
-    Born (2004), chapter 6. The factor on star noise is this project's own. ``nominal`` is of the free parameters.
-    """
-    names, information = _whole_information(bundle, parameters, passport)
-    growth = max(nominal.birge_ratio if nominal.inconsistent else 1.0, passport.birge_ratio)
-    noise = nominal.variance_factor
-    stars, total = (consider_covariance(information / v, names, passport) for v in (noise, growth**2 * noise))
-    alone = consider_covariance(
-        information / noise, names, replace(passport, covariance=0.0 * passport.covariance)
-    )
-    return replace(
-        nominal,
-        names=names,
-        covariance=total,
-        parts={STARS: alone, POSE_FIELDS: total - stars, PASSPORT: stars - alone},
-    )
-
-
-def _whole_information(
-    bundle: Bundle, parameters: AdjustmentParameters, passport: Passport
-) -> tuple[tuple[str, ...], Array]:
-    """Return the names of the free and of the held parameters, and their (G, G) information."""
-    names = (*bundle.names, *(name for name in passport.names if name not in bundle.names))
-    whole = replace(bundle, names=names)
-    return names, whole.equations(parameters, Loss("l2")).eliminated().information.sum(axis=0)
-
-
-def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:
-    """Return the (G, G) covariance of all parameters if some are held at a passport's values.
-
-    This is a consider covariance (Tapley, Schutz and Born, 2004, chapter 6). With the information S, free parameters f
-    and held parameters p, a change of p moves f by M = -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + M cov_p M^T.
-    """
-    held = [list(names).index(name) for name in passport.names]
-    free = [i for i in range(len(names)) if i not in held]
-    own = inverse_information(information[np.ix_(free, free)], [names[i] for i in free])
-    answer = -own @ information[np.ix_(free, held)]
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(free, free)] = own + answer @ passport.covariance @ answer.T
-    covariance[np.ix_(free, held)] = answer @ passport.covariance
-    covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
-    covariance[np.ix_(held, held)] = passport.covariance
-    return covariance
 
 
 #: Leaving one view out must leave enough to calibrate with.

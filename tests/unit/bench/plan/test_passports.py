@@ -133,8 +133,9 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
     named = bench("{passport: p.json}", f"serial: C-1, {CERTIFICATE}")
     assert named.passport.in_use.passport.values_by_name == {"r": 256.0}
     assert bench("{passport: none}", f"serial: C-1, {CERTIFICATE}").passport.in_use is None
-    assert bench("{model: planar}", f"serial: C-1, {CERTIFICATE}").passport.in_use is None
-    assert "the planar model has no collimator" in str(bench("{model: planar, passport: p.json}").faults)
+    for model in ("spherical", "planar"):
+        assert bench(f"{{model: {model}}}", f"serial: C-1, {CERTIFICATE}").passport.in_use is None
+        assert "method of reference" in str(bench(f"{{model: {model}, passport: p.json}}").faults)
 
 
 @pytest.mark.parametrize(
@@ -260,8 +261,9 @@ def test_the_plan_names_the_model_and_the_passport(bench):
     assert bench().to_dict()["passport"] is None
 
 
-def test_the_planar_model_has_no_collimator_so_it_gets_no_passport(bench):
-    step = solve_of(bench("{model: planar}"))
+@pytest.mark.parametrize("model", ["spherical", "planar"])
+def test_a_method_of_reference_gets_no_passport(bench, model):
+    step = solve_of(bench(f"{{model: {model}}}"))
     assert calibration_options(step, Passport.of_radius(255, 0.05)).passport is None
 
 

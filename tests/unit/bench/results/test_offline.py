@@ -23,7 +23,7 @@ from bench.results.offline_options import OfflineOptions, read_point_file
 from bench.results.passports import passport_from_certificate, write_passport
 from bench.results.solve_options import ONE_VIEW
 from bench.results.view_sources import refuse_truncated_jpeg
-from calib.errors import DegenerateViews
+from calib.errors import DegenerateViews, InputMismatch
 from calib.view import View
 from drivers.errors import RecordingCorrupt
 from tests.support.printed_text import printed_text
@@ -260,10 +260,9 @@ def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(p
 def test_a_passport_is_used_and_none_switches_it_off(points, passport):
     assert calibrate_paths([points], options(passport=passport)).calibration.model == "joint"
     assert calibrate_paths([points], options(passport="none")).passport is None
-    spherical = calibrate_paths([points], options(passport=passport, model="spherical"))
-    assert spherical.calibration.model == "spherical"
-    planar = calibrate_paths([points], options(passport=passport, model="planar"))
-    assert (planar.calibration.model, planar.passport) == ("planar", None)
+    for model in ("spherical", "planar"):
+        with pytest.raises(InputMismatch, match="method of reference: it uses no passport"):
+            calibrate_paths([points], options(passport=passport, model=model))
 
 
 def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, passport, tmp_path):
