@@ -43,6 +43,7 @@ TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(DEGREE))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
 SCALE_TURN_2 = "scale by turn squared"
 PARALLAX, RIM, DISCS, ALONG = "parallax", "rim", "discs", "pupil along the axis"
+ASIDE = "pupil beside the axes"
 DISTORTION, TANGENTIAL, PRISM = "lens distortion", "tangential", "prism"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
@@ -91,7 +92,10 @@ FAMILIES = (
     Family(TURN, _smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
     Family(TURN_2, _smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
     Family(
-        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 0.5, 1e-3, 4e-4, 4e-6), 1.3, 0.5
+        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2, ASIDE),
+        (0.05, 0.5, 1e-3, 4e-4, 4e-6, 3e-4),
+        1.3,
+        0.5,
     ),
     Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),

@@ -12,7 +12,6 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from calib.joint import amplitudes as amp
 from calib.joint.fields import COEFFICIENTS, DEGREE, DEGREES, FieldBasis, both
@@ -42,8 +41,6 @@ DRIFT = "drift"
 #: Change of the radius by the tangents of the turns along X and Y, as a share: a pupil that is beside the pivot moves
 #: along the axis when the camera turns.
 ASIDE = ("aside_x", "aside_y")
-#: Without a bound of the parallax it is typically this share of the parallax, for a pupil 44 mm before the pivot.
-_ASIDE_SHARE = 0.1
 #: radial_4 is typically so many times radial.
 RADIAL_RATIO = 20.0
 #: Typical sizes of what radial terms become about a shifted axis (`FieldBasis.shifted`).
@@ -264,6 +261,8 @@ class Layout:
             blocks.append(self._common(hyper))
         if not parallax_known:
             blocks.append(self._parallax(hyper))
+            aside = ((hyper.at(amp.ASIDE), np.eye(len(ASIDE))),)
+            blocks.append(RandomBlock(rows.UNBOUNDED_PARALLAX, self.places(ASIDE), aside))
         if self.by_hand:
             blocks.append(self._own_by_turn(hyper, reach))
             own = ((hyper.at(amp.ALONG), np.eye(self.n_poses)),)
@@ -312,10 +311,12 @@ class Layout:
         )
 
     def _parallax(self, hyper: amp.Hyperprior) -> RandomBlock:
-        """Return the parallax: alike along X and Y but for a fifth; and what a pupil beside the pivot does."""
-        shapes = linalg.block_diag(amp.UNIT_TURN * PARALLAX_SHAPES, _ASIDE_SHARE * np.eye(len(ASIDE)))
-        places = np.append(self.parallax, self.places(ASIDE))
-        return RandomBlock(rows.UNBOUNDED_PARALLAX, places, ((hyper.at(amp.PARALLAX), shapes),))
+        """Return the parallax: alike along X and Y but for a fifth."""
+        return RandomBlock(
+            rows.UNBOUNDED_PARALLAX,
+            self.parallax,
+            ((hyper.at(amp.PARALLAX), amp.UNIT_TURN * PARALLAX_SHAPES),),
+        )
 
     @cached_property
     def parallax(self) -> Places:

@@ -41,6 +41,7 @@ _PLAIN = (
     amp.CURVATURE_TURN,
     amp.SCALE_TURN_2,
     amp.PARALLAX,
+    amp.ASIDE,
     amp.DISTORTION,
     amp.TANGENTIAL,
     amp.PRISM,
