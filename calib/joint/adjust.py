@@ -103,7 +103,12 @@ def posed(
     turns, axes = turns_of(start.rotations, poses)
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
     blocks = layout.random_blocks(
-        hyper, knowledge.in_passport, corner, reach, parallax_known=knowledge.parallax_known
+        hyper,
+        knowledge.in_passport,
+        corner,
+        reach,
+        readings.sigma_rad if readings else 0.0,
+        parallax_known=knowledge.parallax_known,
     )
     rims = [discs.of_views[pose] for pose in poses] if discs else []
     bench = Bench(

@@ -35,7 +35,7 @@ class Pupil(Enum):
 #: that the glass has, and what the fields lack becomes an error of the focal length. If its places are unknown too,
 #: fields of higher degrees predict poses that are left out worse (published recordings: .18 px with 7, .16 with 5).
 TURN_DEGREES = {Pupil.HELD: (4, 3), Pupil.WALKS: (DEGREE, DEGREE - 1), Pupil.BY_HAND: (5, 4)}
-STAR, READING = "star noise", "readings"
+STAR, READING, ENCODER = "star noise", "readings", "readings of the same angle"
 POSE = tuple(f"pose field, degree {d}" for d in range(1, POSE_DEGREE + 1))
 COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
 TURN = tuple(f"field by turn, degree {d}" for d in range(1, DEGREE + 1))
@@ -87,6 +87,7 @@ _FALL = 0.65
 FAMILIES = (
     Family((STAR,), (1.0,), 1.5, 0.0),
     Family((READING,), (1.0,), 0.4, 0.0),
+    Family((ENCODER,), (0.7,), 0.7, 0.0),
     Family(POSE, _smooth(2e-6, POSE_DEGREE), 1.3, 0.5, 0.25),
     Family(COMMON, _smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN, _smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
@@ -130,7 +131,7 @@ class Hyperprior:
         is an error of camera or centre.
         """
         begin = self.mean - np.sqrt(np.diag(self.covariance))
-        noise = [at for at, name in enumerate(self.names) if name in (STAR, READING, DISCS)]
+        noise = [at for at, name in enumerate(self.names) if name in (STAR, READING, ENCODER, DISCS)]
         begin[noise] = self.mean[noise]
         return np.asarray(begin)
 

@@ -55,6 +55,8 @@ _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
     f"eccentricity_{axis}_{part}" for axis in ("pan", "tilt", "roll") for part in ("sin", "cos")
 )
+#: Begin of the names of what an encoder is off at an angle that several views have.
+ENCODER = "encoder"
 #: Products of the turns along X and Y, with the highest degree of their fields.
 _TURNS = {"turn_x": (1, 0), "turn_y": (0, 1)}
 _TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}
@@ -238,13 +240,14 @@ class Layout:
         known: frozenset[str],
         corner: float,
         reach: float,
+        reading_rad: float,
         *,
         parallax_known: bool,
     ) -> list[RandomBlock]:
         """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
 
         ``corner`` is the tangent of the angle between the axis and the sensor's corner. ``reach`` is the largest
-        distance of a turn from the mean turn, as a tangent.
+        distance of a turn from the mean turn, as a tangent. ``reading_rad`` is the stated uncertainty of a reading.
         """
         decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
         blocks = [
@@ -259,6 +262,10 @@ class Layout:
             blocks.append(RandomBlock(rows.TURN_FIELDS, self.places(self.rim), ((hyper.at(amp.RIM), shape),)))
         if not any(name.startswith("common_") for name in known):
             blocks.append(self._common(hyper))
+        encoders = [name for name in self.gimbal if name.startswith(ENCODER)]
+        if encoders:
+            own = ((hyper.at(amp.ENCODER), reading_rad * np.eye(len(encoders))),)
+            blocks.append(RandomBlock(rows.READINGS, self.places(encoders), own))
         if not parallax_known:
             blocks.append(self._parallax(hyper))
             aside = ((hyper.at(amp.ASIDE), np.eye(len(ASIDE))),)

@@ -1,7 +1,8 @@
 """The gimbal's readings as observations of the views' rotations.
 
 A reading predicts the rotation M = A Rz(roll) Rx(tilt) Rz(delta) Ry(pan) B (`calib.model.gimbal`). Each angle is its
-reading times the scale of its axis, plus the encoder's error of one period, e_s sin(a) + e_c (cos(a) - 1).
+reading times the scale of its axis, plus the encoder's error of one period, e_s sin(a) + e_c (cos(a) - 1), plus what an
+encoder is off at an angle that several views have: they share it, so they do not count as independent readings.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.joint.layout import ECCENTRICITY
+from calib.joint.layout import ECCENTRICITY, ENCODER
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import AXES, GimbalReadings
 from calib.model.rotation import log_map
@@ -21,6 +22,8 @@ from calib.model.rotation import log_map
 Array = NDArray[np.float64]
 
 _TURNS = (*MOUNTING, *STANDING)
+#: Readings of an axis that differ by less are those of one angle: the encoder is off by the same.
+_ONE_ANGLE_DEG = 0.05
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,20 @@ class Readings:
         turned = [f"scale_{axis}" for axis in axes] + [
             name for name in ECCENTRICITY if name.split("_")[1] in axes
         ]
-        return (*_TURNS, *turned, NON_ORTHOGONALITY)
+        return (*_TURNS, *turned, *self.at_angles, NON_ORTHOGONALITY)
+
+    @cached_property
+    def at_angles(self) -> Mapping[str, tuple[int, NDArray[np.bool_]]]:
+        """By the name of what an encoder is off at an angle: the axis, and (m,) the views that share it."""
+        found = {}
+        for k in np.flatnonzero(self.moved).tolist():
+            order = np.argsort(self.angles_deg[:, k], kind="stable")
+            ends = np.flatnonzero(np.diff(self.angles_deg[order, k]) > _ONE_ANGLE_DEG) + 1
+            for views in np.split(order, ends):
+                if len(views) > 1:
+                    axis, angle = AXES[k].removesuffix("_deg"), float(self.angles_deg[views[0], k])
+                    found[f"{ENCODER}_{axis}_{angle:g}"] = (k, np.isin(range(len(order)), views))
+        return found
 
     def start(self, rotations: Array) -> Gimbal:
         """Return the gimbal that fits given rotations with unit scales."""
@@ -58,6 +74,8 @@ class Readings:
         for k, axis in enumerate(("pan", "tilt", "roll")):
             sine, cosine = (shared.get(f"eccentricity_{axis}_{part}", 0.0) for part in ("sin", "cos"))
             errors[:, k] = sine * np.sin(angles[:, k]) + cosine * (np.cos(angles[:, k]) - 1.0)
+        for name, (k, views) in self.at_angles.items():
+            errors[views, k] += shared.get(name, 0.0)
         return self.angles_deg + np.degrees(errors)
 
     def off(self, gimbal: Gimbal, shared: Mapping[str, float], rotations: Array) -> Array:
@@ -80,6 +98,9 @@ class Readings:
                 columns.append(axes[:, :, k] * angles[:, k : k + 1])
             elif name == NON_ORTHOGONALITY:
                 columns.append(leaning)
+            elif name in self.at_angles:
+                k, views = self.at_angles[name]
+                columns.append(axes[:, :, k] * views[:, None])
             else:
                 axis, part = name.split("_")[1:]
                 k = AXES.index(f"{axis}_deg")

@@ -47,6 +47,19 @@ def test_without_a_bound_of_the_parallax_readings_say_less_of_the_focal_length()
     assert abs(unbounded.camera.fx - bench.truth.camera.fx) < expanded
 
 
+def test_poses_at_the_same_angle_of_an_axis_share_what_its_encoder_is_off():
+    """Nine poses of a grid read three angles of each axis; nine poses apart read nine."""
+    apart = [
+        {"pan": pose["pan"] + 0.1 * (k // 3), "tilt": pose["tilt"] + 0.1 * (k % 3)}
+        for k, pose in enumerate(NINE)
+    ]
+    of_grid, of_apart = (
+        solved(bench, readings(bench, sigma_deg=0.005)).sigma["fx"]
+        for bench in (draw_bench("ideal", poses, 11) for poses in (NINE, apart))
+    )
+    assert of_grid > 1.3 * of_apart
+
+
 def test_the_scale_of_the_encoders_enters_as_stated():
     bench = draw_bench("S3", NINE, 14)
     result = solved(bench, readings(bench, scale_sigma=1e-3))
