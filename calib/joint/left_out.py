@@ -61,6 +61,7 @@ def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
         column = layout.index[layout.along[pose]]
         along = (equations.right[pose, at] - squares[at] @ away) / squares[at, at]
         away[at] += along
+        step = step.copy()
         step[column] += along / there.maps[pose, at, column]
     turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
     moved = there.moved(state, step, fields - state.fields, turned)
