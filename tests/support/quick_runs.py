@@ -27,7 +27,7 @@ defaults:
   light: {frequency_hz: 240}
   settle: {duration_s: 0.1}
   record: {window_ms: 8.4, attempts: 1}
-  solve: {model: spherical, distortion: [k1, k2]}
+  solve: {model: %s, distortion: [k1, k2]}
 steps:
   - light
   - until: %s
@@ -60,7 +60,7 @@ def write_sequence(path, poses=TWELVE, *, attempts=2, end=END):
     return path
 
 
-def write_until(path, until):
+def write_until(path, until, model="spherical"):
     """A sequence that chooses its poses; ``until`` is the mapping of the step as text."""
-    path.write_text(UNTIL % until)
+    path.write_text(UNTIL % (model, until))
     return path

@@ -24,6 +24,8 @@ POSES = (
 CERTIFICATE = (
     "nominal_r_mm: 255, certificate: {number: C-7, r_mm: 255, uncertainty_mm: 0.1, date: 2026-01-12}}"
 )
+#: A method of reference would use no passport.
+END = "  - solve: {distortion: [k1]}\n  - report\n"
 KEPT = {"drawn": {}, "measured": {}, "solved": {}, "truth": {}}
 DOCUMENTS = ("sequence.yaml", "station.yaml", "passport.json")
 
@@ -76,7 +78,7 @@ def make_run(folder, home):
     text = station.read_text()
     assert "nominal_r_mm: 255}" in text
     station.write_text(text.replace("nominal_r_mm: 255}", CERTIFICATE))
-    sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1)
+    sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1, end=END)
     launch = Launch(BenchClock(), stream=io.StringIO())
     with mock.patch.dict(os.environ, {HOME_VARIABLE: str(home)}):
         end = start_run(

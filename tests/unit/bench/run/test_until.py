@@ -26,9 +26,9 @@ def _coarse(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
 
 
-def until_scene(folder, until=NEVER, **more):
+def until_scene(folder, until=NEVER, model="spherical", **more):
     folder.mkdir(parents=True, exist_ok=True)
-    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until), **more)
+    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until, model), **more)
 
 
 def raising(scene, recording, error):
@@ -173,13 +173,13 @@ def test_intentions_and_status_name_the_goal(tmp_path):
 def test_a_certificate_that_is_too_coarse_ends_it_at_once_and_is_named(tmp_path):
     place = "station.collimator.certificate"
     certificate = {f"{place}.r_mm": "255", f"{place}.uncertainty_mm": "1", f"{place}.number": "C-7"}
-    scene = until_scene(tmp_path, NEVER.replace("0.001", "4"), settings=certificate)
+    scene = until_scene(tmp_path, NEVER.replace("0.001", "2"), "joint", settings=certificate)
     assert scene.run().how == "finished"
     (told,) = decisions(scene)
     assert told["ended"] == "unreachable"
     assert "passport of the collimator" in told["why"]
-    assert "cannot reach the goal of 4 px" in told["why"]
-    assert told["fixed"]["expanded_fx_px"]["passport of the collimator"] == pytest.approx(6.5, rel=0.1)
+    assert "cannot reach the goal of 2 px" in told["why"]
+    assert told["fixed"]["expanded_fx_px"]["passport of the collimator"] == pytest.approx(3.8, rel=0.1)
 
 
 def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):
