@@ -289,7 +289,7 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
 
 
 def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float, unbounded: float) -> list[Statement]:
-    """Return a bound of the parallax: its size, alike along both axes, and how far the pupil is aside."""
+    """Return what bounds the parallax: its size, how alike it is along both axes, how far the pupil is beside them."""
     stated, aside = bound.mean_and_sigma(r_mm), max(bound.aside_sigma(r_mm), 1e-9)
     names = [layout.names[k] for k in layout.parallax]
     unit = amp.UNIT_TURN

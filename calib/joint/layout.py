@@ -55,7 +55,7 @@ _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
     f"eccentricity_{axis}_{part}" for axis in ("pan", "tilt", "roll") for part in ("sin", "cos")
 )
-#: Begin of the names of what an encoder is off at an angle that several views have.
+#: Begin of the names of `Layout.encoders`.
 ENCODER = "encoder"
 #: Products of the turns along X and Y, with the highest degree of their fields.
 _TURNS = {"turn_x": (1, 0), "turn_y": (0, 1)}
@@ -109,7 +109,7 @@ class Layout:
     gimbal: tuple[str, ...]  # Names of the gimbal's unknowns; empty without readings
     wavefront: float = 0.0  # RMS slope of the collimator's wavefront that a station states, rad
     pupil: amp.Pupil = amp.Pupil.HELD
-    n_poses: int = 1
+    n_poses: int = 1  # Each has its own radius if a hand moves the camera
 
     @property
     def rim(self) -> tuple[str, ...]:
@@ -123,8 +123,13 @@ class Layout:
 
     @property
     def along(self) -> tuple[str, ...]:
-        """Names of the own radii of the poses, as shares of r: a hand moves the pupil along the axis, too."""
+        """Names of the own radii of the poses, as shares of r. A hand also moves the pupil along the axis."""
         return tuple(f"along_{pose}" for pose in range(self.n_poses)) if self.by_hand else ()
+
+    @property
+    def encoders(self) -> tuple[str, ...]:
+        """Names of what an encoder is off at an angle that several views have."""
+        return tuple(name for name in self.gimbal if name.startswith(ENCODER))
 
     @cached_property
     def common(self) -> Places:
@@ -247,7 +252,7 @@ class Layout:
         """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
 
         ``corner`` is the tangent of the angle between the axis and the sensor's corner. ``reach`` is the largest
-        distance of a turn from the mean turn, as a tangent. ``reading_rad`` is the stated uncertainty of a reading.
+        distance of a turn from the mean turn, as a tangent. ``reading_rad`` is the standard uncertainty of a reading.
         """
         decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
         blocks = [
@@ -262,10 +267,9 @@ class Layout:
             blocks.append(RandomBlock(rows.TURN_FIELDS, self.places(self.rim), ((hyper.at(amp.RIM), shape),)))
         if not any(name.startswith("common_") for name in known):
             blocks.append(self._common(hyper))
-        encoders = [name for name in self.gimbal if name.startswith(ENCODER)]
-        if encoders:
-            own = ((hyper.at(amp.ENCODER), reading_rad * np.eye(len(encoders))),)
-            blocks.append(RandomBlock(rows.READINGS, self.places(encoders), own))
+        if self.encoders:
+            own = ((hyper.at(amp.ENCODER), reading_rad * np.eye(len(self.encoders))),)
+            blocks.append(RandomBlock(rows.READINGS, self.places(self.encoders), own))
         if not parallax_known:
             blocks.append(self._parallax(hyper))
             aside = ((hyper.at(amp.ASIDE), np.eye(len(ASIDE))),)

@@ -1,8 +1,8 @@
 """The gimbal's readings as observations of the views' rotations.
 
 A reading predicts the rotation M = A Rz(roll) Rx(tilt) Rz(delta) Ry(pan) B (`calib.model.gimbal`). Each angle is its
-reading times the scale of its axis, plus the encoder's error of one period, e_s sin(a) + e_c (cos(a) - 1), plus what an
-encoder is off at an angle that several views have: they share it, so they do not count as independent readings.
+reading times the scale of its axis, plus two errors of the encoder: e_s sin(a) + e_c (cos(a) - 1) of one period, and an
+error that belongs to this angle. Views at the same angle share it, so they do not count as independent readings.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import FREE_SCALE, READINGS
-from calib.joint.layout import CENTRE, ENCODER, RADIAL
+from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
 from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior, posterior
@@ -296,9 +296,8 @@ def _gimbal(
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     if not entered:  # the mean may hold other scales instead
         times, off = float(np.exp(found.optimum.eta[reading])), bench.readings_off(found.optimum.state)
-    stated = [
-        (name, u) for name, u in zip(names, unit, strict=True) if entered and not name.startswith(ENCODER)
-    ]
+    errors = bench.layout.encoders
+    stated = [(name, u) for name, u in zip(names, unit, strict=True) if entered and name not in errors]
     return GimbalEstimate(
         entered=entered,
         values={name: float(u * values[name]) for name, u in stated},
