@@ -378,9 +378,8 @@ class UntilDecided(TypedDict):
     wanted: Mapping[str, float]  # Goals: largest expanded uncertainties allowed, px, by name
     # Expanded uncertainties reached, px, by name; empty if the poses do not determine the camera yet.
     now: Mapping[str, float]
-    # For each goal, source of the part of the uncertainty that no further pose lowers, and this part, px,
-    # expanded.
-    fixed: Mapping[str, Mapping[str, float]]
+    # Expanded uncertainties expected with all poses allowed, px, by name; empty if none were asked for.
+    at_last: Mapping[str, float]
     coverage_factor: float | None  # The k of the expanded uncertainties; None without a calibration
     model: str  # Name of the model of the calibration; empty without one
     # What the poses lack besides information: ``rim``, ``roll``, or nothing.

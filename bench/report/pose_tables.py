@@ -137,17 +137,17 @@ def _panel(
     name: str,
     colour: str,
 ) -> None:
-    """Draw one expanded uncertainty with its goal, and with the part that poses do not lower."""
+    """Draw one expanded uncertainty with its goal, and with what all allowed poses were last expected to leave."""
     goal = reached[-1]["wanted"][name]
     points = [(decided["poses"], decided["now"][name]) for decided in reached]
-    fixed_px = sum(part**2 for part in reached[-1]["fixed"].get(name, {}).values()) ** 0.5
-    heights = [height for _, height in points] + [goal] + ([fixed_px] if fixed_px > 0 else [])
+    at_last = [decided["at_last"][name] for decided in reached if name in decided.get("at_last", {})][-1:]
+    heights = [height for _, height in points] + [goal, *at_last]
     words = Words((f"{meaning_of_goal(name)}, px",), "poses")
     up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
     axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
     _goal_line(axes, goal, "goal", INK)
-    if fixed_px > 0:
-        _goal_line(axes, fixed_px, "does not depend on the poses", MUTED)
+    for height in at_last:
+        _goal_line(axes, height, "expected with all poses allowed", MUTED)
     axes.line(points, colour, 1.2)
     axes.dots(points, colour, 4.5)
 

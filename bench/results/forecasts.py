@@ -22,7 +22,7 @@ from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.result_parts import WORST_CORNER
-from calib.studies.planning import REDUCED_BY_POSES, Forecast, WeighedPose, forecast, next_poses
+from calib.studies.planning import Forecast, WeighedPose, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import ChooseStep, SolveStep
@@ -118,7 +118,7 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
         found = forecast(bench, poses)
     except (TooFewStars, DegenerateViews):
         return None
-    return PlanForecast(found, len(poses), further, (*_missed(planned, found), *found.remarks))
+    return PlanForecast(found, len(poses), further, (*_missed(planned, bench, poses, found), *found.remarks))
 
 
 def suggest_poses(planned: Plan, count: int) -> list[WeighedPose]:
@@ -176,9 +176,12 @@ def _last_solve(planned: Plan) -> SolveStep | None:
     return None
 
 
-def _missed(planned: Plan, found: Forecast) -> Iterator[str]:
-    """Yield a sentence for each limit that the forecast exceeds, with the term that prevents it."""
+def _missed(
+    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], found: Forecast
+) -> Iterator[str]:
+    """Yield a sentence for each limit that the forecast exceeds; for U, with what more poses would leave."""
     step = _last_solve(planned)
+    twice: Forecast | None = None
     for name, most in (step.limits if step else {}).items():
         plain = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
         expected = found.limited.get(plain)
@@ -186,22 +189,29 @@ def _missed(planned: Plan, found: Forecast) -> Iterator[str]:
             continue
         unit = name.removeprefix(plain).removeprefix("_")
         text = f"{meaning_of_goal(name)} of at most {most:g} {unit}".rstrip()
-        yield f"{text} will not be met: {expected:.2g} expected.{_cause(found, name, most)}"
+        cause = ""
+        if name in _QUANTITIES:
+            twice = twice or with_further(planned, bench, poses, len(poses))
+            later = (
+                "" if twice is None else f"; twice as many poses would leave {twice.limited[plain]:.2g} px"
+            )
+            cause = f" {largest_part(found, _QUANTITIES[name])}{later}."
+        yield f"{text} will not be met: {expected:.2g} expected.{cause}"
 
 
-def _cause(found: Forecast, name: str, most: float) -> str:
-    """Return the largest term of a number, and whether more poses lower it; nothing if the budget does not have it."""
-    quantity = _QUANTITIES.get(name)
-    if quantity is None or not found.budget_rows:
-        return ""
+def with_further(
+    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], count: int
+) -> Forecast | None:
+    """Return the forecast with further poses where they help most; None if the stage has not so many."""
+    try:
+        further = next_poses(bench, poses, list(_candidates(planned)), count)
+    except (TooFewStars, DegenerateViews):
+        return None
+    return forecast_if_enough(bench, [*poses, *(dict(pose.angles_deg) for pose in further)])
+
+
+def largest_part(found: Forecast, quantity: str) -> str:
+    """Return the largest part of the uncertainty of a column of the budget, as text without a full stop."""
     parts = {row.name: row.contribution.get(quantity, 0.0) for row in found.budget_rows}
-    fixed = {name: part for name, part in parts.items() if name not in REDUCED_BY_POSES}
-    floor = SMALLEST_COVERAGE_FACTOR * float(np.sqrt(sum(part**2 for part in fixed.values())))
-    if floor > most:
-        largest = max(fixed, key=lambda each: fixed[each])
-        return (
-            f" More poses help little: the terms that they hardly lower leave {floor:.2g} px (k = 2). The largest is "
-            f"the {largest}."
-        )
-    largest = max(parts, key=lambda each: parts[each])
-    return f" The largest term is the {largest} ({parts[largest]:.2g} px, 1 sigma); more poses lower it."
+    largest = max(parts, key=lambda name: parts[name])
+    return f"Its largest part is: {largest}, {SMALLEST_COVERAGE_FACTOR * parts[largest]:.2g} px (k = 2)"

@@ -15,7 +15,7 @@ from bench.plan.job import Job
 from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import History
 from bench.report.text import meaning_of_goal
-from bench.results.next_pose import Choice, Wish, choose_pose, fixed_parts
+from bench.results.next_pose import Choice, Wish, cannot_reach, choose_pose
 from bench.results.solution import accepted_measurements, views_in
 from bench.results.solve_options import limited_numbers, solve_options
 from bench.views.expected_grid import engine_angles_deg
@@ -26,8 +26,8 @@ from calib.model.passport import Passport
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
-_WORTH_NAMING = 0.1
-"""A part is named if it is more than this share of all parts together."""
+_LITTLE_GAIN = 0.95
+"""A goal out of reach ends the step only if all poses allowed would leave more than this share of what there is."""
 _FEWEST_LABELLED = 3
 """Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
 
@@ -70,7 +70,6 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
     """Decide what follows in an ``until``: the next pose, or the end."""
     until, accepted, calibration = step.until, history.accepted(), interim.calibration
     recorded = sum(pose in accepted for pose in until.poses)
-    most = len(accepted) + max(0, until.at_most - recorded)
     decided: UntilDecided = {
         "step": step.number,
         "until": until.first,
@@ -80,7 +79,7 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         "worked_s": round(sum(history.worked_s.get(n, 0.0) for n in range(until.first, until.last + 1)), 3),
         "wanted": dict(until.goals),
         "now": _reached(until, calibration) if calibration else {},
-        "fixed": fixed_parts(calibration.budget_rows, most / len(accepted)) if calibration else {},
+        "at_last": {},
         "coverage_factor": calibration.coverage_factor if calibration else None,
         "model": calibration.model if calibration else "",
         "lacks": "",
@@ -93,6 +92,12 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         return {**decided, "ended": end[0], "why": end[1]}
     choice = _choose(step, job, history, interim, decided, failed)
     if isinstance(choice, Choice):
+        if decided["now"]:
+            decided["at_last"] = {goal: round(value, 4) for goal, value in choice.at_last.items()}
+            missed = choice.hopeless(until.goals)
+            if missed and choice.at_last[missed] > _LITTLE_GAIN * decided["now"][missed]:
+                why = cannot_reach(missed, until.goals[missed], choice.at_last[missed], until.at_most)
+                return {**decided, "ended": "unreachable", "why": f"{why} {_largest_source(calibration)}"}
         return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
     return {**decided, "ended": "no_pose", "why": f"{choice} {interim.why}".strip()}
 
@@ -108,11 +113,6 @@ def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> 
     now, wanted = decided["now"], decided["wanted"]
     if now and all(now[goal] <= most for goal, most in wanted.items()):
         return "met", "The goals are met."
-    for goal, most in wanted.items():
-        parts = decided["fixed"].get(goal, {})
-        whole = float(np.sqrt(sum(part**2 for part in parts.values())))
-        if whole > most:
-            return "unreachable", _unreachable(goal, most, whole, parts)
     missed = f"{_missed(now, wanted)} {_largest_source(interim.calibration)}".strip() or interim.why
     if decided["recorded"] >= until.at_most:
         return "at_most", f"{decided['recorded']} recordings are accepted, the most allowed. {missed}"
@@ -144,18 +144,6 @@ def _largest_source(calibration: Calibration | None) -> str:
     return f"The largest part of U(fx) comes from: {largest}, {part:.3g} px."
 
 
-def _unreachable(goal: str, most: float, whole: float, parts: Mapping[str, float]) -> str:
-    sources = ", ".join(
-        f"{source} {part:.3g} px"
-        for source, part in sorted(parts.items(), key=lambda item: -item[1])
-        if part > _WORTH_NAMING * whole
-    )
-    return (
-        f"{meaning_of_goal(goal)} cannot reach the goal of {most:g} px: {whole:.3g} px of it do not depend on the "
-        f"number of poses ({sources}). Reduce these uncertainties, or set a larger goal."
-    )
-
-
 def _choose(
     step: ChooseStep,
     job: Job,
@@ -178,6 +166,7 @@ def _choose(
         roll=2 * aligned_poses(m.facts for m in interim.measurements) > len(taken),
         needs_tag=True,
         min_stars=record.gates.min_stars if record else 0,
+        more=max(1, step.until.at_most - decided["recorded"]),
     )
     readings = solve_options(job, step.solve, []).gimbal
     choice: Choice | str = ""

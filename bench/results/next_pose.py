@@ -20,7 +20,9 @@ from bench.results.forecasts import (
     expected_bench,
     forecast_bench,
     forecast_if_enough,
+    largest_part,
     pose_grid,
+    with_further,
 )
 from bench.results.solve_options import stated_radial_sigma
 from bench.stations.sections import AxisConfig
@@ -30,17 +32,9 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.model.result_parts import (
-    COMMON_FIELD,
-    GIMBAL_SCALE,
-    PARALLAX,
-    READINGS,
-    UNBOUNDED_PARALLAX,
-    WORST_CORNER,
-    BudgetRow,
-)
+from calib.model.result_parts import WORST_CORNER
 from calib.studies.expected_posterior import Angles, Sigmas
-from calib.studies.planning import REDUCED_BY_POSES, Forecast, PoseWeigher, WeighedPose, fit_gimbal
+from calib.studies.planning import PoseWeigher, WeighedPose, fit_gimbal
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import RecordStep, Until
@@ -55,6 +49,10 @@ ALIGNED_ROLL_DEG = 5.0
 """A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
 MORE_STARS = 1.2
 """A chosen pose should show this many times the stars that its gate asks for."""
+FORECAST_ERROR = 1.25
+"""A forecast may be too large by this factor: a goal beyond it is given up, no nearer one."""
+MOST_LATER = 100
+"""About so many poses of the grid are looked at for what all allowed poses can reach."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +62,17 @@ class Choice:
     angles_deg: Angles  # Angle by axis, degrees (``pan_deg``)
     # Expanded uncertainties, px, that are expected with this pose added, by name of the goal.
     expected: Mapping[str, float]
+    # The same, with all poses that are allowed, each where it helps most.
+    at_last: Mapping[str, float]
     # What the poses so far lack besides information: ``roll``, or nothing.
     lacks: Literal["", "roll"]
     why: str
+
+    def hopeless(self, wanted: Mapping[str, float]) -> str:
+        """Return the goal that all allowed poses will miss most; empty if they may meet each."""
+        shares = {name: self.at_last[name] / most for name, most in wanted.items()}
+        farthest = max(shares, key=lambda name: shares[name])
+        return farthest if shares[farthest] > FORECAST_ERROR else ""
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,7 @@ class Wish:
     roll: bool  # Whether the poses so far need another roll
     needs_tag: bool  # Whether the pose must show the whole tag
     min_stars: int  # Stars that a recording must have to be accepted
+    more: int = 1  # Poses that may still be recorded
 
 
 def choose_pose(
@@ -113,7 +120,8 @@ def choose_pose(
     )
     reached = _ranges(station.value.axes, bench, taken_deg)
     axes = _visible_part(reached, weigher.possible(pose_grid(reached)))
-    weighed = weigher.weigh(pose_grid(axes)) if axes else []
+    grid = list(pose_grid(axes)) if axes else []
+    weighed = weigher.weigh(grid)
     if not weighed:
         return "No pose within the limits of the stage shows enough of the target, besides those recorded."
     lacks: Literal["", "roll"] = "roll" if wish.roll and "roll" in station.value.axes else ""
@@ -122,7 +130,10 @@ def choose_pose(
         finer = weigher.weigh(_around(chosen.angles_deg, axes, share))
         chosen = _best_of(weigher.before, [chosen, *finer], wish, lacks, taken_deg)
     expected = _expected(weigher.before, chosen.after, wish)
-    return Choice(_rounded(chosen.angles_deg), expected, lacks, _reason(wish, lacks))
+    later = weigher.best(grid[:: max(1, len(grid) // MOST_LATER)], wish.more)
+    lasts = [expected, *(_expected(weigher.before, one.after, wish) for one in later[-1:])]
+    at_last = {name: min(one[name] for one in lasts) for name in expected}
+    return Choice(_rounded(chosen.angles_deg), expected, at_last, lacks, _reason(wish, lacks))
 
 
 def _bench(
@@ -272,45 +283,8 @@ def _reason(wish: Wish, lacks: str) -> str:
     return f"it lowers {meaning_of_goal(widest)} most"
 
 
-REDUCED_SLOWLY = frozenset({PARALLAX, UNBOUNDED_PARALLAX, GIMBAL_SCALE, COMMON_FIELD})
-"""Sources that the stars of further poses lower too, by what they say of the same quantity."""
-
 _QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
 """Column of the budget for each goal."""
-
-
-def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:
-    """Return the parts of the expanded uncertainties (k = 2), px by goal and source, that further poses do not lower.
-
-    What competes with stars or readings for the focal length counts as it would remain after `more` times as many
-    poses: with q, the ratio of its variance to theirs, (1 + q) / (`more` + q) of it. Own derivation for one parameter:
-    a prior of information b contributes sqrt(b) / (a + b) if the poses have the information a.
-    """
-    found: dict[str, dict[str, float]] = {}
-    for goal, quantity in _QUANTITIES.items():
-        parts = {row.name: row.contribution.get(quantity, 0.0) for row in rows}
-        kept = {name: part for name, part in parts.items() if name not in REDUCED_BY_POSES and part > 0}
-        slow = kept if parts.get(READINGS, 0.0) > 0 else kept.keys() & REDUCED_SLOWLY
-        left = _remaining(sum(kept[name] ** 2 for name in slow), _of_poses(parts), more)
-        found[goal] = {
-            name: SMALLEST_COVERAGE_FACTOR * (left if name in slow else 1.0) * part
-            for name, part in kept.items()
-        }
-    return found
-
-
-def _of_poses(parts: Mapping[str, float]) -> float:
-    """Return the variance of the rows that further poses lower."""
-    return sum(part**2 for name, part in parts.items() if name in REDUCED_BY_POSES)
-
-
-def _remaining(beforehand: float, poses: float, more: float) -> float:
-    """Return the share that remains of a variance that is known beforehand, beside that of the poses."""
-    return 1.0 if poses <= 0 else (1.0 + beforehand / poses) / (more + beforehand / poses)
-
-
-HOPELESS = 4.0
-"""The forecast ends when it expects this many times more poses than are allowed."""
 
 
 @dataclass(frozen=True)
@@ -354,7 +328,8 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
         if reached and all(reached[name] <= goal for name, goal in until.goals.items()):
             text = f"about {recorded} poses until {goals_text(until.goals)}"
             return ExpectedCourse(until.first, recorded, reached, f"Expected: {text}.")
-        if why := _why_not(until, found, reached, recorded, len(taken)):
+        if recorded >= until.at_most:
+            why = f"{until.at_most} poses do not suffice until {goals_text(until.goals)}."
             return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
         choice = choose_pose(
             planned.station,
@@ -362,31 +337,22 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
             bench.passport,
             taken_deg=taken,
             refused_deg=[],
-            wish=wish,
+            wish=replace(wish, now=reached, more=until.at_most - recorded),
             readings=bench.readings,
         )
         if not isinstance(choice, Choice):
             return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
+        if found and (missed := choice.hopeless(until.goals)):
+            last = with_further(planned, bench, taken, until.at_most - recorded) or found
+            why = cannot_reach(missed, until.goals[missed], choice.at_last[missed], until.at_most)
+            part = largest_part(last, _QUANTITIES[missed])
+            return ExpectedCourse(until.first, None, reached, f"Expected: {why} {part}.")
         taken.append(dict(choice.angles_deg))
 
 
-def _why_not(
-    until: Until, found: Forecast | None, reached: Mapping[str, float], recorded: int, poses: int
-) -> str:
-    """Return why the goals will not be met; empty if further poses can still help."""
-    if found is None or not reached:
-        return "" if recorded < until.at_most else "the poses will not determine the camera."
-    goals = until.goals
-    parts = fixed_parts(found.budget_rows, max(1.0, (poses + until.at_most - recorded) / poses))
-    for name, goal in goals.items():
-        sources = parts.get(name, {})
-        if np.sqrt(sum(part**2 for part in sources.values())) > goal:
-            largest = max(sources, key=lambda source: sources[source])
-            return (
-                f"the goal of {goal:g} px for {meaning_of_goal(name)} cannot be reached. More poses do not reduce "
-                f"all parts of U. The largest of these parts: {largest}, {sources[largest]:.2g} px (k = 2)."
-            )
-    share = max(reached[name] / goal for name, goal in goals.items())
-    if recorded >= until.at_most or recorded * share**2 > HOPELESS * until.at_most:
-        return f"{until.at_most} poses do not suffice until {goals_text(goals)}."
-    return ""
+def cannot_reach(name: str, goal: float, at_last: float, poses: int) -> str:
+    """Return that a goal is out of reach, and what all ``poses`` are expected to leave, px."""
+    return (
+        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about {at_last:.2g} px "
+        "is expected."
+    )

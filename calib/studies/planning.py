@@ -20,7 +20,6 @@ from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.words import require_determined
-from calib.model import result_parts as rows
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import angles_of
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
@@ -37,20 +36,6 @@ from calib.studies.expected_posterior import (
 from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share, view_at
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
-
-#: Rows of the uncertainty budget that further poses lower; all others stay about as they are.
-REDUCED_BY_POSES = frozenset(
-    {
-        rows.STARS,
-        rows.READINGS,
-        rows.POSE_FIELDS,
-        rows.TURN_FIELDS,
-        rows.AMPLITUDES,
-        rows.LENS,
-        rows.PRIORS,
-        rows.GIMBAL_AXES,
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -171,7 +156,12 @@ def next_poses(
     """
     for pose in taken_deg:
         predicted_view(bench, pose, "taken")
-    return PoseWeigher(bench, Gimbal(), taken_deg).best(candidates_deg, count)
+    found = PoseWeigher(bench, Gimbal(), taken_deg).best(candidates_deg, count)
+    if len(found) < count:
+        raise DegenerateViews(
+            f"Only {len(found)} of the candidate poses show the target and repeat no other pose; {count} are needed."
+        )
+    return found
 
 
 def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
@@ -239,7 +229,7 @@ class PoseWeigher:
     def best(self, candidates_deg: Iterable[Angles], count: int) -> tuple[WeighedPose, ...]:
         """Return the poses that leave the least at the worst point, one after the other (greedy; own), none twice.
 
-        Raises DegenerateViews: If too few of the poses show the target.
+        They are fewer than ``count`` if no more show the target.
         """
         shown = self._possible(candidates_deg)
         gains = self._gains([*self._shown, *shown]) if shown else None
@@ -248,10 +238,7 @@ class PoseWeigher:
         for _ in range(count):
             free = [k for k, (pose, _) in enumerate(shown) if not _repeats(pose, taken)]
             if gains is None or not free:
-                raise DegenerateViews(
-                    f"Only {len(chosen)} of the candidate poses show the target and repeat no other pose; {count} are "
-                    "needed."
-                )
+                break
             before, news = gains.covariance(weights), {k: share_of_news(shown[k][0], taken) for k in free}
             after = {k: gains.with_pose(before, first + k, news[k]) for k in free}
             best = min((after[k].worst_px, k) for k in free)[1]
