@@ -15,6 +15,11 @@ from calib.joint.marginal import Marginal, Solution
 
 Array = NDArray[np.float64]
 
+#: Share of what the stars say of the places that counts in the uncertainty. Glass that does not follow the pupil alone
+#: moves the places: with all of it, 25 poses before such a glass were up to 2.8 U wrong. With none of it, U of nine
+#: poses with poor discs was three times larger than with this.
+_COUNTED = 0.1
+
 
 @dataclass(frozen=True)
 class Places:
@@ -51,9 +56,8 @@ def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
     shared = np.concatenate(list(across - found.follow.swapaxes(1, 2) @ with_own), axis=1)
     follow = found.covariance @ shared
     information = problem.pupils.information + _on_diagonal(alone) - shared.T @ follow
-    # Only the information of the discs counts here. With that of the stars, U of fx was half of what nine poses with
-    # nothing stated need.
-    spread = follow @ np.linalg.solve(problem.pupils.information, follow.T)
+    discs = problem.pupils.information
+    spread = follow @ np.linalg.solve(discs + _COUNTED * (information - discs), follow.T)
     away = problem.pupils.information @ (bench.pupils - problem.pupils.shown).reshape(-1)
     gradient, curvature = _of_determinant(marginal, found, equations.squares / star)
     step = np.linalg.solve(information + _on_diagonal(curvature), (pull - gradient).reshape(-1) - away)
