@@ -22,18 +22,8 @@ from bench.compare.table import (
     table_rows,
 )
 from bench.report.html import environment
-from bench.report.svg_plot import (
-    INK,
-    MUTED,
-    POSE_COLOURS,
-    Key,
-    Picture,
-    Scale,
-    Words,
-    axes_in,
-    decades,
-    plain,
-)
+from bench.report.svg_plot import INK, MUTED, POSE_COLOURS, Key, Picture, Words, axes_in
+from bench.report.svg_scale import Scale, decades, plain
 
 _WIDTH = 760.0
 _ROW_HEIGHT = 19.5

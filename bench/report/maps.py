@@ -18,14 +18,12 @@ from bench.report.svg_plot import (
     Axes,
     Key,
     Picture,
-    Scale,
     Words,
     axes_in,
-    decades,
     height_for,
     shade,
-    text_width,
 )
+from bench.report.svg_scale import Scale, decades, text_width
 from calib.uncertainty.projection_uncertainty import CameraDifference
 
 # Contours of a map on a grid: closed outlines of the part that reaches a level, by marching squares. Pure.

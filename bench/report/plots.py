@@ -38,12 +38,12 @@ from bench.report.svg_plot import (
     Axes,
     Key,
     Picture,
-    Scale,
     Words,
     axes_in,
     painted,
     shade,
 )
+from bench.report.svg_scale import Scale
 from bench.report.text import STARS, TargetWords, words_of
 from bench.report.view_picture import PLOTS, ViewPicture, thinned
 from calib.model.result_parts import WORST_CORNER

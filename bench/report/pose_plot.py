@@ -10,19 +10,8 @@ from numpy.typing import NDArray
 
 from bench.records.results import CalibrationData, CameraData, Results
 from bench.records.run_facts import coverage_factor
-from bench.report.svg_plot import (
-    INK,
-    MUTED,
-    PANEL,
-    POSE_COLOURS,
-    Axes,
-    Key,
-    Picture,
-    Scale,
-    Words,
-    axes_in,
-    text_width,
-)
+from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Key, Picture, Words, axes_in
+from bench.report.svg_scale import Scale, text_width
 from bench.report.text import STARS, TargetWords
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.lens import is_fisheye

@@ -18,7 +18,8 @@ from markupsafe import Markup
 
 from bench.records.events import GateData, ImageFacts, StateEntered, UntilDecided
 from bench.records.results import Numbers, PoseData
-from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Scale, Words, axes_in
+from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Words, axes_in
+from bench.report.svg_scale import Scale
 from bench.report.text import (
     NOTHING,
     STARS,

@@ -25,7 +25,7 @@ from bench.report.text import NOTHING
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
 from calib.model.result_parts import Boresight
 from calib.model.rotation import exp_map
-from calib.studies.hand_eye import VerdictKind
+from calib.studies.hand_eye_verdict import VerdictKind
 from tests.support.printed_text import printed_text
 
 # ---------------------------------------------------------------- the uncertainty budget

@@ -1,0 +1,290 @@
+"""Verdict of the hand-eye check in words: whose error it is, how large, and where.
+
+It knows what was found (`Findings`), and compares nothing itself (`calib.studies.hand_eye`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.model.likelihood_ratio import DECISIVE
+from calib.studies.gimbal_faults import GimbalFault
+from calib.studies.gimbal_model import (
+    FaultKind,
+    PairRatios,
+)
+
+VerdictKind = Literal[
+    "agrees",
+    "slip",
+    "wrong_pose",
+    "not_square",
+    "wrong_sign",
+    "ambiguous",
+    "contradictory",
+    "focal_length",
+    "scale_or_parallax",
+    "gimbal_scale",
+    "views_biased",
+    "scatter",
+]
+
+_KINDS: Mapping[FaultKind, VerdictKind] = {"slip": "slip", "pose": "wrong_pose", "squareness": "not_square"}
+AXIS_NAMES = ("pan", "tilt", "roll")
+#: Parallax before a real collimator imitates a scale up to about this size.
+PARALLAX = 0.015
+#: Views disagree if they differ this many times more than star noise explains.
+_DISAGREE = 1.5
+#: A common ratio this near to 1 and within the U of the focal length is agreement.
+_SMALL = 1e-3
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Result of the check in one name, and in plain sentences."""
+
+    # ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
+    # ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data
+    # equally well. ``contradictory``: fit and pairs of poses disagree on the scale. ``focal_length``: a
+    # common ratio within the uncertainty of the focal length. ``scale_or_parallax``: a scale that parallax
+    # can imitate. ``gimbal_scale``: a scale error of the gimbal. ``views_biased``: scatter that the views
+    # show among themselves. ``scatter``: scatter of unknown cause.
+    kind: VerdictKind
+    says: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the verdict is made of."""
+
+    names: Sequence[str]
+    # scale, scale_sigma: True angle over reading and 1-sigma, by index of the axis; empty if no scale was
+    # estimated.
+    scale: Mapping[int, float]
+    scale_sigma: Mapping[int, float]
+    # 1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
+    own_sigma: Mapping[int, float]
+    difference_sigma: float  # 1-sigma of the largest difference between two scales
+    pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
+    contradicted: bool  # Whether the scale of the fit disagrees with the pairs
+    ambiguous: bool  # Whether another optimum fits nearly as well
+    # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
+    reversed_axes: str
+    faults: tuple[GimbalFault, ...]
+    excess_deg: float  # Scatter of the rotations that nothing explains, degrees
+    degrees_of_freedom: int
+    # Expanded uncertainty U of the focal length as a share of it; None if unknown.
+    focal_uncertainty: float | None
+    birge_ratio: float
+
+    @property
+    def views_disagree(self) -> bool:
+        """Whether the views of the calibration contradict each other, without any reading."""
+        return self.birge_ratio > _DISAGREE
+
+    @property
+    def scale_known(self) -> bool:
+        """Whether a scale may be stated."""
+        return bool(self.scale) and not (self.contradicted or self.ambiguous)
+
+
+def judge(found: Findings) -> Verdict:
+    """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
+    kinds: list[VerdictKind] = []
+    says: list[str] = []
+    for fault in found.faults:
+        kind, sentence = _fault(found, fault)
+        says.append(sentence)
+        kinds.append(kind)
+    if found.reversed_axes:
+        kinds.append("wrong_sign")
+        says.append(
+            f"The sign of {found.reversed_axes} is reversed: as they are, the readings fit no mounting in which the "
+            "camera looks forward. Check the signs of the axes in the station file."
+        )
+    if found.ambiguous:
+        kinds.append("ambiguous")
+        says.append(
+            "Different mountings of the camera explain the rotations equally well, so no scale is stated. Add poses "
+            "that turn the camera about another axis."
+        )
+    elif found.contradicted:
+        kinds.append("contradictory")
+        says.append(f"The fit and the pairs of poses disagree, so no scale is stated. {_of_pairs(found)}")
+    for judged in (_scale(found), _scatter(found)):
+        if judged is not None:
+            kinds.append(judged[0])
+            says.append(judged[1])
+    kinds.sort(key=lambda kind: kind == "agrees")
+    first = [kind for name in _KINDS.values() for kind in kinds if kind == name]
+    return Verdict((first or kinds or ["agrees"])[0], tuple(says))
+
+
+def angle(degrees: float) -> str:
+    """Print an angle without its sign: degrees from 0.1 degrees on, arc seconds below."""
+    size = abs(degrees)
+    return f"{size:#.2g} degrees" if size >= 0.1 else f"{_plain(3600 * size)} arc seconds"
+
+
+def angle_and_uncertainty(degrees: float, sigma_deg: float) -> str:
+    """Print an angle without its sign, and its expanded uncertainty (from 1-sigma), in the unit that `angle` takes."""
+    factor, unit = (1.0, "degrees") if abs(degrees) >= 0.1 else (3600.0, "arc seconds")
+    expanded = 2 * factor * sigma_deg
+    decimals = _decimals(expanded)
+    return f"{abs(factor * degrees):.{decimals}f} ± {expanded:.{decimals}f} {unit} (k = 2)"
+
+
+def _decimals(uncertainty: float) -> int:
+    """Return the decimals that show two significant digits of an uncertainty."""
+    return int(np.clip(1 - np.floor(np.log10(max(uncertainty, 1e-7))), 0, 7))
+
+
+def _plain(value: float) -> str:
+    """Return a number with three significant digits and without exponent."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-4 else "0"
+
+
+def _percent(share: float) -> str:
+    """Return a share as percent, with two significant digits."""
+    percent = 100 * abs(share)
+    return f"{percent:.2g} %" if percent >= 1e-3 else "less than 0.001 %"
+
+
+def _ratio(value: float, uncertainty: float) -> str:
+    """Return a ratio with as many decimals as its uncertainty has, at least two."""
+    return f"{value:.{max(_decimals(uncertainty), 2)}f}"
+
+
+def _pose(found: Findings, index: int) -> str:
+    """Return number and name of a pose."""
+    name = found.names[index] if index < len(found.names) else ""
+    return f"pose {index + 1} ({name})" if name else f"pose {index + 1}"
+
+
+def _fault(found: Findings, fault: GimbalFault) -> tuple[VerdictKind, str]:
+    """Return the kind and the sentence of a fault."""
+    size = angle_and_uncertainty(fault.size_deg, fault.sigma_deg)
+    if fault.kind == "slip":
+        assert fault.axis is not None
+        assert fault.pose is not None
+        before, after = _pose(found, fault.pose - 1), _pose(found, fault.pose)
+        more = "more" if fault.size_deg < 0 else "less"
+        sentence = f"The {AXIS_NAMES[fault.axis]} axis slipped between {before} and {after}: "
+        sentence += f"after that, readings show {size} {more} than the axis turned"
+    elif fault.kind == "pose":
+        assert fault.pose is not None
+        pose = _pose(found, fault.pose)
+        sentence = f"{pose[0].upper()}{pose[1:]} does not fit: reading and rotation differ by {size}"
+    else:
+        sentence = f"The axes of pan and tilt are not at right angles: they differ from it by {size}"
+    if fault.rival is not None:
+        rival = {"slip": "a slipped axis", "pose": "one wrong pose", "squareness": "axes not at right angles"}
+        sentence += f"; {rival[fault.rival]} explains the data nearly as well"
+    return _KINDS[fault.kind], f"{sentence}."
+
+
+def _of_pairs(found: Findings) -> str:
+    """Return what the pairs of poses show, in words."""
+    pairs = found.pairs
+    if pairs is None:
+        return "No pair of poses turned far enough for a ratio."
+    spread = f", spread {_plain(100 * pairs.spread)} %" if pairs.spread >= 1e-6 else ""
+    what = f"{pairs.count} pairs of poses" if pairs.count > 1 else "1 pair of poses"
+    text = f"Median of {what}: {_ratio(pairs.ratio, 0.1 * pairs.spread)}{spread}."
+    if len(pairs.by_axis) > 1:
+        axes = ", ".join(
+            f"{AXIS_NAMES[axis]} {_ratio(value, 0.1 * pairs.spread)}" for axis, value in pairs.by_axis.items()
+        )
+        text = f"{text[:-1]} ({axes})."
+    return text
+
+
+def _significant(found: Findings, size: float, sigma: float) -> bool:
+    """Return whether the likelihood ratio decides for a value; that of Student's distribution if there is scatter."""
+    ratio, freedom = (size / max(sigma, 1e-12)) ** 2, max(found.degrees_of_freedom, 1)
+    return bool((freedom * np.log1p(ratio / freedom) if found.excess_deg > 0 else ratio) > DECISIVE)
+
+
+def _common_to_pairs(found: Findings) -> float:
+    """Return how far the ratio of the pairs is from 1, if all pairs show it; else 0.
+
+    With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
+    """
+    if found.pairs is None or found.pairs.count < len(found.scale) + 1:
+        return 0.0
+    off = abs(found.pairs.ratio - 1)
+    return off if off > 3 * found.pairs.spread else 0.0
+
+
+def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
+    """Return what the scales show, or what the pairs show if no scale is known."""
+    if found.contradicted and not found.ambiguous:
+        return None
+    if not found.scale_known:
+        return ("agrees", _of_pairs(found)) if found.pairs is not None else None
+    axes = list(found.scale)
+    values = np.array([found.scale[axis] for axis in axes])
+    own = np.array([max(found.own_sigma[axis], 1e-12) for axis in axes])
+    common = float(np.average(values, weights=own**-2))
+    common_sigma = float(np.min([found.scale_sigma[axis] for axis in axes]))
+    focal = found.focal_uncertainty if found.focal_uncertainty is not None else 2 * common_sigma
+    differ = _significant(found, float(np.ptp(values)), found.difference_sigma)
+    off = float(np.abs(values - 1).max()) if differ else abs(common - 1)
+    by_axis = ", ".join(
+        f"{AXIS_NAMES[axis]} {_ratio(value, 2 * found.scale_sigma[axis])} ± "
+        f"{_ratio(2 * found.scale_sigma[axis], 2 * found.scale_sigma[axis])}"
+        for axis, value in zip(axes, values, strict=True)
+    )
+    seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(found)}"
+    seen_off = _common_to_pairs(found)
+    by_pairs = off < seen_off <= focal and not differ
+    if by_pairs and found.pairs is not None:
+        off, common = seen_off, found.pairs.ratio
+    own_sigma = 1 / float(np.sqrt((own**-2).sum()))
+    shown = by_pairs or _significant(found, off, own_sigma)
+    if not differ and (not shown or (off <= focal and off < _SMALL)):
+        return "agrees", seen
+    if off <= focal and (not differ or found.views_disagree):
+        direction = "short" if common > 1 else "long"
+        alike = "alike along all axes" if not differ else "and the views contradict each other"
+        return "focal_length", (
+            f"{seen} The ratio differs from 1 by {_percent(off)}, {alike}. A focal length that is "
+            f"{_percent(off)} too {direction} gives this, and its U is {_percent(focal)}: the calibration (camera or "
+            "collimator) is in question, and nothing points to the gimbal."
+        )
+    how = f"The ratio is {'not ' if differ else ''}the same along all axes"
+    if off <= PARALLAX:
+        return "scale_or_parallax", (
+            f"{seen} {how} and differs from 1 by {_percent(off)}; the U of the focal length is {_percent(focal)}. "
+            "This is a scale error of the gimbal, or parallax (entrance pupil off the pivot, collimator out of "
+            "focus): up to about 1 % they cannot be told apart."
+        )
+    return "gimbal_scale", (
+        f"{seen} {how} and differs from 1 by {_percent(off)}, but the U of the focal length is {_percent(focal)}: "
+        "the scale of the gimbal is in question. Check the steps or counts per degree in the station file."
+    )
+
+
+def _scatter(found: Findings) -> tuple[VerdictKind, str] | None:
+    """Return what scatter remains, if the stated uncertainties do not explain it."""
+    if found.excess_deg <= 0:
+        return None
+    size = angle(found.excess_deg)
+    if found.views_disagree:
+        return "views_biased", (
+            f"Rotations and readings differ by {size} (standard deviation per axis) more than the stars' noise "
+            f"explains. The views also contradict each other ({found.birge_ratio:.1f} times more than the stars' noise "
+            "explains), "
+            "without any reading: errors of the collimator or the lens model bias the rotations, so this scatter does "
+            "not show an error of the gimbal."
+        )
+    few = "" if found.degrees_of_freedom >= 6 else " These poses are too few to tell which."
+    return "scatter", (
+        f"Rotations and readings differ by {size} (standard deviation per axis) more than the stars' noise "
+        "explains. Possible causes: an axis slipped, a reading is wrong, or the gimbal repeats worse than the camera "
+        f"resolves.{few}"
+    )
