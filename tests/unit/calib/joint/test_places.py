@@ -68,6 +68,14 @@ def test_prior_information_is_the_inverse_of_the_covariance(optimum):
     assert logarithm == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
 
 
+def test_a_search_that_begins_badly_ends_where_the_camera_is():
+    """Its first steps are long whatever the amplitudes; those of the start would make fx 5 U wrong."""
+    bench = WORLDS["S1"](76, 9, 1, 0)
+    found = calibrate(views_of(bench), CalibrationOptions("joint", parallax_sigma=0.01))
+    assert abs(found.camera.fx - bench.camera.values["fx"]) < 2.0 * found.sigma["fx"]
+    assert found.sigma["fx"] < 100.0
+
+
 def test_places_elsewhere_come_back(optimum):
     at = optimum.marginal.problem.bench.pupils
     moved = at + 0.02 * np.random.default_rng(1).normal(size=at.shape)
@@ -125,6 +133,17 @@ def test_pupils_that_are_known_exactly_add_nothing(optimum):
     exact = Marginal(problem, marginal.equations, marginal.state)
     spread = places_of(exact, optimum.eta, solution).spread
     assert np.diag(spread).max() < 1e-6 * np.diag(solution.covariance).max()
+
+
+def test_stars_bind_pupils_that_discs_hardly_show(optimum):
+    marginal, pupils = optimum.marginal, optimum.marginal.problem.pupils
+    sigmas = []
+    for share in (1.0, 1e-6):
+        problem = replace(marginal.problem, pupils=replace(pupils, information=share * pupils.information))
+        poor = Marginal(problem, marginal.equations, marginal.state)
+        sigmas.append(np.sqrt(np.diag(places_of(poor, optimum.eta, optimum.solution).spread)[:4]))
+    assert (sigmas[1] > sigmas[0]).all()
+    assert (sigmas[1] < 30.0 * sigmas[0]).all()  # 1000 times by the discs alone
 
 
 def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
