@@ -343,9 +343,10 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
         if not isinstance(choice, Choice):
             return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
         if found and (missed := choice.hopeless(until.goals)):
-            last = with_further(planned, bench, taken, until.at_most - recorded) or found
-            why = cannot_reach(missed, until.goals[missed], choice.at_last[missed], until.at_most)
-            part = largest_part(last, _QUANTITIES[missed])
+            last = with_further(planned, bench, taken, until.at_most - recorded)
+            left = last.limited[missed.removesuffix("_px")] if last else choice.at_last[missed]
+            why = cannot_reach(missed, until.goals[missed], left, until.at_most)
+            part = largest_part(last or found, _QUANTITIES[missed])
             return ExpectedCourse(until.first, None, reached, f"Expected: {why} {part}.")
         taken.append(dict(choice.angles_deg))
 
