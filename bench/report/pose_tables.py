@@ -147,8 +147,8 @@ def _panel(
     up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
     axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
     _goal_line(axes, goal, "goal", INK)
-    for height in at_last:
-        _goal_line(axes, height, "expected with all poses allowed", MUTED)
+    for height in at_last:  # the course is above it
+        _goal_line(axes, height, "expected with all poses allowed", MUTED, above=-10.0)
     axes.line(points, colour, 1.2)
     axes.dots(points, colour, 4.5)
 
@@ -161,9 +161,9 @@ def _poses_scale(poses: Sequence[int]) -> Scale:
     return Scale(first - beside, last + beside, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
 
 
-def _goal_line(axes: Axes, height: float, name: str, colour: str) -> None:
+def _goal_line(axes: Axes, height: float, name: str, colour: str, above: float = 3.0) -> None:
     axes.level(height, colour, 0.9, "4 2.5")
-    axes.text((axes.x.high, height), name, by=(-2.0, -3.0), colour=colour, anchor="end", size=8.5)
+    axes.text((axes.x.high, height), name, by=(-2.0, -above), colour=colour, anchor="end", size=8.5)
 
 
 def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:
