@@ -37,11 +37,9 @@ from calib.view import View
 
 Angles = Mapping[str, float]
 
-#: Amplitudes of the errors that follow the collimator.
-_ERRORS = (
-    *(amp.PARALLAX, amp.RADIAL, amp.SHIFTED, amp.CURVATURE_TURN, amp.SCALE_TURN_2),
-    *(*amp.COMMON, *amp.TURN, *amp.TURN_2),
-)
+#: Amplitudes of the errors that follow the collimator, and of those that follow the turn.
+_COMMON = (amp.RADIAL, amp.SHIFTED, *amp.COMMON)
+_BY_TURN = (amp.PARALLAX, amp.CURVATURE_TURN, amp.SCALE_TURN_2, amp.ASIDE, *amp.TURN, *amp.TURN_2)
 _PAIRS = 8
 #: Distortion of a lens at the corner of the sensor, as a share of the distance from the axis: as large as that of the
 #: camera of arXiv:2512.16092.
@@ -93,8 +91,9 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
         return eta
     errors, focal_px, sigma_px = bench.errors, bench.camera.fx, bench.star_sigma_px
     edge = float(np.tan(np.radians(bench.half_angle_deg)))
-    known = [name for name in _ERRORS if name in hyper.names]
-    eta[hyper.places(known)] += np.log(errors.times_good(focal_px, sigma_px))
+    eta[hyper.places(_COMMON)] += np.log(errors.times_good(focal_px, sigma_px))
+    by_turn = [name for name in _BY_TURN if name in hyper.names]
+    eta[hyper.places(by_turn)] += np.log(errors.turn_times_good(focal_px, sigma_px))
     own = errors.pose_times_good(focal_px, sigma_px, bench.collimator.r, edge)
     eta[hyper.places(amp.POSE)] += np.log(own)
     if bench.readings is not None:

@@ -37,8 +37,11 @@ GOOD_RAD, GOOD_POSE_RAD = 1.9e-5, 4e-6
 _IDEAL = 0.05
 #: What differs from pose to pose if a gimbal holds the camera, over what is expected of a good collimator beforehand.
 _STEADY = 0.3
-#: Field of a view over the displacement of the pupil, as a share of the squared tangent of the field's edge.
-_KEYSTONE = 0.09
+#: Share of what differs from pose to pose that follows the turn, so that it does not average out over poses.
+_FOLLOWS = 1.0 / 3.0
+#: Own field of a view over the displacement of the pupil, as a share of the squared tangent of the field's edge: what
+#: remains when its place is found.
+_KEYSTONE = 0.03
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,11 @@ class CollimatorErrors:
     def times_good(self, focal_px: float, star_sigma_px: float) -> float:
         """Return how many times larger the errors are than those of a good collimator."""
         return max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)
+
+    def turn_times_good(self, focal_px: float, star_sigma_px: float) -> float:
+        """Return the same of the errors that follow the turn."""
+        own = _FOLLOWS * _per_axis(self.pose_rms_px, star_sigma_px) / focal_px / GOOD_POSE_RAD
+        return max(own, self.times_good(focal_px, star_sigma_px))
 
     def pose_times_good(self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float) -> float:
         """Return the same of the errors that differ from pose to pose; ``edge`` is the tangent of the half angle."""
