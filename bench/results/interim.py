@@ -93,7 +93,9 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
     choice = _choose(step, job, history, interim, decided, failed)
     if isinstance(choice, Choice):
         if decided["now"]:
-            decided["at_last"] = {goal: round(value, 4) for goal, value in choice.at_last.items()}
+            decided["at_last"] = {
+                goal: round(value, 4) for goal, value in choice.at_last.items() if np.isfinite(value)
+            }
             missed = choice.hopeless(until.goals)
             if missed and choice.at_last[missed] > _LITTLE_GAIN * decided["now"][missed]:
                 why = cannot_reach(missed, until.goals[missed], choice.at_last[missed], until.at_most)

@@ -69,10 +69,10 @@ class Choice:
     why: str
 
     def hopeless(self, wanted: Mapping[str, float]) -> str:
-        """Return the goal that all allowed poses will miss most; empty if they may meet each."""
+        """Return the goal that all allowed poses will miss most; empty if they may meet each, or if none is known."""
         shares = {name: self.at_last[name] / most for name, most in wanted.items()}
-        farthest = max(shares, key=lambda name: shares[name])
-        return farthest if shares[farthest] > FORECAST_ERROR else ""
+        missed = [name for name, share in shares.items() if FORECAST_ERROR < share < np.inf]
+        return max(missed, key=lambda name: shares[name], default="")
 
 
 @dataclass(frozen=True)

@@ -124,6 +124,9 @@ def test_a_goal_out_of_reach_ends_it_when_poses_hardly_help_and_the_largest_part
         return decided(job, HistoryOf([1, 2, 3]), found)
 
     assert "chosen" in with_all_poses(2.4)  # further poses help
+    unknown = with_all_poses(np.inf)
+    assert "chosen" in unknown
+    assert unknown["at_last"] == {"worst_corner_px": 0.2}
     told = with_all_poses(2.55)
     assert (told["ended"], told["at_last"]["expanded_fx_px"]) == ("unreachable", 2.55)
     assert told["why"] == (
