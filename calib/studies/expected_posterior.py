@@ -170,8 +170,8 @@ class PoseGains:
     def covariance(self, weights: Array) -> Array:
         """Return the (S, S) covariance of the shared unknowns for (k,) weights of the first poses."""
         information = self._prior.copy()
-        for k, weight in enumerate(weights):
-            information += weight * self._maps[k].T @ self._own[k] @ self._maps[k]
+        for k in np.flatnonzero(weights):
+            information += weights[k] * self._maps[k].T @ self._own[k] @ self._maps[k]
         scale = 1.0 / np.sqrt(np.diag(information))
         inverse = np.linalg.inv(information * np.outer(scale, scale))
         return np.asarray(inverse * np.outer(scale, scale))
@@ -186,13 +186,15 @@ class PoseGains:
         worst = float(np.linalg.eigvalsh(spread)[:, 1].max())
         return Sigmas(float(np.sqrt(max(camera[0, 0], 0.0))), float(np.sqrt(max(worst, 0.0))))
 
-    def with_pose(self, covariance: Array, place: int, weight: float) -> Sigmas:
-        """Return what a further pose leaves of the (S, S) covariance without it."""
-        moved, own = self._maps[place] @ covariance, weight * self._own[place]
-        inside = np.eye(len(own)) + own @ moved @ self._maps[place].T
-        at = moved[:, : self._camera]
-        gain: Array = np.asarray(np.linalg.solve(inside, own @ at), np.float64)
-        return self.sigmas(covariance[: self._camera, : self._camera] - at.T @ gain)
+    def with_poses(self, covariance: Array, places: Sequence[int], weights: Sequence[float]) -> list[Sigmas]:
+        """Return what each of some further poses leaves of the (S, S) covariance without it."""
+        maps, camera = self._maps[list(places)], self._camera
+        own = np.asarray(weights)[:, None, None] * self._own[list(places)]
+        moved = (maps.reshape(-1, maps.shape[2]) @ covariance).reshape(maps.shape)
+        at = moved[:, :, :camera]
+        inside = np.eye(own.shape[1]) + own @ (moved @ np.swapaxes(maps, 1, 2))
+        left = covariance[:camera, :camera] - np.swapaxes(at, 1, 2) @ np.linalg.solve(inside, own @ at)
+        return [self.sigmas(one) for one in left]
 
 
 def _thinned(view: View) -> View:

@@ -239,8 +239,9 @@ class PoseWeigher:
             free = [k for k, (pose, _) in enumerate(shown) if not _repeats(pose, taken)]
             if gains is None or not free:
                 break
-            before, news = gains.covariance(weights), {k: share_of_news(shown[k][0], taken) for k in free}
-            after = {k: gains.with_pose(before, first + k, news[k]) for k in free}
+            news = {k: share_of_news(shown[k][0], taken) for k in free}
+            left = gains.with_poses(gains.covariance(weights), [first + k for k in free], list(news.values()))
+            after = dict(zip(free, left, strict=True))
             best = min((after[k].worst_px, k) for k in free)[1]
             weights[first + best] = news[best]
             taken.append(shown[best][0])
@@ -257,13 +258,9 @@ class PoseWeigher:
         if not shown:
             return []
         gains = self._gains([*self._shown, *shown])
-        known = gains.covariance(self._news)
-        return [
-            self._weighed(
-                pose, gains.with_pose(known, len(self._shown) + k, share_of_news(pose, self._taken))
-            )
-            for k, (pose, _) in enumerate(shown)
-        ]
+        first, news = len(self._shown), [share_of_news(pose, self._taken) for pose, _ in shown]
+        after = gains.with_poses(gains.covariance(self._news), range(first, first + len(shown)), news)
+        return [self._weighed(pose, left) for (pose, _), left in zip(shown, after, strict=True)]
 
     def _weighed(self, pose: Angles, after: Sigmas) -> WeighedPose:
         return WeighedPose(pose, after, rim_share(self._bench, self._rotations([pose])[0]))
