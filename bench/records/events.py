@@ -379,7 +379,7 @@ class UntilDecided(TypedDict):
     # Expanded uncertainties reached, px, by name; empty if the poses do not determine the camera yet.
     now: Mapping[str, float]
     # Expanded uncertainties expected with all poses allowed, px, by name; empty if none were asked for.
-    at_last: Mapping[str, float]
+    at_end: Mapping[str, float]
     coverage_factor: float | None  # The k of the expanded uncertainties; None without a calibration
     model: str  # Name of the model of the calibration; empty without one
     # What the poses lack besides information: ``rim``, ``roll``, or nothing.

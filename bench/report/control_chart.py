@@ -22,8 +22,8 @@ from bench.records.summaries import (
     has_limits,
 )
 from bench.report.html import environment
-from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Array, Picture, Words, axes_in
-from bench.report.svg_scale import Scale, tick_label, ticks
+from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Picture, Words, axes_in
+from bench.report.svg_scale import Array, Scale, tick_label, ticks
 from bench.report.text import with_uncertainty
 
 # A chart of many runs. What falls on the same place is drawn once, so the size of a picture is bounded, also with

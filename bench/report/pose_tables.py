@@ -141,13 +141,13 @@ def _panel(
     """Draw one expanded uncertainty with its goal, and with what all allowed poses were last expected to leave."""
     goal = reached[-1]["wanted"][name]
     points = [(decided["poses"], decided["now"][name]) for decided in reached]
-    at_last = [decided["at_last"][name] for decided in reached if name in decided.get("at_last", {})][-1:]
-    heights = [height for _, height in points] + [goal, *at_last]
+    at_end = [decided["at_end"][name] for decided in reached if name in decided.get("at_end", {})][-1:]
+    heights = [height for _, height in points] + [goal, *at_end]
     words = Words((f"{meaning_of_goal(name)}, px",), "poses")
     up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
     axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
     _goal_line(axes, goal, "goal", INK)
-    for height in at_last:  # the course is above it
+    for height in at_end:  # the course is above it
         _goal_line(axes, height, "expected with all poses allowed", MUTED, above=-10.0)
     axes.line(points, colour, 1.2)
     axes.dots(points, colour, 4.5)

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from bench.report.svg_scale import Scale, text_width
+from bench.report.svg_scale import Array, Scale, text_width
 
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of the poses, repeated after six: the palette of Okabe and Ito (2008), safe for colour-blind readers."""
@@ -25,6 +25,10 @@ PANEL = (281.0, 191.0)
 """Width and height of one of several plots beside each other, points."""
 WIDE = 605.0
 """Width of a plot alone, points."""
+FONT, TITLE = 9.0, 9.5
+"""Sizes of type: labels, and titles."""
+_FAMILY = "DejaVu Sans, Verdana, sans-serif"
+_CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 _PALE, _DEEP = (244, 248, 252), (106, 172, 214)
 
 
@@ -32,15 +36,6 @@ def shade(share: float) -> str:
     """Return a shade of blue on which dark text can be read, from 0, the palest one, to 1."""
     part = min(max(share, 0.0), 1.0)
     return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(_PALE, _DEEP, strict=True))
-
-
-Array = NDArray[np.float64]
-
-
-FONT, TITLE = 9.0, 9.5
-"""Sizes of type: labels, and titles."""
-_FAMILY = "DejaVu Sans, Verdana, sans-serif"
-_CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 
 
 @dataclass

@@ -113,8 +113,7 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
     further = planned.most_poses - len(poses)
     try:
         if further > 0:
-            chosen = next_poses(bench, poses, list(_candidates(planned)), further)
-            poses = [*poses, *(dict(pose.angles_deg) for pose in chosen)]
+            poses = _and_further(planned, bench, poses, further)
         found = forecast(bench, poses)
     except (TooFewStars, DegenerateViews):
         return None
@@ -202,12 +201,19 @@ def _missed(
 def with_further(
     planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], count: int
 ) -> Forecast | None:
-    """Return the forecast with further poses where they help most; None if the stage has not so many."""
+    """Return the forecast with further poses; None if the stage does not reach so many."""
     try:
-        further = next_poses(bench, poses, list(_candidates(planned)), count)
+        return forecast(bench, _and_further(planned, bench, poses, count))
     except (TooFewStars, DegenerateViews):
         return None
-    return forecast_if_enough(bench, [*poses, *(dict(pose.angles_deg) for pose in further)])
+
+
+def _and_further(
+    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], count: int
+) -> list[dict[str, float]]:
+    """Return the poses with further ones where they help most."""
+    further = next_poses(bench, poses, list(_candidates(planned)), count)
+    return [*poses, *(dict(pose.angles_deg) for pose in further)]
 
 
 def largest_part(found: Forecast, quantity: str) -> str:

@@ -27,7 +27,7 @@ from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
 _LITTLE_GAIN = 0.95
-"""A goal out of reach ends the step only if all poses allowed would leave more than this share of what there is."""
+"""A goal out of reach ends the step only if all allowed poses would leave more than this share of U."""
 _FEWEST_LABELLED = 3
 """Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
 
@@ -79,7 +79,7 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         "worked_s": round(sum(history.worked_s.get(n, 0.0) for n in range(until.first, until.last + 1)), 3),
         "wanted": dict(until.goals),
         "now": _reached(until, calibration) if calibration else {},
-        "at_last": {},
+        "at_end": {},
         "coverage_factor": calibration.coverage_factor if calibration else None,
         "model": calibration.model if calibration else "",
         "lacks": "",
@@ -93,12 +93,10 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
     choice = _choose(step, job, history, interim, decided, failed)
     if isinstance(choice, Choice):
         if decided["now"]:
-            decided["at_last"] = {
-                goal: round(value, 4) for goal, value in choice.at_last.items() if np.isfinite(value)
-            }
+            decided["at_end"] = {goal: value for goal, value in choice.at_end.items() if np.isfinite(value)}
             missed = choice.hopeless(until.goals)
-            if missed and choice.at_last[missed] > _LITTLE_GAIN * decided["now"][missed]:
-                why = cannot_reach(missed, until.goals[missed], choice.at_last[missed], until.at_most)
+            if missed and choice.at_end[missed] > _LITTLE_GAIN * decided["now"][missed]:
+                why = cannot_reach(missed, until.goals[missed], choice.at_end[missed], until.at_most)
                 return {**decided, "ended": "unreachable", "why": f"{why} {_largest_source(calibration)}"}
         return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
     return {**decided, "ended": "no_pose", "why": f"{choice} {interim.why}".strip()}

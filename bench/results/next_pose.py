@@ -50,9 +50,9 @@ ALIGNED_ROLL_DEG = 5.0
 MORE_STARS = 1.2
 """A chosen pose should show this many times the stars that its gate asks for."""
 FORECAST_ERROR = 1.25
-"""A forecast may be too large by this factor: a goal beyond it is given up, no nearer one."""
-MOST_LATER = 100
-"""About so many poses of the grid are looked at for what all allowed poses can reach."""
+"""A forecast may be too large by this factor. A goal is given up only if the forecast is farther above it."""
+LATER_CANDIDATES = 100
+"""Number of poses of the grid, about, from which all later poses are chosen for an expectation of the end."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +62,15 @@ class Choice:
     angles_deg: Angles  # Angle by axis, degrees (``pan_deg``)
     # Expanded uncertainties, px, that are expected with this pose added, by name of the goal.
     expected: Mapping[str, float]
-    # The same, with all poses that are allowed, each where it helps most.
-    at_last: Mapping[str, float]
+    # The same at the end: with as many poses as are allowed, each where it helps most.
+    at_end: Mapping[str, float]
     # What the poses so far lack besides information: ``roll``, or nothing.
     lacks: Literal["", "roll"]
     why: str
 
     def hopeless(self, wanted: Mapping[str, float]) -> str:
         """Return the goal that all allowed poses will miss most; empty if they may meet each, or if none is known."""
-        shares = {name: self.at_last[name] / most for name, most in wanted.items()}
+        shares = {name: self.at_end[name] / most for name, most in wanted.items()}
         missed = [name for name, share in shares.items() if FORECAST_ERROR < share < np.inf]
         return max(missed, key=lambda name: shares[name], default="")
 
@@ -130,10 +130,10 @@ def choose_pose(
         finer = weigher.weigh(_around(chosen.angles_deg, axes, share))
         chosen = _best_of(weigher.before, [chosen, *finer], wish, lacks, taken_deg)
     expected = _expected(weigher.before, chosen.after, wish)
-    later = weigher.best(grid[:: max(1, len(grid) // MOST_LATER)], wish.more)
+    later = weigher.best(grid[:: max(1, len(grid) // LATER_CANDIDATES)], wish.more)
     lasts = [expected, *(_expected(weigher.before, one.after, wish) for one in later[-1:])]
-    at_last = {name: min(one[name] for one in lasts) for name in expected}
-    return Choice(_rounded(chosen.angles_deg), expected, at_last, lacks, _reason(wish, lacks))
+    at_end = {name: min(one[name] for one in lasts) for name in expected}
+    return Choice(_rounded(chosen.angles_deg), expected, at_end, lacks, _reason(wish, lacks))
 
 
 def _bench(
@@ -344,16 +344,16 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
             return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
         if found and (missed := choice.hopeless(until.goals)):
             last = with_further(planned, bench, taken, until.at_most - recorded)
-            left = last.limited[missed.removesuffix("_px")] if last else choice.at_last[missed]
+            left = last.limited[missed.removesuffix("_px")] if last else choice.at_end[missed]
             why = cannot_reach(missed, until.goals[missed], left, until.at_most)
             part = largest_part(last or found, _QUANTITIES[missed])
             return ExpectedCourse(until.first, None, reached, f"Expected: {why} {part}.")
         taken.append(dict(choice.angles_deg))
 
 
-def cannot_reach(name: str, goal: float, at_last: float, poses: int) -> str:
+def cannot_reach(name: str, goal: float, at_end: float, poses: int) -> str:
     """Return that a goal is out of reach, and what all ``poses`` are expected to leave, px."""
     return (
-        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about {at_last:.2g} px "
+        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about {at_end:.2g} px "
         "is expected."
     )

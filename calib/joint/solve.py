@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 #: Rounds with large robust limits, before the first search of amplitudes.
 _FIRST_ROUNDS = 1
-#: Stars are weighed again in so many rounds near the end, and then no more: a k-step M-estimator (Bickel, 1975). Where
-#: the errors at the rim are no smooth field, the weights would go on to fall for 20 rounds.
+#: Stars are weighed again in so many rounds with a short step, and then no more: a k-step M-estimator (Bickel, 1975).
+#: Where the errors at the rim are no smooth field, the weights would go on to fall for 20 rounds.
 _REWEIGHTED = 7
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
@@ -73,12 +73,12 @@ class Optimum:
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
     eta, state = first_amplitudes(problem, start), start
-    equations, placed, near = first_equations(problem, start), problem.pupils is None, 0
+    equations, placed, short_steps = first_equations(problem, start), problem.pupils is None, 0
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
         eta, found = _in_round(k, marginal, eta)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
-        near += relative_step(marginal, found.step) < _TRUSTED
+        short_steps += relative_step(marginal, found.step) < _TRUSTED
         if k > _FIRST_ROUNDS and small(marginal, found, share):
             if k < _LATE:
                 eta, found = better_amplitudes(marginal, eta, found)
@@ -93,7 +93,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
             limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
-        equations = problem.bench.linearised(state, limit, equations if near >= _REWEIGHTED else None)
+        equations = problem.bench.linearised(state, limit, equations if short_steps >= _REWEIGHTED else None)
     return Optimum(marginal, eta, marginal.solve(eta), rounds, converged=False)
 
 
@@ -183,7 +183,8 @@ def small(marginal: Marginal, found: Solution, share: float = _SMALL_SHARE) -> b
 def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
     """Return better amplitudes whose step stays where the equations hold: half way back until it does.
 
-    Where the step is long anyway, one that is no longer will do: else the amplitudes of a bad start would stay.
+    If the step is long with the old amplitudes too, one that is not longer is accepted. Otherwise a bad start would
+    keep its amplitudes.
     """
     before = solved(marginal, eta)
     farthest = max(_TRUSTED, relative_step(marginal, before.step))

@@ -68,7 +68,7 @@ class Findings:
     scale_sigma: Mapping[int, float]
     # 1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
     own_sigma: Mapping[int, float]
-    difference_sigma: float  # 1-sigma of the largest difference between two scales
+    difference_sigma: float  # 1-sigma of the largest difference between the scales of two axes
     pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
     contradicted: bool  # Whether the scale of the fit disagrees with the pairs
     ambiguous: bool  # Whether another optimum fits nearly as well
@@ -210,7 +210,7 @@ def _significant(found: Findings, size: float, sigma: float) -> bool:
 
 
 def _common_to_pairs(found: Findings) -> float:
-    """Return how far the ratio of the pairs is from 1, if all pairs show it; else 0.
+    """Return the ratio of the pairs minus 1 if all pairs show it, else 0.
 
     With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
     """

@@ -16,11 +16,11 @@ def decided(poses, fx, corner, *, until=5, **more):
     step = until + 9 + 4 * (poses - 3)
     head = {"step": step, "until": until, "until_last": 200, "wanted": WANTED, "lacks": ""}
     counts = {"recorded": poses, "poses": poses, "worked_s": 60.0 * poses}
-    at_last = {"expanded_fx_px": 1.1, "worst_corner_px": 0.2}
-    reached = {"now": {}, "at_last": {}, "coverage_factor": None, "model": ""}
+    at_end = {"expanded_fx_px": 1.1, "worst_corner_px": 0.2}
+    reached = {"now": {}, "at_end": {}, "coverage_factor": None, "model": ""}
     if fx:
         now = {"expanded_fx_px": fx, "worst_corner_px": corner}
-        reached = {"now": now, "at_last": at_last, "coverage_factor": 2.1, "model": "radial"}
+        reached = {"now": now, "at_end": at_end, "coverage_factor": 2.1, "model": "radial"}
     return {**head, **counts, **reached, **more}
 
 

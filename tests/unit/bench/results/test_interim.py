@@ -119,16 +119,16 @@ def test_a_goal_out_of_reach_ends_it_when_poses_hardly_help_and_the_largest_part
     found = calibration(2.6, 0.5, stars=0.5, passport_of_the_collimator=1.2, print_scale=0.5)
 
     def with_all_poses(fx_px):
-        late = replace(CHOSEN, at_last={"expanded_fx_px": fx_px, "worst_corner_px": 0.2})
+        late = replace(CHOSEN, at_end={"expanded_fx_px": fx_px, "worst_corner_px": 0.2})
         monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: late)
         return decided(job, HistoryOf([1, 2, 3]), found)
 
     assert "chosen" in with_all_poses(2.4)  # further poses help
     unknown = with_all_poses(np.inf)
     assert "chosen" in unknown
-    assert unknown["at_last"] == {"worst_corner_px": 0.2}
+    assert unknown["at_end"] == {"worst_corner_px": 0.2}
     told = with_all_poses(2.55)
-    assert (told["ended"], told["at_last"]["expanded_fx_px"]) == ("unreachable", 2.55)
+    assert (told["ended"], told["at_end"]["expanded_fx_px"]) == ("unreachable", 2.55)
     assert told["why"] == (
         "U(fx) cannot reach the goal of 2 px: with all 25 poses, about 2.5 px is expected. The largest part of U(fx) "
         "comes from: passport of the collimator, 2.4 px."
@@ -146,7 +146,7 @@ def test_more_poses_allowed_leave_less_and_stop_at_what_a_certificate_leaves():
             taken_deg=TAKEN,
             refused_deg=[],
             wish=wish(more=more),
-        ).at_last["expanded_fx_px"]
+        ).at_end["expanded_fx_px"]
         for more in (1, 4, 20)
     ]
     assert left[0] > left[1] > left[2] > 2.0

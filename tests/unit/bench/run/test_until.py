@@ -179,8 +179,8 @@ def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp
     *before, told = decisions(scene)
     assert told["ended"] == "unreachable"
     assert told["poses"] < 9
-    assert told["at_last"]["expanded_fx_px"] > 0.95 * told["now"]["expanded_fx_px"]
-    assert all(one["at_last"]["expanded_fx_px"] < 0.95 * one["now"]["expanded_fx_px"] for one in before)
+    assert told["at_end"]["expanded_fx_px"] > 0.95 * told["now"]["expanded_fx_px"]
+    assert all(one["at_end"]["expanded_fx_px"] < 0.95 * one["now"]["expanded_fx_px"] for one in before)
     assert told["why"].startswith("U(fx) cannot reach the goal of 1 px: with all 9 poses, about ")
     assert "The largest part of U(fx) comes from: stars, " in told["why"]
 

@@ -69,7 +69,7 @@ def test_prior_information_is_the_inverse_of_the_covariance(optimum):
 
 
 def test_a_search_that_begins_badly_ends_where_the_camera_is():
-    """Its first steps are long whatever the amplitudes; those of the start would make fx 5 U wrong."""
+    """Its first steps are long with any amplitudes. If it kept those of the start, fx would be 5 U wrong."""
     bench = WORLDS["S1"](76, 9, 1, 0)
     found = calibrate(views_of(bench), CalibrationOptions("joint", parallax_sigma=0.01))
     assert abs(found.camera.fx - bench.camera.values["fx"]) < 2.0 * found.sigma["fx"]
