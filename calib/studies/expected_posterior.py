@@ -167,11 +167,18 @@ class PoseGains:
         self._camera = len(own.layout.camera)
         self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
 
-    def covariance(self, weights: Array) -> Array:
-        """Return the (S, S) covariance of the shared unknowns for (k,) weights of the first poses."""
-        information = self._prior.copy()
-        for k in np.flatnonzero(weights):
-            information += weights[k] * self._maps[k].T @ self._own[k] @ self._maps[k]
+    def information(self, weights: Array) -> Array:
+        """Return the (S, S) information on the shared unknowns for (k,) weights of the first poses."""
+        return self._prior + sum(
+            (self.added(k, weight) for k, weight in enumerate(weights) if weight), np.zeros_like(self._prior)
+        )
+
+    def added(self, place: int, weight: float) -> Array:
+        """Return the (S, S) information that a pose adds."""
+        return np.asarray(weight * self._maps[place].T @ self._own[place] @ self._maps[place])
+
+    def covariance(self, information: Array) -> Array:
+        """Return the (S, S) covariance of the shared unknowns."""
         scale = 1.0 / np.sqrt(np.diag(information))
         inverse = np.linalg.inv(information * np.outer(scale, scale))
         return np.asarray(inverse * np.outer(scale, scale))

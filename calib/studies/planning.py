@@ -141,6 +141,8 @@ def _remarks(bench: ExpectedBench) -> tuple[str, ...]:
 
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5
+#: Poses are weighed again so many at a time.
+_AT_ONCE = 12
 
 
 @on_one_thread
@@ -224,26 +226,36 @@ class PoseWeigher:
         self.before: Sigmas | None = None
         if self._shown:
             gains = self._gains(self._shown)
-            self.before = gains.sigmas(gains.covariance(self._news))
+            self.before = gains.sigmas(gains.covariance(gains.information(self._news)))
 
     def best(self, candidates_deg: Iterable[Angles], count: int) -> tuple[WeighedPose, ...]:
         """Return the poses that leave the least at the worst point, one after the other (greedy; own), none twice.
 
-        They are fewer than ``count`` if no more show the target.
+        They are fewer than ``count`` if no more show the target. What a pose gains falls as others are chosen, so only
+        those are weighed again that gained more than the best one does now (the lazy greedy choice; Minoux, 1978).
         """
         shown = self._possible(candidates_deg)
-        gains = self._gains([*self._shown, *shown]) if shown else None
+        if not shown:
+            return ()
+        gains = self._gains([*self._shown, *shown])
         first, taken, chosen = len(self._shown), list(self._taken), list[WeighedPose]()
-        weights = np.concatenate([self._news, np.zeros(len(shown))])
+        information = gains.information(self._news)
+        gained = dict.fromkeys(range(len(shown)), np.inf)
         for _ in range(count):
-            free = [k for k, (pose, _) in enumerate(shown) if not _repeats(pose, taken)]
-            if gains is None or not free:
+            gained = {k: gain for k, gain in gained.items() if not _repeats(shown[k][0], taken)}
+            if not gained:
                 break
-            news = {k: share_of_news(shown[k][0], taken) for k in free}
-            left = gains.with_poses(gains.covariance(weights), [first + k for k in free], list(news.values()))
-            after = dict(zip(free, left, strict=True))
-            best = min((after[k].worst_px, k) for k in free)[1]
-            weights[first + best] = news[best]
+            covariance, after = gains.covariance(information), dict[int, Sigmas]()
+            now, order = gains.sigmas(covariance).worst_px, sorted(gained, key=lambda k: -gained[k])
+            for at in range(0, len(order), _AT_ONCE):
+                if gained[order[at]] <= max((gained[k] for k in after), default=-np.inf):
+                    break
+                some = order[at : at + _AT_ONCE]
+                news = [share_of_news(shown[k][0], taken) for k in some]
+                after |= zip(some, gains.with_poses(covariance, [first + k for k in some], news), strict=True)
+                gained |= {k: now - after[k].worst_px for k in some}
+            best = min((after[k].worst_px, k) for k in after)[1]
+            information = information + gains.added(first + best, share_of_news(shown[best][0], taken))
             taken.append(shown[best][0])
             chosen.append(self._weighed(shown[best][0], after[best]))
         return tuple(chosen)
@@ -259,7 +271,8 @@ class PoseWeigher:
             return []
         gains = self._gains([*self._shown, *shown])
         first, news = len(self._shown), [share_of_news(pose, self._taken) for pose, _ in shown]
-        after = gains.with_poses(gains.covariance(self._news), range(first, first + len(shown)), news)
+        covariance = gains.covariance(gains.information(self._news))
+        after = gains.with_poses(covariance, range(first, first + len(shown)), news)
         return [self._weighed(pose, left) for (pose, _), left in zip(shown, after, strict=True)]
 
     def _weighed(self, pose: Angles, after: Sigmas) -> WeighedPose:
