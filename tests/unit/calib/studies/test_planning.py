@@ -54,6 +54,19 @@ def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
     assert worst[candidates.index(best.angles_deg)] <= 1.02 * min(worst.values())
 
 
+def test_poses_chosen_at_once_are_as_good_as_those_chosen_one_by_one():
+    candidates = [
+        {"pan_deg": pan, "tilt_deg": tilt} for pan in np.linspace(-6, 6, 9) for tilt in np.linspace(-3, 3, 5)
+    ]
+    at_once = next_poses(BENCH, POSES, candidates, 8)
+    taken = list(POSES)
+    for _ in at_once:
+        (one,) = next_poses(BENCH, taken, candidates)
+        taken.append(one.angles_deg)
+    assert at_once[-1].after.worst_px == pytest.approx(one.after.worst_px, rel=0.01)
+    assert len({tuple(pose.angles_deg.values()) for pose in at_once}) == 8
+
+
 def test_poses_chosen_from_nothing_beat_random_ones():
     rng = np.random.default_rng(92)
     candidates = [
