@@ -254,8 +254,6 @@ class GimbalPairs(TypedDict):
     ratio: float
     spread: float
     count: int
-    by_axis: Numbers
-    by_axis_sigma: Numbers
 
 
 class GimbalFaultData(TypedDict):

@@ -93,13 +93,7 @@ def _focal_uncertainty(calibration: Calibration) -> float | None:
 
 def _pairs(pairs: PairRatios) -> GimbalPairs:
     """Return the ratios of the pairs of poses, for results.json."""
-    return {
-        "ratio": pairs.ratio,
-        "spread": pairs.spread,
-        "count": pairs.count,
-        "by_axis": {AXES[axis]: ratio for axis, ratio in pairs.by_axis.items()},
-        "by_axis_sigma": {AXES[axis]: sigma for axis, sigma in pairs.by_axis_sigma.items()},
-    }
+    return {"ratio": pairs.ratio, "spread": pairs.spread, "count": pairs.count}
 
 
 def _fault(fault: GimbalFault) -> GimbalFaultData:

@@ -139,6 +139,8 @@ _FOLLOWS = (
 """Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
 _TABLES = ("calibration.budget_rows[", "calibration.not_included[")
 """Tables whose rows another program may order and name otherwise."""
+_WORDS = (".notes[", ".says[")
+"""Sentences that another program may write otherwise."""
 _TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
 _MEASURED = ("poses[", "pose ", "gates[")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -208,7 +210,8 @@ def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> 
 
 def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
     """Return whether a difference beyond rounding may come from another program: it is within these limits."""
-    if one.kind != "value" or ".notes[" in one.where or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
+    words = any(part in one.where for part in _WORDS)
+    if one.kind != "value" or words or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
         return True
     if isinstance(one.stored, str) and isinstance(one.derived, str):
         return _same_words(one.stored, one.derived)

@@ -3,7 +3,7 @@
 The head turns by Rz(roll) Rx(tilt) Rz(squareness) Ry(pan). Each axis can have a scale, and the gimbal can have faults.
 
 The angle of a relative rotation does not depend on how the camera is mounted or where the gimbal stands. So pairs of
-poses show the scale of each axis without any other estimate, and a robust estimator survives single bad poses.
+poses show about what the scales are without any other estimate.
 
 The fit to the rotations that a camera saw has more unknowns: the camera is mounted on the gimbal's head with a rotation
 A, and the gimbal's base stands before the target with a rotation B, R = A Rz(roll) Rx(tilt) Rz(squareness) Ry(pan) B.
@@ -13,12 +13,10 @@ This is the rotation part of the robot-world and hand-eye problem (Tsai and Lenz
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.model.gimbal import Gimbal, mountings
@@ -28,9 +26,9 @@ from calib.model.rotation import exp_map, log_map
 _MOVED_DEG = 0.5
 #: Above this angle the direction of a turn is uncertain, degrees.
 _LARGEST_TURN_DEG = 170.0
-#: An axis has its own ratio if the pairs separate it from the other axes this well (1 is best, 0 is not at all).
-_SEPARATED = 0.1
-_RATIO_STEPS = 40
+_RATIO_STEPS = 10
+#: Squares of angles below this are rounding, rad^2.
+_TINY = 1e-14
 #: Standard deviation over median absolute deviation, of a Gaussian.
 _MAD = 1.4826
 
@@ -107,48 +105,50 @@ class GimbalModel:
 
 @dataclass(frozen=True)
 class PairRatios:
-    """Angle seen over angle read, from all pairs of poses."""
+    """Angle seen over angle read, from all pairs of poses: median, and robust standard deviation."""
 
     ratio: float
     spread: float
     count: int
-    by_axis: Mapping[int, float]
-    # 1-sigma of these ratios from the stated covariance of the rotations.
-    by_axis_sigma: Mapping[int, float]
-    # For each of these axes (3 n,) float64 change of the ratio by a change of the rotations, 1/rad.
-    estimator: Mapping[int, Array] = field(repr=False)
 
 
-def pair_ratios(rotations: Array, model: GimbalModel, covariance: Array, values: Array) -> PairRatios | None:
+def pair_ratios(rotations: Array, model: GimbalModel, values: Array) -> PairRatios | None:
     """Compare seen and read angles of all pairs of poses that fit; None if none turned by half a degree or more.
 
-    The ratio of each axis minimises the sum of the absolute differences of the angles (least absolute deviations, by
-    iteratively reweighted least squares; Holland and Welsch, 1977). Rotations are camera <- target, covariances of
-    rotation vectors (3 n, 3 n), rad^2; of the (p,) values of the model, the scales do not matter.
+    Rotations are camera <- target. Of the (p,) values of the model, the scales do not matter.
     """
     fits = [pose for pose in range(len(rotations)) if Fault("pose", pose=pose) not in model.faults]
-    i, j = np.array(fits)[np.array(np.triu_indices(len(fits), 1))]
-    turns = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))
-    seen = np.linalg.norm(turns, axis=1)
-    read = _read(model, np.ones(len(model.free)), values, i, j)
+    unit = np.append(model.start[: len(model.free)], values[len(model.free) :])
+    seen, read = _pairs(rotations[fits]), _pairs(model.turned(unit)[0][fits])
     used = (read > np.deg2rad(_MOVED_DEG)) & (np.maximum(seen, read) < np.deg2rad(_LARGEST_TURN_DEG))
     used &= seen > 0
     if not used.any():
         return None
-    i, j, turns, seen, read = i[used], j[used], turns[used], seen[used], read[used]
-    ratios = seen / read
+    ratios, read = seen[used] / read[used], read[used]
     middle = weighted_median(ratios, read)
     spread = _MAD * weighted_median(np.abs(ratios - middle), read)
-    # A rotation vector d at pose i changes the angle of the pair by u d, and at pose j by -u d.
-    by_pose = np.zeros((len(seen), len(rotations), 3))
-    rows = np.arange(len(seen))
-    directions = turns / seen[:, None]
-    by_pose[rows, i] += directions
-    by_pose[rows, j] -= directions
-    answer = by_pose.reshape(len(seen), -1)
-    by_axis, estimator = _regression(model, values, middle, (i, j, seen), answer)
-    sigma = {axis: float(np.sqrt(row @ covariance @ row)) for axis, row in estimator.items()}
-    return PairRatios(float(middle), float(spread), len(seen), by_axis, sigma, estimator)
+    return PairRatios(middle, spread, len(ratios))
+
+
+def first_scales(rotations: Array, model: GimbalModel) -> Array:
+    """Return the (a,) scales of the free axes with which a search starts: squares of small angles add up.
+
+    Least absolute deviations by iteratively reweighted least squares (Holland and Welsch, 1977), so that single wrong
+    poses do not matter. An axis that pairs of poses do not show gets the median ratio of all.
+    """
+    i, j = np.triu_indices(len(rotations), 1)
+    read, seen = (
+        np.deg2rad(model.angles[i] - model.angles[j])[:, list(model.free)] ** 2,
+        _pairs(rotations) ** 2,
+    )
+    found = pair_ratios(rotations, model, model.start)
+    ratio = found.ratio if found else 1.0
+    squares = np.full(len(model.free), ratio**2)
+    for _ in range(_RATIO_STEPS):
+        off = np.abs(seen - read @ squares)
+        root = 1.0 / np.sqrt(np.maximum(off, max(0.1 * float(np.median(off)), _TINY)))
+        squares = np.linalg.lstsq(read * root[:, None], seen * root, rcond=_DETERMINED)[0]
+    return np.where(squares > 0, np.sqrt(np.maximum(squares, 0.0)), ratio)
 
 
 def weighted_median(values: Array, weights: Array) -> float:
@@ -158,54 +158,10 @@ def weighted_median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(below, 0.5 * below[-1])])
 
 
-def _read(
-    model: GimbalModel, scales: Array, values: Array, i: NDArray[np.int_], j: NDArray[np.int_]
-) -> Array:
-    """Return the angle between the heads of each pair, rad, with other scales than those of the (p,) values."""
-    heads, _, _ = model.turned(np.append(scales, values[len(scales) :]))
-    return np.asarray(np.linalg.norm(log_map(heads[i] @ np.swapaxes(heads[j], 1, 2)), axis=1))
-
-
-def _regression(
-    model: GimbalModel,
-    values: Array,
-    start: float,
-    pairs: tuple[NDArray[np.int_], NDArray[np.int_], Array],
-    answer: Array,
-) -> tuple[dict[int, float], dict[int, Array]]:
-    """Return the ratio of each axis, and its derivatives by the rotations (as `pair_ratios`)."""
-    i, j, seen = pairs
-    count = len(model.free)
-    if not count or len(seen) < count:
-        return {}, {}
-    scales = np.full(count, start)
-    weights = np.ones(len(seen))
-    slopes = np.zeros((len(seen), count))
-    for _ in range(_RATIO_STEPS):
-        read = _read(model, scales, values, i, j)
-        for k in range(count):
-            shifted = scales.copy()
-            shifted[k] += 1e-6
-            slopes[:, k] = (_read(model, shifted, values, i, j) - read) / 1e-6
-        off = seen - read
-        weights = 1.0 / np.maximum(np.abs(off), max(0.1 * float(np.median(np.abs(off))), 1e-9))
-        step = np.linalg.lstsq(slopes * np.sqrt(weights)[:, None], off * np.sqrt(weights), rcond=1e-9)[0]
-        scales = scales + np.clip(step, -0.2, 0.2)
-        if np.abs(step).max() < 1e-9:
-            break
-    lengths = np.linalg.norm(slopes, axis=0)
-    if not (lengths > 0).all():
-        return {}, {}
-    # Sine of the angle between the slopes of an axis and those of the others (variance inflation; Belsley, 1980).
-    products = (slopes / lengths).T @ (slopes / lengths) + 1e-12 * np.eye(count)
-    separated = 1.0 / np.sqrt(np.diag(np.linalg.inv(products)))
-    inverse = np.linalg.pinv(slopes * np.sqrt(weights)[:, None]) * np.sqrt(weights)
-    rows = inverse @ answer
-    clear = [k for k in range(count) if separated[k] > _SEPARATED]
-    return (
-        {model.free[k]: float(scales[k]) for k in clear},
-        {model.free[k]: rows[k] for k in clear},
-    )
+def _pairs(rotations: Array) -> Array:
+    """Return the angles between (n, 3, 3) rotations, pair by pair, rad."""
+    i, j = np.triu_indices(len(rotations), 1)
+    return np.asarray(np.linalg.norm(log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2)), axis=1))
 
 
 #: A direction of the parameters is determined if its singular value exceeds this share of the largest.

@@ -1,9 +1,8 @@
 """Hand-eye check: the gimbal's readings compared with the rotations that the camera saw.
 
 The check is a witness: the readings do not enter the calibration here. It estimates how the camera is mounted, how the
-gimbal stands, and a scale of each axis that moved (`calib.studies.gimbal_model`). Pairs of poses give the same scales
-without these estimates (`calib.studies.gimbal_model`); a scale that they contradict is not stated. Faults of the gimbal
-are searched for (`calib.studies.gimbal_faults`), and the verdict names whose error it is.
+gimbal stands, and a scale of each axis that moved (`calib.studies.gimbal_model`). Faults of the gimbal are searched for
+(`calib.studies.gimbal_faults`), and the verdict names whose error it is.
 
 A wrong focal length changes all seen angles by the same ratio, along all axes and in all pairs of poses. So a common
 ratio within the uncertainty of the focal length belongs to the calibration (camera or collimator), not to the gimbal.
@@ -27,6 +26,7 @@ from calib.studies.gimbal_model import (
     GimbalFit,
     GimbalModel,
     PairRatios,
+    first_scales,
     global_fit,
     pair_ratios,
     refine,
@@ -37,8 +37,6 @@ from calib.uncertainty.projection_uncertainty import ARCSEC
 
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5
-#: The scale of the fit contradicts the pairs beyond this many sigmas of their difference.
-_CONTRADICTED = 5.0
 #: Probability that the readings of a gimbal without errors do not agree.
 _INCONSISTENT = 1e-3
 #: A scale with a larger 1-sigma is not determined.
@@ -113,9 +111,7 @@ def check_hand_eye(
     enough = 3 * len(angles) > 6 + moved.sum()
     free = tuple(int(i) for i in np.flatnonzero(moved)) if enough else ()
     model = GimbalModel(angles, free)
-    raw = pair_ratios(rotations, model, covariance, model.start)
-    ratio = raw.ratio if raw else 1.0
-    values = np.array([raw.by_axis.get(axis, ratio) if raw else 1.0 for axis in free])
+    values = first_scales(rotations, model)
     equal = np.eye(len(covariance))
     start = global_fit(rotations, model, equal, values)[0]
     seen = SeenRotations(rotations, covariance, start)
@@ -128,7 +124,7 @@ def check_hand_eye(
         mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
-    pairs = pair_ratios(rotations, last.fit.model, last.scatter.covariance, last.fit.values) or raw
+    pairs = pair_ratios(rotations, last.fit.model, last.fit.values)
     found = _findings(seen, last, pairs, faults, mirrored)
     found = replace(found, names=tuple(names), focal_uncertainty=focal_uncertainty, birge_ratio=birge_ratio)
     turns = first.fit.camera_from_head, first.fit.base_from_target
@@ -170,14 +166,6 @@ def _findings(
         apart[int(values.argmax())] += 1.0
         apart[int(values.argmin())] -= 1.0
         difference = float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0)))
-    contradicted = False
-    for k, axis in enumerate(free):
-        if pairs is None or axis not in pairs.by_axis:
-            continue
-        row = estimator[k] - pairs.estimator[axis]
-        apart_sigma = float(np.sqrt(np.maximum(row @ covariance @ row, 0.0)))
-        limit = _CONTRADICTED * apart_sigma + 0.1 * abs(pairs.by_axis[axis] - 1) + 1e-7
-        contradicted |= bool(abs(values[k] - pairs.by_axis[axis]) > limit)
     whole = freedom == len(fit.off) - fit.jacobian.shape[1]
     return Findings(
         (),
@@ -186,7 +174,6 @@ def _findings(
         {axis: float(own[k]) for k, axis in enumerate(free)},
         difference,
         pairs,
-        contradicted,
         bool(free)
         and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),

@@ -25,7 +25,6 @@ VerdictKind = Literal[
     "not_square",
     "wrong_sign",
     "ambiguous",
-    "contradictory",
     "focal_length",
     "scale_or_parallax",
     "gimbal_scale",
@@ -49,10 +48,9 @@ class Verdict:
 
     # ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
     # ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data
-    # equally well. ``contradictory``: fit and pairs of poses disagree on the scale. ``focal_length``: a
-    # common ratio within the uncertainty of the focal length. ``scale_or_parallax``: a scale that parallax
-    # can imitate. ``gimbal_scale``: a scale error of the gimbal. ``views_biased``: scatter that the views
-    # show among themselves. ``scatter``: scatter of unknown cause.
+    # equally well. ``focal_length``: a common ratio within the uncertainty of the focal length.
+    # ``scale_or_parallax``: a scale that parallax can imitate. ``gimbal_scale``: a scale error of the gimbal.
+    # ``views_biased``: scatter that the views show among themselves. ``scatter``: scatter of unknown cause.
     kind: VerdictKind
     says: tuple[str, ...]
 
@@ -70,7 +68,6 @@ class Findings:
     own_sigma: Mapping[int, float]
     difference_sigma: float  # 1-sigma of the largest difference between the scales of two axes
     pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
-    contradicted: bool  # Whether the scale of the fit disagrees with the pairs
     ambiguous: bool  # Whether another optimum fits nearly as well
     # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
     reversed_axes: str
@@ -89,7 +86,7 @@ class Findings:
     @property
     def scale_known(self) -> bool:
         """Whether a scale may be stated."""
-        return bool(self.scale) and not (self.contradicted or self.ambiguous)
+        return bool(self.scale) and not self.ambiguous
 
 
 def judge(found: Findings) -> Verdict:
@@ -112,9 +109,6 @@ def judge(found: Findings) -> Verdict:
             "Different mountings of the camera explain the rotations equally well, so no scale is stated. Add poses "
             "that turn the camera about another axis."
         )
-    elif found.contradicted:
-        kinds.append("contradictory")
-        says.append(f"The fit and the pairs of poses disagree, so no scale is stated. {_of_pairs(found)}")
     for judged in (_scale(found), _scatter(found)):
         if judged is not None:
             kinds.append(judged[0])
@@ -194,13 +188,7 @@ def _of_pairs(found: Findings) -> str:
         return "No pair of poses turned far enough for a ratio."
     spread = f", spread {_plain(100 * pairs.spread)} %" if pairs.spread >= 1e-6 else ""
     what = f"{pairs.count} pairs of poses" if pairs.count > 1 else "1 pair of poses"
-    text = f"Median of {what}: {_ratio(pairs.ratio, 0.1 * pairs.spread)}{spread}."
-    if len(pairs.by_axis) > 1:
-        axes = ", ".join(
-            f"{AXIS_NAMES[axis]} {_ratio(value, 0.1 * pairs.spread)}" for axis, value in pairs.by_axis.items()
-        )
-        text = f"{text[:-1]} ({axes})."
-    return text
+    return f"Median of {what}: {_ratio(pairs.ratio, 0.1 * pairs.spread)}{spread}."
 
 
 def _significant(found: Findings, size: float, sigma: float) -> bool:
@@ -222,8 +210,6 @@ def _common_to_pairs(found: Findings) -> float:
 
 def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
     """Return what the scales show, or what the pairs show if no scale is known."""
-    if found.contradicted and not found.ambiguous:
-        return None
     if not found.scale_known:
         return ("agrees", _of_pairs(found)) if found.pairs is not None else None
     axes = list(found.scale)

@@ -42,7 +42,6 @@ def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
     assert told["agrees"]
     assert (told["verdict"], told["slip"], told["faults"]) == ("scale_or_parallax", None, [])
     assert told["pairs"]["count"] == 28
-    assert told["pairs"]["by_axis"]["pan_deg"] == pytest.approx(0.998, abs=1e-3)
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
 
