@@ -26,7 +26,7 @@ REFERENCE_MODELS = ("spherical", "planar")
 #: Models of earlier versions: what they describe is part of the joint adjustment.
 EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: The version of each engine: results of another version are not compared with those of this one.
-ENGINES = {"joint": 3, "reference": 2}
+ENGINES = {"joint": 4, "reference": 2}
 
 
 @dataclass(frozen=True)
@@ -101,15 +101,15 @@ class CalibrationOptions:
             if value not in known:
                 raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(known)}.")
         object.__setattr__(self, "distortion", distortion_names(self.distortion))
-        if self.max_iterations < 1:
+        if not self.max_iterations >= 1:
             raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
         if not 0 < self.guard_band <= 1:
             raise InputMismatch(
                 f"guard_band is {self.guard_band}; it must be above 0 and at most 1 (share of the disc's radius)."
             )
-        for name in ("huber_px", "radial_sigma"):
+        for name in ("huber_px", "radial_sigma", "parallax_sigma"):
             number = getattr(self, name)
-            if number is not None and not number > 0:
+            if number is not None and not 0 < number < np.inf:
                 raise InputMismatch(f"{name} is {number}; it must be positive.")
 
 

@@ -65,6 +65,11 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
             f"The {options.model} model is a method of reference: it uses no passport or certificate.",
             remedy="Use the joint model, or give no passport.",
         )
+    if options.gimbal and len(options.gimbal.angles_deg) != len(views):
+        raise InputMismatch(
+            f"{len(options.gimbal.angles_deg)} readings of the gimbal, but {len(views)} views.",
+            remedy="Give one reading for each view, in their order.",
+        )
     _check(views, 1 if options.passport and not options.passport.is_certificate else 2)
     options, views = _corrected(options, views)
     wrong = find_gross_stars(views)

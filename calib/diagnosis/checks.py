@@ -119,6 +119,8 @@ PLAUSIBLE_PITCH_MM = (0.05, 500.0)
 PLAUSIBLE_R_MM = (5.0, 50_000.0)
 #: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
 _TOLERANCE = 1.5
+#: Closed forms with a free and with a central principal point agree within this factor if the views show the radius.
+_ALIKE = 1.2
 
 
 def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:
@@ -157,13 +159,14 @@ def _doubt_of_unit(views: Sequence[View], known_r_mm: float | None) -> tuple[str
 
 
 def closed_form_radius(views: Sequence[View]) -> float | None:
-    """Return the collimator's radius, mm (arXiv:2512.16092, eq. 5); None if it is not real, as of one view."""
-    h = np.array([view_homography(view) for view in views])
-    for free in (True, False):
-        solution = linear_solution(h, views[0].image_size, free_principal_point=free)
-        if solution is not None:
-            return solution.collimator.r
-    return None
+    """Return the collimator's radius, mm (arXiv:2512.16092, eq. 5); None if it is not real, as of one view.
+
+    Also None if it depends on whether the principal point is known: then these views hardly show it.
+    """
+    h, size = np.array([view_homography(view) for view in views]), views[0].image_size
+    both = [linear_solution(h, size, free_principal_point=free) for free in (True, False)]
+    found = [one.collimator.r for one in both if one is not None]
+    return found[0] if found and max(found) < _ALIKE * min(found) else None
 
 
 def _unit(ratio: float) -> str:

@@ -89,7 +89,7 @@ def find_shifted_ids(views: Sequence[View], bundle: Bundle, parameters: Adjustme
         )
     others = ", or ".join(_named(views, one) for one in rivals)
     return (
-        f"The star ids of one view are shifted, but these views cannot decide which: shift the ids of {shifts}, "
+        f"The star ids of one view may be shifted; these views cannot decide which: shift the ids of {shifts}, "
         f"or {others}; {fall}. Check the ids of these views, or add views."
     )
 

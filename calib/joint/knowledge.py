@@ -44,7 +44,7 @@ STEADY = "steady focal length"
 _DENOMINATOR = {"k4": 0.1, "k5": 0.05, "k6": 0.01}
 _SKEW_PX = 5.0
 #: Pixels are square to this share; if not, to the second.
-_ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
+_ASPECT_SIGMA, _FREE_ASPECT = 3e-3, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 #: The principal point lies in the middle of the sensor to this share of its diagonal.

@@ -144,7 +144,8 @@ def contradiction(gimbal: GimbalEstimate) -> str:
     return (
         f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
         f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Check the "
-        "sign and the scale of each axis, the stated bounds, and whether an axis slipped. A camera that moves across "
+        "sign and the scale of each axis, the stated bounds, whether each axis that moved is read, and whether one "
+        "slipped. A camera that moves across "
         "the beam from pose to pose does the same: the collimator's errors then differ from view to view."
     )
 
@@ -154,8 +155,8 @@ def _alone(result: Calibration) -> list[str]:
     shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows if row.type == "B"}
     if shares.get(rows.UNBOUNDED_PARALLAX, 0.0) > 0.5:
         text = (
-            "Neither a certificate nor bounded readings determine the focal length: it rests on how large a parallax "
-            "is expected of such a collimator, and the uncertainties include it."
+            "What is stated of collimator and gimbal does not determine the focal length: it rests on how large a "
+            "parallax is expected of such a collimator, and the uncertainties include it."
         )
         return [text]
     return []

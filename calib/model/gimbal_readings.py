@@ -91,6 +91,13 @@ class GimbalReadings:
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputMismatch(f"{name} is {getattr(self, name)}; it must not be negative.")
         angles_of(self.angles_deg)
+        read = {axis for reading in self.angles_deg for axis in reading}
+        for number, reading in enumerate(self.angles_deg, start=1):
+            if missing := sorted(read - set(reading)):
+                raise InputMismatch(
+                    f"Reading {number} has no {missing[0]}, but other readings have.",
+                    remedy="Give each axis in all readings, or in none.",
+                )
 
     @property
     def angles(self) -> Array:
@@ -103,4 +110,7 @@ def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:
     unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
     if unknown:
         raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
-    return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg]).reshape(-1, 3)
+    found = np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg]).reshape(-1, 3)
+    if not np.isfinite(found).all():
+        raise InputMismatch("An angle is not a finite number.")
+    return found

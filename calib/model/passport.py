@@ -73,6 +73,8 @@ class Passport:
             )
         if "r" not in self.names:
             raise InputMismatch("It does not contain the radius r.", where="passport")
+        if not self.values[self.names.index("r")] > 0:
+            raise InputMismatch("Its radius r is not positive.", where="passport")
         if self.terms and self.reference is None:
             raise InputMismatch("Its aberrations have no reference.", where="passport")
 
@@ -94,6 +96,8 @@ class Passport:
         Passport
             Passport of r alone.
         """
+        if not sigma_mm >= 0:
+            raise InputMismatch(f"Its sigma is {sigma_mm} mm; it must not be negative.", where="passport")
         return cls(("r",), np.array([r_mm]), np.array([[sigma_mm**2]]), conditions=conditions or {})
 
     @property

@@ -78,8 +78,10 @@ class TypeBTerm:
             raise self._fault("It has no source.", "State where its value comes from.")
         if not 0 <= self.value < np.inf:
             raise self._fault(f"Its value is {self.value}; it must not be negative.")
-        if not np.isfinite(self.correction):
-            raise self._fault(f"Its correction is {self.correction}; it must be finite.")
+        if not -1.0 < self.correction < np.inf:
+            raise self._fault(f"Its correction is {self.correction}; it must be finite, and above -1.")
+        if not self.coverage_factor < np.inf:
+            raise self._fault(f"Its coverage_factor is {self.coverage_factor}; it must be finite.")
         if self.correction and self.kind not in (*SCALES, *RADII):
             raise self._fault(f"A term of the kind {self.kind} cannot have a correction.")
         for name in ("coverage_factor", "degrees_of_freedom", "radius_mm"):

@@ -50,10 +50,11 @@ _LIMIT = 1.0
 
 def expected_options(bench: ExpectedBench, angles_deg: Sequence[Angles]) -> CalibrationOptions:
     """Return the options of the calibration that a bench expects at the gimbal's angles of each view."""
-    readings = bench.readings
+    readings, axes = bench.readings, {axis for pose in angles_deg for axis in pose}
+    whole = tuple({axis: pose.get(axis, 0.0) for axis in axes} for pose in angles_deg)
     return CalibrationOptions(
         passport=bench.passport,
-        gimbal=replace(readings, angles_deg=tuple(dict(one) for one in angles_deg)) if readings else None,
+        gimbal=replace(readings, angles_deg=whole) if readings else None,
         budget=bench.terms,
         radial_sigma=bench.radial_sigma,
     )

@@ -91,7 +91,11 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
         If a pose shows too few stars, or not the tag if it is needed; names the pose.
     DegenerateViews
         If the poses do not constrain the camera.
+    InputMismatch
+        If an axis is unknown, or an angle is not finite.
     """
+    if not len(angles_of(poses_deg)):
+        raise DegenerateViews("No pose is planned.", remedy="Plan poses.")
     bench = with_distortion(bench)
     views = [predicted_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
     rotations = np.array([rotation for _, rotation in views])

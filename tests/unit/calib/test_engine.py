@@ -8,6 +8,8 @@ import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch, NotConverged
+from calib.model.gimbal_readings import GimbalReadings
+from calib.model.passport import Passport
 from tests.unit.calib.conftest import FisheyeBench
 
 
@@ -98,11 +100,55 @@ def test_a_refinement_cut_short_says_so(bench):
 
 @pytest.mark.parametrize(
     "option",
-    [{"model": "cubic"}, {"loss": "tukey"}, {"huber_px": 0.0}, {"max_iterations": 0}, {"distortion": "k7"}],
+    [
+        {"model": "cubic"},
+        {"loss": "tukey"},
+        {"huber_px": 0.0},
+        {"max_iterations": 0},
+        {"max_iterations": np.nan},
+        {"distortion": "k7"},
+        {"parallax_sigma": 0.0},
+        {"radial_sigma": np.inf},
+    ],
 )
 def test_an_option_without_meaning_is_refused(option):
     with pytest.raises(InputMismatch):
         CalibrationOptions(**option)
+
+
+@pytest.mark.parametrize(("r_mm", "sigma_mm"), [(0.0, 0.05), (-250.0, 0.05), (250.0, -0.05), (250.0, np.nan)])
+def test_a_certificate_without_meaning_is_refused(r_mm, sigma_mm):
+    with pytest.raises(InputMismatch, match="passport"):
+        Passport.of_radius(r_mm, sigma_mm)
+
+
+def test_readings_of_other_views_are_refused(bench):
+    views = bench.views(np.random.default_rng(5), 0.05)
+    with pytest.raises(InputMismatch, match="1 readings of the gimbal, but 3 views"):
+        calibrate(views, CalibrationOptions(gimbal=GimbalReadings(({"pan_deg": 1.0},), 0.002)))
+
+
+@pytest.mark.parametrize("stretched", [0.95, 1.1])
+def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(bench, stretched):
+    """Images that a program has stretched along one direction."""
+    views = [
+        replace(view, image_size=(1280, 792), points_px=view.points_px * (1.0, stretched))
+        for view in bench.views(np.random.default_rng(6), 0.02)
+    ]
+    result = calibrate(views)
+    assert any("'square pixels'" in note for note in result.notes)
+    for name in ("fx", "fy"):
+        true = bench.truth[name] * (stretched if name == "fy" else 1.0)
+        stated = result.coverage_factors[name] * result.sigma[name]
+        assert getattr(result.camera, name) == pytest.approx(true, abs=stated)
+
+
+def test_a_true_certificate_is_not_refused_for_poses_that_only_roll(make_bench):
+    """They hardly show the collimator's radius, so they do not contradict its unit."""
+    rolled = make_bench(poses=((0, 0), (0, 0, 40), (0, 0, 90), (0, 0, 135)))
+    for seed in range(6):
+        views = rolled.views(np.random.default_rng(seed), 0.05)
+        calibrate(views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
 
 
 def test_views_that_hardly_determine_the_focal_length_are_named_weak(make_bench):

@@ -53,7 +53,7 @@ AGAIN = {
     "image painted over": (paint, "views.h5"),
     "truth of the simulated world": (other_truth, "results.json"),
     "planar comparison": (in_results(lambda r: r["planar"].update(rms_px=0.01)), "results.json"),
-    "notes removed": (in_results(lambda r: r["calibration"].update(notes=[])), "results.json"),
+    "witnesses removed": (in_results(lambda r: r["calibration"].update(witnesses=[])), "results.json"),
     "gate of a recording in journal and results": (other_gate, "journal.jsonl"),
     "recordings exchanged, every hash put right": (swap_captures, "journal.jsonl"),
 }

@@ -95,6 +95,19 @@ def test_a_pose_that_loses_the_tag_is_named():
         next_poses(careful, POSES[:2], [{"pan_deg": 14.0}])
 
 
+@pytest.mark.parametrize(
+    ("poses", "refused", "said"),
+    [
+        ([], DegenerateViews, "No pose is planned"),
+        ([{"pan": 5.0}], InputMismatch, "Unknown axis 'pan'"),
+        ([{"pan_deg": np.nan}], InputMismatch, "not a finite number"),
+    ],
+)
+def test_poses_without_meaning_are_refused(poses, refused, said):
+    with pytest.raises(refused, match=said):
+        forecast(BENCH, poses)
+
+
 def test_one_pose_twice_will_not_constrain():
     square = {"pan_deg": 0.0}
     with pytest.raises(DegenerateViews, match="show the same pose"):
