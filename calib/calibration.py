@@ -64,11 +64,8 @@ class CalibrationOptions:
         Where the passport comes from, for its row of the budget.
     parallax_sigma
         Parallax of a collimator with large radial terms, as a share of the focal length, if nothing bounds it.
-
-    Attributes
-    ----------
     compares_lenses
-        Whether the data choose the family of the lens.
+        Whether the data choose the family of the lens; so they do if `distortion` is ``auto``.
 
     Raises
     ------
@@ -88,7 +85,7 @@ class CalibrationOptions:
     budget: tuple[TypeBTerm, ...] = ()
     passport_source: str = ""
     parallax_sigma: float = 0.01
-    compares_lenses: bool = field(default=False, init=False)
+    compares_lenses: bool = False
 
     def __post_init__(self) -> None:
         if self.distortion in ("auto", ("auto",), ["auto"]):

@@ -120,7 +120,7 @@ PLAUSIBLE_R_MM = (5.0, 50_000.0)
 #: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
 _TOLERANCE = 1.5
 #: Closed forms with a free and with a central principal point agree within this factor if the views show the radius.
-_ALIKE = 1.2
+_ALIKE = 1.05
 
 
 def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:

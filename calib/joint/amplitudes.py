@@ -111,8 +111,8 @@ FAMILIES = (
 _REACH = 3.0
 #: No field is larger: 1 px at 3345 px.
 _LARGEST_FIELD = 3e-4
-#: Readings may be those of other poses: degrees beside what they say.
-_NOISIEST_READINGS = 1e6
+#: Readings may be those of other poses: degrees beside what they say. Sigmas of stars may be in another unit.
+_NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Hyperprior:
         high = self.mean + reach
         fields = [at for at, name in enumerate(self.names) if name in (*POSE, *COMMON, *TURN, *TURN_2)]
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
-        high[self.at(READING)] = np.log(_NOISIEST_READINGS)
+        high[self.at(READING)], high[self.at(STAR)] = np.log([_NOISIEST_READINGS, _NOISIEST_STARS])
         return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))
 
     def at(self, name: str) -> int:

@@ -128,6 +128,24 @@ def test_readings_of_other_views_are_refused(bench):
         calibrate(views, CalibrationOptions(gimbal=GimbalReadings(({"pan_deg": 1.0},), 0.002)))
 
 
+def test_the_data_choose_the_lens_beside_a_certificate_too():
+    views = FisheyeBench().views(np.random.default_rng(7), 0.02)
+    options = CalibrationOptions(distortion="auto", passport=Passport.of_radius(255.0, 0.05))
+    assert replace(options, model="joint").compares_lenses
+    assert "The data chose the lens model fisheye." in calibrate(views, options).notes
+
+
+def test_sigmas_of_stars_in_another_unit_change_the_result_little(bench):
+    views = bench.views(np.random.default_rng(8), 0.05)
+    small = [replace(view, covariances_px2=view.covariances_px2 * 1e-6) for view in views]
+    plain, other = calibrate(views), calibrate(small)
+    for name in ("fx", "cx", "cy"):
+        assert getattr(other.camera, name) == pytest.approx(
+            getattr(plain.camera, name), abs=plain.sigma[name]
+        )
+        assert other.sigma[name] == pytest.approx(plain.sigma[name], rel=0.3)
+
+
 @pytest.mark.parametrize("stretched", [0.95, 1.1])
 def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(bench, stretched):
     """Images that a program has stretched along one direction."""
