@@ -33,7 +33,7 @@ LARGEST_ROLL_DEG = 90.0
 """Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
 SMALLEST_COVERAGE_FACTOR = 2.0
 """The k of the expanded uncertainty if many poses determine it."""
-_QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px": WORST_CORNER}
+QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px": WORST_CORNER}
 """Column of the budget for each limit that the budget explains."""
 _UNITS = ("_px", "_mm")
 
@@ -189,12 +189,12 @@ def _missed(
         unit = name.removeprefix(plain).removeprefix("_")
         text = f"{meaning_of_goal(name)} of at most {most:g} {unit}".rstrip()
         cause = ""
-        if name in _QUANTITIES:
+        if name in QUANTITIES:
             twice = twice or with_further(planned, bench, poses, len(poses))
             later = (
                 "" if twice is None else f"; twice as many poses would leave {twice.limited[plain]:.2g} px"
             )
-            cause = f" {largest_part(found, _QUANTITIES[name])}{later}."
+            cause = f" {largest_part(found, QUANTITIES[name])}{later}."
         yield f"{text} will not be met: {expected:.2g} expected.{cause}"
 
 

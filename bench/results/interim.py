@@ -15,6 +15,7 @@ from bench.plan.job import Job
 from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import History
 from bench.report.text import meaning_of_goal
+from bench.results.forecasts import QUANTITIES
 from bench.results.next_pose import Choice, Wish, cannot_reach, choose_pose
 from bench.results.solution import accepted_measurements, views_in
 from bench.results.solve_options import limited_numbers, solve_options
@@ -94,10 +95,14 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
     if isinstance(choice, Choice):
         if decided["now"]:
             decided["at_end"] = {goal: value for goal, value in choice.at_end.items() if np.isfinite(value)}
-            missed = choice.hopeless(until.goals)
+            missed = choice.hopeless(until.goals, decided["now"])
             if missed and choice.at_end[missed] > _LITTLE_GAIN * decided["now"][missed]:
                 why = cannot_reach(missed, until.goals[missed], choice.at_end[missed], until.at_most)
-                return {**decided, "ended": "unreachable", "why": f"{why} {_largest_source(calibration)}"}
+                return {
+                    **decided,
+                    "ended": "unreachable",
+                    "why": f"{why} {_largest_source(calibration, missed)}",
+                }
         return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
     return {**decided, "ended": "no_pose", "why": f"{choice} {interim.why}".strip()}
 
@@ -113,7 +118,8 @@ def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> 
     now, wanted = decided["now"], decided["wanted"]
     if now and all(now[goal] <= most for goal, most in wanted.items()):
         return "met", "The goals are met."
-    missed = f"{_missed(now, wanted)} {_largest_source(interim.calibration)}".strip() or interim.why
+    largest = max(now, key=lambda goal: now[goal] / wanted[goal], default="")
+    missed = f"{_missed(now, wanted)} {_largest_source(interim.calibration, largest)}".strip() or interim.why
     if decided["recorded"] >= until.at_most:
         return "at_most", f"{decided['recorded']} recordings are accepted, the most allowed. {missed}"
     if failed >= POSES_FAILED:
@@ -132,16 +138,14 @@ def _missed(now: Mapping[str, float], wanted: Mapping[str, float]) -> str:
     )
 
 
-def _largest_source(calibration: Calibration | None) -> str:
-    """Return the source that contributes most to U(fx), as text."""
-    parts = {
-        row.name: row.contribution.get("fx", 0.0) for row in (calibration.budget_rows if calibration else ())
-    }
-    if not parts or calibration is None:
+def _largest_source(calibration: Calibration | None, goal: str) -> str:
+    """Return the source that contributes most to what a goal limits, as text."""
+    if calibration is None or not goal or not calibration.budget_rows:
         return ""
+    parts = {row.name: row.contribution.get(QUANTITIES[goal], 0.0) for row in calibration.budget_rows}
     largest = max(parts, key=lambda source: parts[source])
     part = calibration.coverage_factor * parts[largest]
-    return f"The largest part of U(fx) comes from: {largest}, {part:.3g} px."
+    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest}, {part:.3g} px."
 
 
 def _choose(

@@ -16,6 +16,7 @@ from bench.plan.plan import Plan
 from bench.report.text import goals_text, meaning_of_goal
 from bench.results.forecasts import (
     LARGEST_ROLL_DEG,
+    QUANTITIES,
     SMALLEST_COVERAGE_FACTOR,
     expected_bench,
     forecast_bench,
@@ -32,7 +33,6 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.model.result_parts import WORST_CORNER
 from calib.studies.expected_posterior import Angles, Sigmas
 from calib.studies.planning import PoseWeigher, WeighedPose, fit_gimbal
 from calib.studies.predicted_views import ExpectedBench
@@ -49,8 +49,6 @@ ALIGNED_ROLL_DEG = 5.0
 """A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
 MORE_STARS = 1.2
 """A chosen pose should show this many times the stars that its gate asks for."""
-FORECAST_ERROR = 1.25
-"""A forecast may be too large by this factor. A goal is given up only if the forecast is farther above it."""
 LATER_CANDIDATES = 100
 """Number of poses of the grid, about, from which all later poses are chosen for an expectation of the end."""
 
@@ -68,10 +66,14 @@ class Choice:
     lacks: Literal["", "roll"]
     why: str
 
-    def hopeless(self, wanted: Mapping[str, float]) -> str:
-        """Return the goal that all allowed poses will miss most; empty if they may meet each, or if none is known."""
-        shares = {name: self.at_end[name] / most for name, most in wanted.items()}
-        missed = [name for name, share in shares.items() if FORECAST_ERROR < share < np.inf]
+    def hopeless(self, wanted: Mapping[str, float], now: Mapping[str, float]) -> str:
+        """Return the goal that all allowed poses will miss most, even if they gain twice as much as is expected.
+
+        Empty if they may meet each, or if none is known. ``now`` are the expanded uncertainties reached, px.
+        """
+        least = {name: 2.0 * self.at_end[name] - now.get(name, np.inf) for name in wanted}
+        shares = {name: least[name] / most for name, most in wanted.items()}
+        missed = [name for name, share in shares.items() if 1.0 < share < np.inf]
         return max(missed, key=lambda name: shares[name], default="")
 
 
@@ -283,10 +285,6 @@ def _reason(wish: Wish, lacks: str) -> str:
     return f"it lowers {meaning_of_goal(widest)} most"
 
 
-_QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
-"""Column of the budget for each goal."""
-
-
 @dataclass(frozen=True)
 class ExpectedCourse:
     """What an ``until`` is expected to do."""
@@ -342,11 +340,11 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
         )
         if not isinstance(choice, Choice):
             return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
-        if found and (missed := choice.hopeless(until.goals)):
+        if found and (missed := choice.hopeless(until.goals, reached)):
             last = with_further(planned, bench, taken, until.at_most - recorded)
             left = last.limited[missed.removesuffix("_px")] if last else choice.at_end[missed]
             why = cannot_reach(missed, until.goals[missed], left, until.at_most)
-            part = largest_part(last or found, _QUANTITIES[missed])
+            part = largest_part(last or found, QUANTITIES[missed])
             return ExpectedCourse(until.first, None, reached, f"Expected: {why} {part}.")
         taken.append(dict(choice.angles_deg))
 
