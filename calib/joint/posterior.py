@@ -154,21 +154,19 @@ class Posterior:
 
 def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
     """Return what a statement says against the posterior without it; ``b`` includes it, with the given fault."""
-    unit = np.sqrt(np.diag(one.covariance))  # a passport has mm and coefficients of fields
-    scaled, rows = np.outer(unit, unit), one.rows / unit[:, None]
-    entered = np.linalg.inv(one.information(fault)) / scaled
-    left = entered - rows @ covariance @ rows.T  # covariance of stated minus estimated
-    off = (one.values - one.rows @ b) / unit
+    entered = np.linalg.inv(one.information(fault))
+    left = entered - one.rows @ covariance @ one.rows.T  # covariance of stated minus estimated
+    off = one.values - one.rows @ b
     values, vectors = np.linalg.eigh(left)
     inverse = (vectors / np.maximum(values, 1e-9 * float(np.trace(entered)))) @ vectors.T
     gain = entered @ inverse
     away = gain @ off
     spread = gain @ entered - entered
-    whole = np.linalg.pinv(one.covariance / scaled + spread, rcond=1e-9, hermitian=True)
+    whole = np.linalg.pinv(one.covariance + spread, rcond=1e-9, hermitian=True)
     z = float(np.sqrt(max(away @ whole @ away, 0.0) / len(off)))
     z *= float(np.sign(off[0])) if len(off) == 1 else 1.0
-    sigma = unit * np.sqrt(np.maximum(np.diag(spread), 0.0))
-    return Innovation(one.name, one, one.values - unit * away, sigma, z, probability)
+    sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    return Innovation(one.name, one, one.values - away, sigma, z, probability)
 
 
 def posterior(optimum: Optimum, rounds: int) -> Posterior:

@@ -24,7 +24,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.adjust import lens_names, posed
 from calib.joint.curvature import expected_curvature
 from calib.joint.equations import Equations, State, turns_of
-from calib.joint.layout import POSE_PLACES
+from calib.joint.layout import DRIFT, POSE_PLACES
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.posterior import Posterior
 from calib.joint.prior import NO_FAULT
@@ -163,7 +163,9 @@ class PoseGains:
         squares = np.exp(2.0 * eta)
         equations = own.linearised(state, 1.0)
         self._own = _reduced(replace(problem, bench=own), equations, squares)
-        self._maps = _maps(own.maps, own.gimbal_places if own.readings else None)
+        maps = own.maps.copy()
+        maps[:, :, own.layout.index[DRIFT]] = 0.0  # candidates have no time
+        self._maps = _maps(maps, own.gimbal_places if own.readings else None)
         self._prior = _prior(problem, squares)
         self._camera = len(own.layout.camera)
         self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
