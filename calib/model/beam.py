@@ -103,7 +103,7 @@ def rims_of_stars(views: Sequence[View]) -> list[RimPoints]:
 def _grid(stars: Array) -> _Grid | None:
     """Return the grid of (N, 2) stars, or None if they are not on one."""
     steps = np.concatenate([np.diff(np.unique(np.round(along, 6))) for along in stars.T])
-    pitch = float(np.min(steps[steps > 1e-3 * np.ptp(stars)]))
+    pitch = float(np.min(steps[steps > 1e-3 * np.ptp(stars, axis=0).max()]))
     first, last = stars.min(axis=0), stars.max(axis=0)
     nodes = (stars - first) / pitch
     if np.abs(nodes - np.round(nodes)).max() > _OFF_GRID:

@@ -213,3 +213,10 @@ def test_errors_too_small_to_be_gross_hardly_matter(bench):
     assert max(w[g].max() for w, g in zip(robust.weights, gross, strict=True)) < 0.15
     assert robust.camera.fx == pytest.approx(before.camera.fx, abs=0.3 * before.sigma["fx"])
     assert robust.sigma["fx"] < 1.1 * before.sigma["fx"]
+
+
+def test_a_target_whose_origin_is_far_away_is_calibrated_alike(bench):
+    views = bench.views(np.random.default_rng(9), 0.05)
+    far = [replace(view, target_mm=view.target_mm + np.array([5000.0, -3000.0])) for view in views]
+    here, there = calibrate(views), calibrate(far)
+    assert there.camera.fx == pytest.approx(here.camera.fx, abs=0.1 * here.sigma["fx"])
