@@ -26,7 +26,7 @@ from drivers.camera.recording import (
 from drivers.clock import Clock
 from drivers.errors import CameraSettingRefused, DeviceRefused, ReplyGarbled
 
-SILENCE_S: Final = 4.0
+LONGEST_SILENCE_S: Final = 4.0
 """Longest silence, s. A camera that computes for longer reports so twice a second; one that has died closes the
 connection."""
 
@@ -56,7 +56,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
         serial: str | None = None,
         clock: Clock,
         utc_now: Callable[[], datetime],
-        silence_s: float = SILENCE_S,
+        silence_s: float = LONGEST_SILENCE_S,
     ) -> SimulatedEvk4Camera:
         """Connect to ``host:port``, and check that it is the right camera; ``serial`` None accepts any.
 
