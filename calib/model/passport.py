@@ -95,6 +95,11 @@ class Passport:
         -------
         Passport
             Passport of r alone.
+
+        Raises
+        ------
+        InputMismatch
+            If the radius is not positive, or its uncertainty negative.
         """
         if not sigma_mm >= 0:
             raise InputMismatch(f"Its sigma is {sigma_mm} mm; it must not be negative.", where="passport")

@@ -147,7 +147,10 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
         ("\xff", "The file is not a passport"),
         ('{"schema": "starbench/results/1"}', "its schema is 'starbench/results/1'"),
         ("1" * 1_000_001, "The file is too large for a passport."),
-        (json.dumps(Passport.of_radius(-255.0, 0.05, {}).to_dict()), "radius r is not positive"),
+        (
+            json.dumps(Passport.of_radius(255.0, 0.05).to_dict() | {"values": [-255.0]}),
+            "radius r is not positive",
+        ),
         (
             json.dumps(
                 Passport.of_radius(255, 0.1).to_dict()
