@@ -161,17 +161,17 @@ class PoseGains:
         state = replace(state, fields=np.zeros((len(views), len(POSE_PLACES))))
         eta = expected_amplitudes(bench, problem.hyper)
         squares = np.exp(2.0 * eta)
-        equations = own.linearised(state, 1.0)
+        equations = own.linearised(state, _LIMIT)
         self._own = _reduced(replace(problem, bench=own), equations, squares)
         maps = own.maps.copy()
-        maps[:, :, own.layout.index[DRIFT]] = 0.0  # candidates have no time
+        maps[:, :, own.layout.index[DRIFT]] = 0.0  # it is not known when a candidate will be recorded
         self._maps = _maps(maps, own.gimbal_places if own.readings else None)
         self._prior = _prior(problem, squares)
         self._camera = len(own.layout.camera)
         self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
 
     def information(self, weights: Array) -> Array:
-        """Return the (S, S) information on the shared unknowns for (k,) weights of the first poses."""
+        """Return the (S, S) information of all priors and of the first poses, which count by (k,) weights."""
         return self._prior + sum(
             (self.added(k, weight) for k, weight in enumerate(weights) if weight), np.zeros_like(self._prior)
         )

@@ -137,10 +137,8 @@ def first_scales(rotations: Array, model: GimbalModel) -> Array:
     poses do not matter. An axis that pairs of poses do not show gets the median ratio of all.
     """
     i, j = np.triu_indices(len(rotations), 1)
-    read, seen = (
-        np.deg2rad(model.angles[i] - model.angles[j])[:, list(model.free)] ** 2,
-        _pairs(rotations) ** 2,
-    )
+    read = np.deg2rad(model.angles[i] - model.angles[j])[:, list(model.free)] ** 2
+    seen = _pairs(rotations) ** 2
     found = pair_ratios(rotations, model, model.start)
     ratio = found.ratio if found else 1.0
     squares = np.full(len(model.free), ratio**2)

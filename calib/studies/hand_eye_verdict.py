@@ -198,7 +198,7 @@ def _significant(found: Findings, size: float, sigma: float) -> bool:
 
 
 def _common_to_pairs(found: Findings) -> float:
-    """Return the ratio of the pairs minus 1 if all pairs show it, else 0.
+    """Return how far the ratio of the pairs is from 1; 0 if the pairs differ among themselves.
 
     With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
     """
