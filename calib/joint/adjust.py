@@ -16,7 +16,7 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
-from calib.joint.knowledge import CERTIFICATE, gather, term_shapes, wavefront
+from calib.joint.knowledge import CERTIFICATE, gather, stated_names, term_shapes, wavefront
 from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.pupils import discs_of_poses, pupils_of
@@ -89,6 +89,8 @@ def posed(
         pupil,
         len(set(poses_of(start.rotations))),
     )
+    if passport is not None:
+        layout = replace(layout, passport=stated_names(passport, layout))
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}
     shared = np.zeros(len(layout.names))
@@ -97,14 +99,13 @@ def posed(
     for name in layout.gimbal:
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
-    hyper = amp.hyperprior(options.parallax_sigma, pupil)
+    hyper = amp.hyperprior(options.parallax_sigma, pupil, passport=bool(layout.passport))
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
     poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
     blocks = layout.random_blocks(
         hyper,
-        knowledge.in_passport,
         corner,
         reach,
         readings.sigma_rad if readings else 0.0,

@@ -44,6 +44,7 @@ RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by 
 SCALE_TURN_2 = "scale by turn squared"
 PARALLAX, RIM, DISCS, ALONG = "parallax", "rim", "discs", "pupil along the axis"
 ASIDE = "pupil beside the axes"
+CHANGE = "irregular errors since the passport"
 DISTORTION, TANGENTIAL, PRISM = "lens distortion", "tangential", "prism"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
@@ -75,7 +76,7 @@ class Family:
         return np.asarray(shared + self.scatter**2 * np.eye(size))
 
 
-def _smooth(first: float, count: int) -> tuple[float, ...]:
+def smooth(first: float, count: int) -> tuple[float, ...]:
     """Return medians that fall from degree to degree, as those of smooth fields do."""
     return tuple(first * _FALL**k for k in range(count))
 
@@ -88,10 +89,10 @@ FAMILIES = (
     Family((STAR,), (1.0,), 1.5, 0.0),
     Family((READING,), (1.0,), 0.4, 0.0),
     Family((ENCODER,), (0.7,), 0.7, 0.0),
-    Family(POSE, _smooth(2e-6, POSE_DEGREE), 1.3, 0.5, 0.25),
-    Family(COMMON, _smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
-    Family(TURN, _smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
-    Family(TURN_2, _smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
+    Family(POSE, smooth(2e-6, POSE_DEGREE), 1.3, 0.5, 0.25),
+    Family(COMMON, smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
+    Family(TURN, smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
+    Family(TURN_2, smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
     Family(
         (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2, ASIDE),
         (0.05, 0.5, 1e-3, 4e-4, 4e-6, 3e-4),
@@ -106,6 +107,8 @@ FAMILIES = (
     # Change of the radius from pose to pose, as a share: a pupil that moves along the axis by 1 mm before a collimator
     # with a defocus of a twelfth.
     Family((ALONG,), (3e-4,), 1.0, 0.0),
+    # Another pupil looks through other places of the glass; another glass differs ten times as much.
+    Family((CHANGE,), (3e-6,), 1.3, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
 _REACH = 3.0
@@ -159,17 +162,21 @@ class Hyperprior:
         return np.array([self.names.index(name) for name in names], np.int64)
 
 
-def _families(pupil: Pupil) -> list[Family]:
+def _families(pupil: Pupil, *, passport: bool) -> list[Family]:
     """Return the families of the amplitudes that there are."""
     degree, degree_2 = TURN_DEGREES[pupil]
     counts = {TURN: degree, TURN_2: degree_2 + 1}
     counts |= {(DISCS,): int(pupil is not Pupil.HELD), (ALONG,): int(pupil is Pupil.BY_HAND)}
+    counts[CHANGE,] = int(passport)
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 
-def hyperprior(parallax_sigma: float, pupil: Pupil) -> Hyperprior:
-    """Return the hyperprior; half of ``parallax_sigma``, a share of r for large radial terms, is typical."""
-    families = _families(pupil)
+def hyperprior(parallax_sigma: float, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
+    """Return the hyperprior; half of ``parallax_sigma``, a share of r for large radial terms, is typical.
+
+    ``passport``: whether a passport states the irregular errors of the glass.
+    """
+    families = _families(pupil, passport=passport)
     names = tuple(name for family in families for name in family.names)
     mean = np.log([median for family in families for median in family.medians])
     mean[names.index(PARALLAX)] += np.log(parallax_sigma)

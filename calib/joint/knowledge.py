@@ -18,7 +18,17 @@ from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
-from calib.joint.layout import ASIDE, CENTRE, DRIFT, RADIAL, RADIAL_RATIO, SHIFTED_SIZES, Layout
+from calib.joint.layout import (
+    ASIDE,
+    CENTRE,
+    CHANGE,
+    DRIFT,
+    FIELD,
+    RADIAL,
+    RADIAL_RATIO,
+    SHIFTED_SIZES,
+    Layout,
+)
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
@@ -34,7 +44,13 @@ MISJUDGED_TIMES = 5.0
 #: Probability of each fault before the views are seen.
 FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
 #: Names of witnesses.
-CERTIFICATE, PASSPORT = "certificate of the collimator", "passport of the collimator"
+CERTIFICATE = "certificate of the collimator"
+SAME_AXIS, SAME_RADIUS, SAME_RADIAL = (
+    "axis as in the passport",
+    "radius as in the passport",
+    "radial errors as in the passport",
+)
+SAME_FIELD = "irregular errors as in the passport"
 SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a right angle"
 ASPECT, READINGS = "square pixels", "readings of the gimbal"
 STEADY = "steady focal length"
@@ -52,12 +68,15 @@ _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
 #: thermal expansion, the parallax over the one that is expected without a bound.
 _FREE_RADIUS, FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 2.0
+_FREE_RADIAL = {"radial": 0.05, "radial_4": 0.05 * RADIAL_RATIO}
 _FREE_TERMS = {"thermal": 1e-3, "print_scale": 5e-3}
 _SKEW_DEG = 0.1
 #: The pupil of another camera lies so far from that of the passport's, as a share of the radius: 4 mm (1-sigma).
 _ELSEWHERE = 0.016
 #: Standard uncertainty that stands for exact, as a share.
 _EXACT = 1e-7
+#: A change since a passport is as good as none if its variance is this share of that of the passport.
+_UNCHANGED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -72,6 +91,8 @@ class Statement:
     covariance: Array  # (k, k)
     # (k, k) covariance if nobody had stated it; None if this is no statement that could be wrong.
     free: Array | None = None
+    # (k, k) covariance if its uncertainty is misjudged; None if that is so many times as large.
+    misjudged: Array | None = None
     unit: str = ""
     term: TypeBTerm | None = None  # The type B term of the budget that it is
 
@@ -87,7 +108,7 @@ class Statement:
     def _information(self, fault: str) -> Array:
         covariance = self.covariance
         if self.free is not None and fault == MISJUDGED:
-            covariance = MISJUDGED_TIMES**2 * covariance
+            covariance = MISJUDGED_TIMES**2 * covariance if self.misjudged is None else self.misjudged
         elif self.free is not None and fault == WRONG:
             covariance = self.free
         return np.asarray(np.linalg.inv(covariance))
@@ -98,7 +119,6 @@ class Knowledge:
     """All statements, and what bounds or states amplitudes."""
 
     statements: tuple[Statement, ...]
-    in_passport: frozenset[str]  # Names of the unknowns that a passport states
     parallax_known: bool
 
     @property
@@ -127,7 +147,7 @@ def _scalar(
         row[0, layout.index[key]] = factor
     wide = None if free is None else np.array([[max(free, stated[1]) ** 2]])
     return Statement(
-        name, group, source, row, np.array([stated[0]]), np.array([[stated[1] ** 2]]), wide, unit, term
+        name, group, source, row, np.array([stated[0]]), np.array([[stated[1] ** 2]]), wide, None, unit, term
     )
 
 
@@ -137,7 +157,6 @@ def gather(
     """Return all that is known beside the stars; ``start``, near the solution, scales the weak limits."""
     statements = [*_camera(layout, image_size, start), *_limits(layout, image_size, start)]
     passport = options.passport
-    known = frozenset(passport.names if passport else ())
     terms = [term for term in options.budget if term.name in layout.terms]
     statements += [
         _scalar(
@@ -156,13 +175,13 @@ def gather(
     if passport is not None and passport.is_certificate:
         statements.append(_certificate(layout, options, passport))
     elif passport is not None:
-        statements.append(_passport(layout, options, passport))
+        statements += _passport(layout, options, passport)
     bound = options.gimbal.parallax if options.gimbal else None
     if bound is not None:
         statements += _parallax(layout, bound, start["r"], options.parallax_sigma)
     if layout.gimbal and options.gimbal:
         statements += _gimbal(layout, options.gimbal)
-    if options.radial_sigma is not None and not known & set(RADIAL):
+    if options.radial_sigma is not None and not set(layout.passport) & set(RADIAL):
         ratio = {"radial": 1.0, "radial_4": RADIAL_RATIO}
         statements += [
             _scalar(
@@ -175,7 +194,7 @@ def gather(
             )
             for name in RADIAL
         ]
-    return Knowledge(tuple(statements), known, bound is not None)
+    return Knowledge(tuple(statements), bound is not None)
 
 
 def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
@@ -245,32 +264,56 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
     )
 
 
-def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
-    """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out.
+def stated_names(passport: Passport, layout: Layout) -> tuple[str, ...]:
+    """Return the names that a passport states; aberrations that this adjustment does not have are summed out.
 
     Its common field must have as many coefficients as here: otherwise the same names mean others.
     """
-    field = [name for name in passport.names if name.startswith("common_")]
+    field = [name for name in passport.names if name.startswith(FIELD)]
     if field and len(field) != len(layout.common):
         raise InputMismatch(
             f"Its common field has {len(field)} coefficients; the adjustment has {len(layout.common)}.",
             where="passport",
             remedy="Make the passport again from its run, with this version of Starbench.",
         )
-    known = passport.subset([name for name in passport.names if name in layout.index])
-    at = layout.places(known.names)
-    matrix = np.zeros((len(at), len(layout.names)))
-    matrix[range(len(at)), at] = 1.0
-    floor = np.diag((_EXACT * np.maximum(np.abs(known.values), 1e-3)) ** 2)
-    free = np.diag(
-        [
-            (_FREE_RADIUS * known.values_by_name["r"]) ** 2 if name in CENTRE else 0.01**2
-            for name in known.names
-        ]
-    )
+    return () if passport.is_certificate else tuple(name for name in passport.names if name in layout.index)
+
+
+def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> list[Statement]:
+    """Return the joint statement of a passport about what was then, and that nothing has changed since.
+
+    The amplitude of the changes of the common field is estimated (`calib.joint.layout`).
+    """
+    known = passport.subset(layout.passport)
     source = options.passport_source or "passport of the collimator"
+    then = np.zeros((len(known.names), len(layout.names)))
+    for row, name in zip(then, known.names, strict=True):
+        row[[layout.index[name], layout.index[CHANGE.format(name)]]] = 1.0, -1.0
+    floor = np.diag((_EXACT * np.maximum(np.abs(known.values), 1e-3)) ** 2)
     covariance = known.covariance + floor + _elsewhere(layout, known)
-    return Statement(PASSPORT, rows.PASSPORT, source, matrix, known.values, covariance, free + covariance)
+    found = [Statement(rows.PASSPORT, rows.PASSPORT, source, then, known.values, covariance)]
+    free = dict.fromkeys(CENTRE, _FREE_RADIUS * known.values_by_name["r"]) | _FREE_RADIAL
+    for witness, names in ((SAME_AXIS, CENTRE[:2]), (SAME_RADIUS, CENTRE[2:]), (SAME_RADIAL, RADIAL)):
+        at = [known.names.index(name) for name in names if name in known.names]
+        if not at:
+            continue
+        own = covariance[np.ix_(at, at)]
+        stated = _UNCHANGED * own
+        wide = np.diag([free[known.names[k]] ** 2 for k in at])
+        found.append(
+            Statement(
+                witness,
+                rows.PASSPORT,
+                source,
+                np.eye(len(layout.names))[layout.places([CHANGE.format(known.names[k]) for k in at])],
+                np.zeros(len(at)),
+                stated,
+                stated + wide,
+                stated + (MISJUDGED_TIMES**2 - 1.0) * own,
+                "mm" if witness != SAME_RADIAL else "",
+            )
+        )
+    return found
 
 
 def _elsewhere(layout: Layout, passport: Passport) -> Array:
@@ -281,8 +324,8 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
     shifted = np.column_stack([layout.basis.shifted(e, SHIFTED_SIZES) for e in ((1.0, 0.0), (0.0, 1.0))])
     shapes = np.zeros((len(passport.names), shifted.shape[1]))
     for k, name in enumerate(passport.names):
-        if name.startswith("common_"):
-            shapes[k] = shifted[int(name.removeprefix("common_"))]
+        if name.startswith(FIELD):
+            shapes[k] = shifted[int(name.removeprefix(FIELD))]
     radial, radial_4 = (passport.values_by_name.get(name, 0.0) for name in RADIAL)
     size = _ELSEWHERE * np.hypot(radial, radial_4 / RADIAL_RATIO)
     return np.asarray(size**2 * shapes @ shapes.T)

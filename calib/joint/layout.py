@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 CENTRE = ("x", "y", "r")
+#: Begin of the names of the coefficients of the common field.
+FIELD = "common_"
 RADIAL = ("radial", "radial_4")
 #: Errors |x|^2 e of the image that turn with the camera: thin prism distortion of the lens (Weng et al., 1992), or what
 #: misaligned collimators do to a pupil that turns. Without them p1 and p2 would take these, and move cx and cy.
@@ -55,6 +57,8 @@ _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
     f"eccentricity_{axis}_{part}" for axis in ("pan", "tilt", "roll") for part in ("sin", "cos")
 )
+#: What an unknown of the collimator has become since its passport, less what that states.
+CHANGE = "change of {}"
 #: Begin of the names of `Layout.encoders`.
 ENCODER = "encoder"
 #: Products of the turns along X and Y, with the highest degree of their fields.
@@ -110,6 +114,7 @@ class Layout:
     wavefront: float = 0.0  # RMS slope of the collimator's wavefront that a station states, rad
     pupil: amp.Pupil = amp.Pupil.HELD
     n_poses: int = 1  # Each has its own radius if a hand moves the camera
+    passport: tuple[str, ...] = ()  # Names of the shared unknowns that a passport states
 
     @property
     def rim(self) -> tuple[str, ...]:
@@ -139,12 +144,13 @@ class Layout:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all shared unknowns."""
-        fields = [f"common_{k}" for k in self.common]
+        fields = [f"{FIELD}{k}" for k in self.common]
         for turns, degree in zip((_TURNS, _TURNS_2), amp.TURN_DEGREES[self.pupil], strict=True):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
         if self.by_hand:
             fields += [f"own_{name}_{k}" for name in _TURNS for k in _SMOOTH_PLACES]
         errors = (*RADIAL, *self.turning, DRIFT, *ASIDE, *self.rim, *self.along, *fields, *self.terms)
+        errors += tuple(CHANGE.format(name) for name in self.passport)
         return (*self.camera, *CENTRE, *errors, *self.gimbal)
 
     @cached_property
@@ -199,7 +205,7 @@ class Layout:
         field, half = self.field, COEFFICIENTS // 2
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
         found[:, field : self.middle, self.places(RADIAL)] = self.basis.radial
-        found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
+        found[:, field + self.common, self.places([f"{FIELD}{j}" for j in self.common])] = 1.0
         by_turn = self.by_turn
         found[:, by_turn.rows, by_turn.columns] = by_turn.sizes(pupils)
         if self.by_hand:
@@ -242,14 +248,13 @@ class Layout:
     def random_blocks(
         self,
         hyper: amp.Hyperprior,
-        known: frozenset[str],
         corner: float,
         reach: float,
         reading_rad: float,
         *,
         parallax_known: bool,
     ) -> list[RandomBlock]:
-        """Return the unknowns that have an amplitude; ``known``: stated by a passport, or the parallax is bounded.
+        """Return the unknowns that have an amplitude.
 
         ``corner`` is the tangent of the angle between the axis and the sensor's corner. ``reach`` is the largest
         distance of a turn from the mean turn, as a tangent. ``reading_rad`` is the standard uncertainty of a reading.
@@ -260,13 +265,12 @@ class Layout:
             for names, amplitude in ((decentred, amp.TANGENTIAL), (PRISM, amp.PRISM))
         ]
         blocks.append(self._distortion(hyper, corner))
-        if not known & set(RADIAL):
+        if not set(self.passport) & set(RADIAL):
             blocks.append(self._radial(hyper))
         if self.rim:
             shape = np.diag([1.0, _RIM_RATIO])
             blocks.append(RandomBlock(rows.TURN_FIELDS, self.places(self.rim), ((hyper.at(amp.RIM), shape),)))
-        if not any(name.startswith("common_") for name in known):
-            blocks.append(self._common(hyper))
+        blocks.append(self._changes(hyper) if self._stated_fields else self._common(hyper))
         if self.encoders:
             own = ((hyper.at(amp.ENCODER), reading_rad * np.eye(len(self.encoders))),)
             blocks.append(RandomBlock(rows.READINGS, self.places(self.encoders), own))
@@ -312,7 +316,7 @@ class Layout:
         parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.COMMON, start=1)]
         edge = (self.basis.radius_mm / self.basis.reference[2]) ** 2
         scale = _RADIAL_SCALE * edge * self.basis.shape(np.asarray)[self.common, None]
-        names = [f"common_{k}" for k in self.common]
+        names = [f"{FIELD}{k}" for k in self.common]
         waves = self.wavefront**2 / (DEGREE * (degrees + 1.0))
         return RandomBlock(
             rows.COMMON_FIELD,
@@ -320,6 +324,18 @@ class Layout:
             (*parts, (hyper.at(amp.SHIFTED), shifted), (hyper.at(amp.RADIAL), scale)),
             waves,
         )
+
+    @property
+    def _stated_fields(self) -> list[str]:
+        """Names of the coefficients of the common field that a passport states."""
+        return [name for name in self.passport if name.startswith(FIELD)]
+
+    def _changes(self, hyper: amp.Hyperprior) -> RandomBlock:
+        """Return what the common field differs from that of a passport, with one amplitude."""
+        names = [CHANGE.format(name) for name in self._stated_fields]
+        degrees = np.tile(DEGREES, 2)[self.common]
+        sizes = np.array(amp.smooth(1.0, DEGREE))[degrees - 1] / np.sqrt(degrees + 1.0)
+        return RandomBlock(rows.PASSPORT, self.places(names), ((hyper.at(amp.CHANGE), np.diag(sizes)),))
 
     def _parallax(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the parallax: alike along X and Y but for a fifth."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
-from calib.joint.knowledge import FAULTS, Statement
+from calib.joint.knowledge import FAULTS, WRONG, Statement
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.places import places_of
 from calib.joint.prior import NO_FAULT, Faults
@@ -153,18 +153,17 @@ class Posterior:
 
 
 def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
-    """Return what a statement says against the posterior without it; ``b`` includes it, with the given fault."""
-    entered = np.linalg.inv(one.information(fault))
-    left = entered - one.rows @ covariance @ one.rows.T  # covariance of stated minus estimated
-    off = one.values - one.rows @ b
-    values, vectors = np.linalg.eigh(left)
-    inverse = (vectors / np.maximum(values, 1e-9 * float(np.trace(entered)))) @ vectors.T
-    gain = entered @ inverse
-    away = gain @ off
-    spread = gain @ entered - entered
-    whole = np.linalg.pinv(one.covariance + spread, rcond=1e-9, hermitian=True)
-    z = float(np.sqrt(max(away @ whole @ away, 0.0) / len(off)))
-    z *= float(np.sign(off[0])) if len(off) == 1 else 1.0
+    """Return what a statement says against the posterior as if it were wrong; ``b`` includes it, with the given fault.
+
+    So it is compared with the others, and with what would be known if nobody had stated it.
+    """
+    removed = one.information(fault) - one.information(WRONG)
+    estimated = one.rows @ covariance @ one.rows.T
+    kept = np.eye(len(estimated)) - estimated @ removed
+    away = np.linalg.solve(kept, one.values - one.rows @ b)
+    spread = np.linalg.solve(kept, estimated)
+    z = float(np.sqrt(away @ np.linalg.solve(one.covariance + spread, away) / len(away)))
+    z *= float(np.sign(away[0])) if len(away) == 1 else 1.0
     sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
     return Innovation(one.name, one, one.values - away, sigma, z, probability)
 

@@ -17,7 +17,7 @@ from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
-from calib.joint.knowledge import FREE_SCALE, READINGS
+from calib.joint.knowledge import FREE_SCALE, READINGS, SAME_FIELD
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
 from calib.joint.marginal import Solution
@@ -221,23 +221,22 @@ def _witnesses(found: Posterior) -> tuple[Witness, ...]:
                 one.probability,
             )
         )
-    if not found.optimum.marginal.uses_readings:
-        return tuple(witnesses)
+    marginal = found.optimum.marginal
+    if marginal.uses_readings:
+        witnesses.append(_size(found, READINGS, "station: reading_sigma_deg", amp.READING))
+    if amp.CHANGE in marginal.problem.hyper.names:
+        witnesses.append(_size(found, SAME_FIELD, "expected of another pupil", amp.CHANGE))
+    return tuple(witnesses)
+
+
+def _size(found: Posterior, name: str, source: str, amplitude: str) -> Witness:
+    """Return the witness of an amplitude that is expected: errors that are so many times as large."""
     hyper = found.optimum.marginal.problem.hyper
-    at = hyper.at(amp.READING)
-    times, width = float(np.exp(found.optimum.eta[at])), float(np.sqrt(hyper.covariance[at, at]))
-    scatter = Witness(
-        READINGS,
-        "station: reading_sigma_deg",
-        "times stated",
-        1.0,
-        width,
-        times,
-        times * float(found.spread[at]),
-        float(-found.optimum.eta[at]) / width,
-        0.0,
-    )
-    return (*witnesses, scatter)
+    at = hyper.at(amplitude)
+    away, width = float(found.optimum.eta[at] - hyper.mean[at]), float(np.sqrt(hyper.covariance[at, at]))
+    times = float(np.exp(away))
+    spread = times * float(found.spread[at])
+    return Witness(name, source, "times stated", 1.0, width, times, spread, -away / width, 0.0)
 
 
 def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:

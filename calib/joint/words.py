@@ -23,7 +23,7 @@ from calib.model.rotation import exp_map
 from calib.view import View
 
 #: A statement is named if it is at fault with this probability: beyond it, its fault decides how large U is, since U
-#: covers 95.45 %. An honest statement is named at 2.8 sigma, in 1 of 200 results.
+#: covers 95.45 %. An honest statement is named at 2.3 sigma, in 1 of 50 results.
 _DOUBTED = 0.1
 #: Readings that scatter this many times more than stated are named.
 _SCATTER = 2.0

@@ -16,9 +16,10 @@ from calib.joint.posterior import posterior
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.samples import log_odds
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.model.type_b_terms import TypeBTerm
 from tests.benchmarks.worlds import polynomial
 from tests.benchmarks.worlds.attacks import attacked
-from tests.benchmarks.worlds.bench import NINE
+from tests.benchmarks.worlds.bench import NINE, THREE
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 from tests.benchmarks.worlds.judge import judged
 
@@ -100,11 +101,11 @@ def test_parts_of_the_budget_add_up_to_the_variance(optimum):
 
 
 @pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
-def test_innovation_is_what_an_adjustment_without_the_statement_says(optimum, name):
+def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(optimum, name):
     one = next(one for one in posterior(optimum, 30).innovations() if one.name == name)
     marginal = optimum.marginal
     kept = tuple(
-        replace(s, covariance=1e8 * s.covariance) if s.name == name and s.free is not None else s
+        replace(s, covariance=s.free) if s.name == name and s.free is not None else s
         for s in marginal.problem.knowledge.statements
     )
     knowledge = replace(marginal.problem.knowledge, statements=kept)
@@ -215,6 +216,29 @@ def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere
     found = drawn_result("polynomial", 3, 2, "passport")
     over = [abs(found["error"][name]) / found["U"][name] for name in ("fx", "cx", "cy", "corner")]
     assert max(over) < 1.3
+
+
+def test_passport_of_another_glass_is_named_and_its_uncertainty_covers_the_camera():
+    """Glass of another type, whose radius happens to be the same: fx was 5 U wrong, the distortion 10 U."""
+    other = polynomial.draw_world(52, "real", 1)
+    other = replace(other, glass=replace(other.glass, r=polynomial.draw_world(2).glass.r))
+    before = polynomial.record(polynomial.draw_world(2), 2, NINE), "cr"
+    line = judged(polynomial.record(other, 2, THREE, 1, 1), "passport", "shipped", before)
+    assert any("'radial errors as in the passport'" in note for note in line["notes"])
+    over = [line["error"][name] / line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner")]
+    assert max(map(abs, [*over, line["lens_over"]["k1"]])) < 1.3
+
+
+def test_scale_of_the_print_is_expected_of_nobody_without_a_certificate(bench):
+    views = bench.views(np.random.default_rng(62), 0.02)
+    term = TypeBTerm("scale of the print", "print_scale", 2e-5, "station", "rectangular")
+    witness = next(
+        one
+        for one in calibrate(views, CalibrationOptions("joint", budget=(term,))).witnesses
+        if one.name == "scale of the print"
+    )
+    assert abs(witness.innovation) < 2.0
+    assert abs(witness.expected) < 0.01
 
 
 def test_a_gain_that_equations_promise_beyond_where_they_hold_does_not_count(optimum):
