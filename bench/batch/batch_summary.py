@@ -43,7 +43,7 @@ from bench.records.summaries import (
     TotalsData,
 )
 from bench.report.batch_page import render_batch
-from bench.report.text import unit_text, with_uncertainty
+from bench.report.text import goals_missed, unit_text, with_uncertainty
 from bench.results.trends import by_camera, hours_after, trends_of
 from bench.run.status import read_plan, read_status
 from sequences.errors import DocumentFaults
@@ -168,6 +168,7 @@ def _item(
         "ledger_number": stated.ledger_number,
         "ledger_head": stated.ledger_head,
         "conformity": details["conformity"] if details else None,
+        "goals_missed": goals_missed(details["untils"]) if details else [],
     }
 
 
@@ -409,6 +410,7 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
         verdict = f"  {item['conformity']}" if item["conformity"] else ""
         attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
         yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
+        yield from (f"    {sentence}" for sentence in item["goals_missed"])
     for camera in summary["cameras"]:
         yield from _trend_lines(camera)
 

@@ -29,6 +29,7 @@ from bench.report.text import (
     conformity_headline,
     conformity_sentences,
     fixed,
+    goals_missed,
     unit_text,
     with_uncertainty,
     words_of,
@@ -145,6 +146,7 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from _recorded_lines(end)
         return
     results = end.outcome.results
+    yield from goals_missed(results.get("untils") or [])
     if check := results.get("check"):
         yield from check_sentences(check)
     if found := results.get("conformity"):

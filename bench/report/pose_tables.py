@@ -24,6 +24,8 @@ from bench.report.text import (
     NOTHING,
     STARS,
     TargetWords,
+    beside_goal,
+    digits_beside,
     duration,
     fixed,
     goals_text,
@@ -168,7 +170,7 @@ def _goal_line(axes: Axes, height: float, name: str, colour: str, above: float =
 
 def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:
     parts = [
-        f"{meaning_of_goal(name)} {last['now'][name]:.3g} px, wanted {goal:g} px"
+        f"{meaning_of_goal(name)} {beside_goal(last['now'][name], goal)} px, wanted {goal:g} px"
         for name, goal in wanted.items()
     ]
     return f"After {last['poses']} poses: {'; '.join(parts)}."
@@ -307,7 +309,10 @@ def _row(decided: UntilDecided) -> dict[str, Any]:
     return {
         "poses": number(decided["poses"]),
         "model": decided["model"] or NOTHING,
-        "reached": [number(decided["now"].get(name), 3) for name in goals],
+        "reached": [
+            number(value, digits_beside(value, goal)) if (value := decided["now"].get(name)) else NOTHING
+            for name, goal in goals.items()
+        ],
         "chosen": chosen.get("pose_name", NOTHING),
         "angles": ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in axes) or NOTHING,
         "expected": [number(expected.get(name), 3) for name in goals],

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.plan.plan import Plan
-from bench.report.text import goals_text, meaning_of_goal
+from bench.report.text import beside_goal, goals_text, meaning_of_goal
 from bench.results.forecasts import (
     LARGEST_ROLL_DEG,
     QUANTITIES,
@@ -352,6 +352,6 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
 def cannot_reach(name: str, goal: float, at_end: float, poses: int) -> str:
     """Return that a goal is out of reach, and what all ``poses`` are expected to leave, px."""
     return (
-        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about {at_end:.2g} px "
-        "is expected."
+        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about "
+        f"{beside_goal(at_end, goal, 2)} px is expected."
     )

@@ -29,7 +29,7 @@ from bench.records.journal import Entry, read_journal
 from bench.records.run_facts import estimates, factors_text
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import is_locked, read_json
-from bench.report.text import decision_text, reached_text, with_uncertainty
+from bench.report.text import decision_text, goals_missed, reached_text, with_uncertainty
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft
 from bench.terminal.encoding import clock_text, counted, times
@@ -148,6 +148,7 @@ class Status:
     attempts: int
     # What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
     uncertainty: str
+    goals_missed: Sequence[str]  # Each ``until`` that ended without its goals, as sentences
     # Focal lengths with their expanded uncertainty, as text; empty if nothing is calibrated yet.
     result: str
     left_s: float | None  # Expected time until the end, s; None if no process works on the run
@@ -277,6 +278,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         skipped=len(history.skipped),
         attempts=len(history.attempts) + sum(history.lost.values()),
         uncertainty=reached_text(history.decisions[-1]) if history.decisions else "",
+        goals_missed=goals_missed(history.decisions),
         result=_result_text(history),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
         held_by=held_by,
@@ -384,7 +386,7 @@ def head_lines(status: Status) -> list[str]:
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
     told = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
     lines += [f"{name} {text}" for name, text in told.items() if text]
-    lines += _unasked(status)
+    lines += [*status.goals_missed, *_unasked(status)]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
