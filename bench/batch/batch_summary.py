@@ -356,7 +356,8 @@ def _current_run_text(folder: Path, record: BatchRecord) -> str:
         return f"{record.current_run}: starting"
     held = f", HELD by {status.held_by}" if status.held_by else ""
     left = "" if status.left_s is None else f", {duration_text(status.left_s)} left"
-    return f"{record.current_run}: {status.state}, {status.accepted} of {status.poses} poses recorded{held}{left}"
+    poses = f"{status.accepted} of {status.poses_text} poses recorded"
+    return f"{record.current_run}: {status.state}, {poses}{held}{left}"
 
 
 def batch_status_text(status: BatchStatus) -> str:

@@ -87,6 +87,28 @@ def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
     assert "chosen" not in told
 
 
+def test_the_count_of_poses_is_the_same_in_all_words_and_known_when_it_has_ended(tmp_path, monkeypatch):
+    scene = with_runner(
+        until_scene(tmp_path, NEVER.replace("at_most: 5", "minutes: 0.05, at_most: 9")), monkeypatch
+    )
+    shown = []
+    scene.hook = lambda name: shown.append(scene.runner._progress.poses) if name == "camera.record" else None
+    scene.run()
+    number = len(shown)
+    assert 3 <= number < 9
+    assert set(shown) == {"at most 9"}
+    assert scene.runner._progress.poses == str(number)
+    assert f"{number} of {number} poses recorded" in status_text(read_status(scene.folder))
+    entries = read_journal(scene.folder / "journal.jsonl")[0]
+    ended = next(place for place, entry in enumerate(entries) if entry.event == Event.UNTIL_DECIDED)
+    (scene.folder / "journal.jsonl").write_bytes(
+        b"".join((scene.folder / "journal.jsonl").read_bytes().splitlines(keepends=True)[:ended])
+    )
+    texts = intentions(scene.task, replay(entries[:ended]), None)
+    assert "3 of at most 9 poses are recorded and are kept." in texts[0]
+    assert "3 of at most 9 poses recorded" in status_text(read_status(scene.folder))
+
+
 def cut_and_go_on(folder, whole, cut):
     """The run of a copy whose journal ends after so many lines."""
     scene = until_scene(folder / f"cut-{cut}", NEVER)
