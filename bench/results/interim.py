@@ -27,8 +27,6 @@ from calib.model.passport import Passport
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
-_LITTLE_GAIN = 0.95
-"""A goal out of reach ends the step only if all allowed poses would leave more than this share of U."""
 _FEWEST_LABELLED = 3
 """Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
 
@@ -96,7 +94,7 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         if decided["now"]:
             decided["at_end"] = {goal: value for goal, value in choice.at_end.items() if np.isfinite(value)}
             missed = choice.hopeless(until.goals, decided["now"])
-            if missed and choice.at_end[missed] > _LITTLE_GAIN * decided["now"][missed]:
+            if missed:
                 why = cannot_reach(missed, until.goals[missed], choice.at_end[missed], until.at_most)
                 return {
                     **decided,

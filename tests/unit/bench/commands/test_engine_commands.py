@@ -9,7 +9,8 @@ from calling import out_of, refusal
 from expected_stars import expected_views, write_points
 
 from bench.plan.plan import load_documents, make_plan
-from bench.results.forecasts import expected_bench, expected_uncertainty, suggest_poses
+from bench.results.expectations import expected_uncertainty
+from bench.results.forecasts import expected_bench, suggest_poses
 from bench.stations.station import load_station
 from calib.studies.monte_carlo import Repetition, study_of
 
