@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 from bench.base.bounded_json import leaves
 from bench.plan.passports import NO_PASSPORT, setting_path
+from bench.simulated import fault_of_simulation
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
+from bench.stations.station_fields import SIMULATED_PREFIX
 from calib.calibration import REFERENCE_MODELS
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
@@ -355,3 +357,17 @@ def _steady_remarks(
         flicker = step.flicker if isinstance(step, LightStep) else None
         if flicker is not None and flicker.waveform != "steady" and not _flickers(flicker, station):
             yield document.fault(step.path, "the station has a frame camera: the light is steady instead.")
+
+
+def find_simulation_faults(station: Located[Station]) -> list[Fault]:
+    """Return what is wrong with the section ``simulation``, which only the simulators know; empty if nothing is."""
+    value = station.value
+    if value.simulation is None:
+        return []
+    simulated = any(port.startswith(SIMULATED_PREFIX) for port in value.stage.ports)
+    found = fault_of_simulation(value.simulated_world, value.axes if simulated else ())
+    if found is None:
+        return []
+    keys = re.findall(r"[^.\[\]]+", found[0])
+    path = ("simulation", *(int(key) if key.isdigit() else key for key in keys))
+    return [station.fault(path, found[1])]
