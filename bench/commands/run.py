@@ -184,8 +184,8 @@ def _device_lines(end: RunEnd) -> list[str]:
     """Return what is known of each device; nothing is said that no device has answered."""
     if all(one.state == "never opened" for one in end.devices):
         return [
-            "No device was ready for use: this run moved nothing and switched nothing.",
-            "Look at the bench: the light may be on, and the stage may be moving.",
+            "No device was ready for use, so this run asked none how it stands.",
+            "Look at the bench: whether the stage stands and the light is off is not known.",
         ]
     unsure = [one for one in end.devices if one.state != "confirmed safe"]
     if end.devices and not unsure:
