@@ -16,7 +16,7 @@ from bench.simulated import fault_of_simulation
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
-from calib.calibration import REFERENCE_MODELS
+from calib.calibration import REFERENCE_MODELS, CalibrationOptions
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (
@@ -341,6 +341,10 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
                 )
         elif isinstance(step, SolveStep):
             unsolved = None
+            if said := CalibrationOptions(
+                step.model or "auto", loss=step.loss, huber_px=step.huber_px
+            ).unused:
+                yield document.fault(setting_path(document, step.path, "loss", "solve"), said)
         if isinstance(step, MoveStep | SettleStep | WaitStep | RecordStep):
             last = step
     if unsolved is not None:

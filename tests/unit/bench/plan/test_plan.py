@@ -441,3 +441,16 @@ def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
     station = check_document(text.replace(tilt, tilt + roll.lstrip("\n")).encode(), "b.yaml", Station)
     (fault,) = faults(GOOD, station)
     assert "The simulated stage has no axis roll. Name it here: roll: {}." in fault
+
+
+def test_a_loss_that_the_model_does_not_use_is_said_by_the_plan_and_not_listed_as_used():
+    def told(settings):
+        made = planned(GOOD.replace("solve,", f"{{solve: {settings}}},"))
+        return [remark.message for remark in made.remarks], render_plan(made)
+
+    remarks, text = told("{loss: cauchy}")
+    assert remarks == ["The joint model does not use: the loss."]
+    assert "solve auto, k1 k2 " in text
+    remarks, text = told("{model: spherical, loss: cauchy}")
+    assert remarks == []
+    assert "solve spherical, k1 k2, cauchy" in text
