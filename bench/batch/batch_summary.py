@@ -29,6 +29,7 @@ from bench.history.chart_findings import find_charts
 from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
+from bench.records.history import NO_END
 from bench.records.journal import read_journal
 from bench.records.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
@@ -362,7 +363,7 @@ def _current_run_text(folder: Path, record: BatchRecord) -> str:
 
 def batch_status_text(status: BatchStatus) -> str:
     """Describe the status of a batch for the operator."""
-    state = "running" if status.running else status.ended or "interrupted (killed or power lost)"
+    state = "running" if status.running else status.ended or f"interrupted ({NO_END})"
     state += f": {status.why}" if status.why else ""
     mark = "  REHEARSAL" if status.rehearsal else "  SIMULATED" if status.simulated else ""
     lines = [f"Batch {status.queue}{mark}: {state}"]

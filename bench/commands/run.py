@@ -190,6 +190,8 @@ def _device_lines(end: RunEnd) -> list[str]:
     unsure = [one for one in end.devices if one.state != "confirmed safe"]
     if end.devices and not unsure:
         head = "The bench is safe; each device confirmed it:"
+        if not end.opened:  # a resumed run that needed none
+            head = "No device was needed. Each confirmed before that it was safe:"
     elif end.devices and all(one.device == "camera" for one in unsure):
         head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
     else:

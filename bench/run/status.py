@@ -24,7 +24,7 @@ from bench.records.events import (
     RunEnded,
     RunResumed,
 )
-from bench.records.history import NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, replay, way_on
+from bench.records.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, replay, way_on
 from bench.records.journal import Entry, read_journal
 from bench.records.run_facts import estimates, factors_text
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
@@ -429,7 +429,7 @@ def _state(status: Status) -> str:
         return f"{status.ended}{': ' if status.why else ''}{status.why}"
     if status.sealed:
         return "sealed, but the journal does not say how the run ended"
-    return f"interrupted (killed or power lost): {status.state}{at}"
+    return f"interrupted ({NO_END}): {status.state}{at}"
 
 
 def _busy(status: Status) -> dict[str, str]:
@@ -449,4 +449,4 @@ def _unasked(status: Status) -> list[str]:
     advice = [end.advice for end in ends if end.state == "not confirmed" and end.advice]
     if not advice:
         return []
-    return [" ".join(["CHECK THE BENCH: the process ended before it could ask the devices.", *advice])]
+    return [" ".join(["CHECK THE BENCH: nothing states how the devices were left.", *advice])]
