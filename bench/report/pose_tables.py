@@ -148,9 +148,9 @@ def _panel(
     words = Words((f"{meaning_of_goal(name)}, px",), "poses")
     up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
     axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
-    _goal_line(axes, goal, "goal", INK)
-    for height in at_end:  # the course is above it
-        _goal_line(axes, height, "expected with all poses allowed", MUTED, above=-10.0)
+    levels = [(goal, "goal", INK), *((height, "expected with all poses allowed", MUTED) for height in at_end)]
+    for rank, level in enumerate(sorted(levels, reverse=True)):
+        _level(axes, *level, below=rank > 0)
     axes.line(points, colour, 1.2)
     axes.dots(points, colour, 4.5)
 
@@ -163,9 +163,10 @@ def _poses_scale(poses: Sequence[int]) -> Scale:
     return Scale(first - beside, last + beside, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
 
 
-def _goal_line(axes: Axes, height: float, name: str, colour: str, above: float = 3.0) -> None:
+def _level(axes: Axes, height: float, name: str, colour: str, *, below: bool) -> None:
+    """Draw a level with its name at the left, where the course is far above; the lower of two has it below its line."""
     axes.level(height, colour, 0.9, "4 2.5")
-    axes.text((axes.x.high, height), name, by=(-2.0, -above), colour=colour, anchor="end", size=8.5)
+    axes.text((axes.x.low, height), name, by=(3.0, 10.0 if below else -3.0), colour=colour, size=8.5)
 
 
 def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:

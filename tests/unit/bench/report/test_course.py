@@ -1,5 +1,7 @@
 """The course of an `until` in the report: a row for each decision, a plot, and why it ended."""
 
+import re
+
 import pytest
 from report_sample import SMALL, sample
 
@@ -119,3 +121,17 @@ def test_a_goal_missed_by_little_is_seen_to_be_missed():
     assert course["rows"][0]["reached"] == ["2.0004", "0.300"]
     assert "U(fx) 2.0004 px, wanted 2 px" in course["plot"]
     assert goals_text({"expanded_fx_px": 1.4567}) == "U(fx) is at most 1.4567 px"
+
+
+@pytest.mark.parametrize("expected", [1.1, 1.9, 2.0, 2.1, 2.4])
+def test_the_names_of_goal_and_expectation_never_overlap_and_stand_beside_their_lines(expected):
+    course = [decided(n, fx, 0.5, at_end={"expanded_fx_px": expected}) for n, fx in enumerate((5, 4, 3), 3)]
+    (drawn,) = courses(course)
+    left = str(drawn["plot"]).split("U at the corners, px")[0]
+    at = {
+        name: float(re.search(f' y="([0-9.]+)"[^>]*>{name}<', left).group(1))
+        for name in ("goal", "expected with all poses allowed")
+    }
+    goal, reached = at.values()
+    assert abs(goal - reached) >= 12.0  # a line of text is 8.5 high
+    assert expected == 2.0 or (goal < reached) == (expected < 2.0)
