@@ -245,9 +245,11 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 
     begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
     yield from (f"{text}\n" for text in night.slow)
-    yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {'takes':>12}  run"
+    most = "at most " if any(planned.untils for planned in night.plans.values()) else ""
+    takes = f"takes {most}".strip()
+    yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {takes:>13}  run"
     rows = [
-        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>12}"
+        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>13}"
         f"  {slot.item.key}"
         for slot in night.slots
         if slot.begin_s is not None and slot.end_s is not None
@@ -263,7 +265,6 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
     for name, planned in night.plans.items():
         yield from _job_lines(name, planned, forecasts[name])
     runs = len(night.slots) - len(night.without_time)
-    most = "at most " if any(planned.untils for planned in night.plans.values()) else ""
     end = f"{night.end.astimezone(zone):%a %H:%M %Z}{' at the latest' if most else ''}"
     yield f"\n{runs} runs, until {end}, {most}about {size_text(night.size_bytes)} on disk."
 

@@ -188,3 +188,4 @@ def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_mo
     assert until.strip().startswith("Expected: about ")
     assert "at most" not in nine
     assert "at the latest, at most about" in said[-1]
+    assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in said)
