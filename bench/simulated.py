@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -172,6 +172,24 @@ class SimulatedBench:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def fault_of_simulation(config: Mapping[str, Any], axes: Iterable[str]) -> tuple[str, str] | None:
+    """Return the key and what is wrong with it, if the simulated bench cannot be made, or lacks an axis; else None.
+
+    ``axes`` are those that the station asks of the simulated stage.
+    """
+    from simulators.config import bench_config
+    from simulators.errors import ConfigError
+
+    try:
+        simulated = bench_config(config).axes
+    except ConfigError as error:
+        return error.where, f"{error.what} {error.remedy}".strip()
+    for axis in axes:
+        if axis not in simulated:
+            return "stage", f"The simulated stage has no axis {axis}. Name it here: {axis}: {{}}."
+    return None
 
 
 def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:

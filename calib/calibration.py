@@ -29,6 +29,15 @@ EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 ENGINES = {"joint": 5, "reference": 2}
 
 
+_ONLY_JOINT = {
+    "gimbal": "the readings of the gimbal",
+    "budget": "the uncertainties of the budget",
+    "radial_sigma": "the prior of the radial term",
+}
+_ONLY_REFERENCE = {"loss": "the loss", "huber_px": "the limit of the loss"}
+"""Options that only one kind of model uses, in words. A method of reference refuses a passport."""
+
+
 @dataclass(frozen=True)
 class CalibrationOptions:
     """How to calibrate.
@@ -108,6 +117,15 @@ class CalibrationOptions:
             number = getattr(self, name)
             if number is not None and not 0 < number < np.inf:
                 raise InputMismatch(f"{name} is {number}; it must be positive.")
+
+    @property
+    def unused(self) -> str:
+        """A sentence that names the options that are given and that the model does not use; empty if there are none."""
+        reference = self.model in REFERENCE_MODELS
+        ignored = _ONLY_JOINT if reference else _ONLY_REFERENCE
+        given = [what for name, what in ignored.items() if getattr(self, name) != getattr(type(self), name)]
+        model = self.model if reference else "joint"
+        return f"The {model} model does not use: {', '.join(given)}." if given else ""
 
 
 @dataclass(frozen=True)

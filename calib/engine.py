@@ -76,10 +76,16 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     known_r = options.passport.values_by_name["r"] if options.passport else None
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
     if options.model not in REFERENCE_MODELS:
-        return _jointly(views, options, wrong, doubts)
+        return _with_unused(_jointly(views, options, wrong, doubts), options)
     result = summarize(fit_model(views, options, options.model, wrong=wrong))
     named = (one.sentence for one in wrong if one.sentence)
-    return replace(result, notes=(*named, *doubts, *result.notes))
+    return _with_unused(replace(result, notes=(*named, *doubts, *result.notes)), options)
+
+
+def _with_unused(result: Calibration, options: CalibrationOptions) -> Calibration:
+    """Return a result that says which options its model does not use."""
+    said = (options.unused,) if options.unused else ()
+    return replace(result, notes=(*result.notes, *said), remarks=(*result.remarks, *said))
 
 
 def _jointly(

@@ -65,6 +65,9 @@ class AxisConfig(Section):
     encoder: Switch = True  # Whether there is an encoder on the shaft
 
 
+_ROLL: Final = AxisConfig("100103", 180.0)
+
+
 @dataclass(frozen=True)
 class LightConfig(Section):
     """The light's driver."""
@@ -122,10 +125,10 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     """Read a configuration; `ConfigError` names a key that is unknown or whose value is not valid.
 
     All sections are optional: those of `truth`; ``stage``, a mapping of the axes pan, tilt and roll in the order of
-    their addresses, with an optional ``kind``; ``light``; ``faults``, a list of fault orders (see `faults`) that are
-    carried out from the start; and the values ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and
-    ``paced`` (whether bytes are delayed as by the line's baud rate). ``rehearsal`` is read by `rehearsed_world` and
-    ignored here.
+    their addresses (pan and tilt are always there), with an optional ``kind``; ``light``; ``faults``, a list of fault
+    orders (see `faults`) that are carried out from the start; and the values ``camera_serial``, ``camera_seed``,
+    ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by the line's baud rate). ``rehearsal`` is
+    read by `rehearsed_world` and ignored here.
 
     >>> bench_config({"stage": {"pan": {"limit_deg": 170}}}).axes["pan"].limit_deg
     170.0
@@ -189,30 +192,28 @@ def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:
 def _stage(
     given: object, default: Mapping[AxisName, AxisConfig]
 ) -> tuple[str, Mapping[AxisName, AxisConfig]]:
-    """Read the stage's kind and the named axes, in their order; axes that are not named do not exist."""
+    """Read the stage's kind and its axes: pan and tilt, with what is given of them, and roll if it is named.
+
+    Their order is that in which they are named if pan and tilt both are.
+    """
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where="stage")
     kind = read(Annotated[str, one_of(STAGE_KINDS)], given.get("kind", "zaber"), "stage.kind")
     named = {name: section for name, section in given.items() if name != "kind"}
-    usual = {name: replace(axis, microsteps_per_deg=STAGE_KINDS[kind]) for name, axis in default.items()}
-    if not named and given:
-        return kind, usual
-    if not named:
-        raise ConfigError(
-            "The stage has no axis.", where="stage", remedy=f"Give at least one of: {', '.join(AXES)}."
-        )
+    if unknown := next((name for name in named if name not in AXES), None):
+        raise ConfigError("Unknown axis.", where=f"stage.{unknown}", remedy=f"Known are: {', '.join(AXES)}.")
+    steps = STAGE_KINDS[kind]
+    names = named if named.keys() >= default.keys() else {**default, **named}
     axes: dict[AxisName, AxisConfig] = {}
-    for name, section in named.items():
-        if name not in AXES:
-            raise ConfigError("Unknown axis.", where=f"stage.{name}", remedy=f"Known are: {', '.join(AXES)}.")
-        fresh = AxisConfig(f"1001{len(axes) + 1:02d}", 180.0, microsteps_per_deg=STAGE_KINDS[kind])
-        axis = axes[name] = read_section(AxisConfig, section, f"stage.{name}", usual.get(name, fresh))
+    for name in names:
+        usual = replace(default.get(name, _ROLL), microsteps_per_deg=steps)
+        axis = axes[name] = read_section(AxisConfig, named.get(name, {}), f"stage.{name}", usual)
         if abs(axis.start_deg) > axis.limit_deg:
             raise ConfigError(
                 f"{axis.start_deg} lies outside the limits of the axis, +-{axis.limit_deg}.",
                 where=f"stage.{name}.start_deg",
             )
-        if kind in {"ximc", "thorlabs_apt"} and not axes[name].serial.isdigit():
+        if kind in {"ximc", "thorlabs_apt"} and not axis.serial.isdigit():
             raise ConfigError(
                 f"The serial number of a {kind} controller must have digits only.",
                 where=f"stage.{name}.serial",

@@ -29,6 +29,7 @@ from bench.history.chart_findings import find_charts
 from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
+from bench.records.history import NO_END
 from bench.records.journal import read_journal
 from bench.records.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
@@ -43,7 +44,7 @@ from bench.records.summaries import (
     TotalsData,
 )
 from bench.report.batch_page import render_batch
-from bench.report.text import unit_text, with_uncertainty
+from bench.report.text import goals_missed, unit_text, with_uncertainty
 from bench.results.trends import by_camera, hours_after, trends_of
 from bench.run.status import read_plan, read_status
 from sequences.errors import DocumentFaults
@@ -168,6 +169,7 @@ def _item(
         "ledger_number": stated.ledger_number,
         "ledger_head": stated.ledger_head,
         "conformity": details["conformity"] if details else None,
+        "goals_missed": goals_missed(details["untils"]) if details else [],
     }
 
 
@@ -355,12 +357,13 @@ def _current_run_text(folder: Path, record: BatchRecord) -> str:
         return f"{record.current_run}: starting"
     held = f", HELD by {status.held_by}" if status.held_by else ""
     left = "" if status.left_s is None else f", {duration_text(status.left_s)} left"
-    return f"{record.current_run}: {status.state}, {status.accepted} of {status.poses} poses recorded{held}{left}"
+    poses = f"{status.accepted} of {status.poses_text} poses recorded"
+    return f"{record.current_run}: {status.state}, {poses}{held}{left}"
 
 
 def batch_status_text(status: BatchStatus) -> str:
     """Describe the status of a batch for the operator."""
-    state = "running" if status.running else status.ended or "interrupted (killed or power lost)"
+    state = "running" if status.running else status.ended or f"interrupted ({NO_END})"
     state += f": {status.why}" if status.why else ""
     mark = "  REHEARSAL" if status.rehearsal else "  SIMULATED" if status.simulated else ""
     lines = [f"Batch {status.queue}{mark}: {state}"]
@@ -409,6 +412,7 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
         verdict = f"  {item['conformity']}" if item["conformity"] else ""
         attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
         yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
+        yield from (f"    {sentence}" for sentence in item["goals_missed"])
     for camera in summary["cameras"]:
         yield from _trend_lines(camera)
 

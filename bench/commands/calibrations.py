@@ -126,7 +126,9 @@ MODEL_HELP = (
     "auto: the joint adjustment. spherical, planar: for comparison. Others: names of earlier versions."
 )
 LOSSES = ["l2", "huber", "cauchy"]
-LOSS_HELP = "Loss function for outliers: l2 gives them full weight, huber less, cauchy least."
+LOSS_HELP = (
+    "Loss function of spherical and planar for outliers: l2 gives them full weight, huber less, cauchy least."
+)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _CUTOFF_HZ = (0.01, 1000.0)
 

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from bench.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
     from bench.records.ledger_marks import LedgerRun
-    from bench.results.forecasts import PlanForecast
-    from bench.results.next_pose import ExpectedCourse
+    from bench.results.expectations import PlanForecast
     from calib.model.result_parts import BudgetRow
     from calib.studies.planning import Forecast, WeighedPose
     from sequences.queue import Queue
@@ -94,29 +93,18 @@ def _is_queue(name: str) -> bool:
 def _show_plan(planned: Plan, suggest: int) -> int:
     """Print a plan, its expected uncertainty, and suggested additional poses; return 2 if the files have faults."""
     if planned.faults:  # the engine is not needed, and it takes a second to load
-        show(lambda: _plan_dict(planned, None, [], []), _plan_lines(planned, None, [], []))
+        show(lambda: _plan_dict(planned, None, []), _plan_lines(planned, None, []))
         return 2
-    from bench.results.forecasts import expected_uncertainty, suggest_poses
+    from bench.results.expectations import expected_uncertainty
+    from bench.results.forecasts import suggest_poses
 
-    found, courses = expected_uncertainty(planned), []
-    if planned.most_poses > len(planned.poses):  # an `until` may choose poses
-        from bench.results.next_pose import expected_courses
-
-        courses = expected_courses(planned)
+    found = expected_uncertainty(planned)
     suggested = suggest_poses(planned, suggest) if suggest else []
-    show(
-        lambda: _plan_dict(planned, found, courses, suggested),
-        _plan_lines(planned, found, courses, suggested),
-    )
+    show(lambda: _plan_dict(planned, found, suggested), _plan_lines(planned, found, suggested))
     return 0
 
 
-def _plan_dict(
-    planned: Plan,
-    found: PlanForecast | None,
-    courses: Sequence[ExpectedCourse],
-    suggested: Sequence[WeighedPose],
-) -> dict[str, Any]:
+def _plan_dict(planned: Plan, found: PlanForecast | None, suggested: Sequence[WeighedPose]) -> dict[str, Any]:
     poses = [
         {
             **pose.angles_deg,
@@ -129,24 +117,19 @@ def _plan_dict(
     return {
         **planned.to_dict(),
         "expected": _forecast_dict(found),
-        "expected_untils": [course.to_dict() for course in courses],
+        "expected_untils": [course.to_dict() for course in found.courses] if found else [],
         "suggested": poses,
     }
 
 
-def _plan_lines(
-    planned: Plan,
-    found: PlanForecast | None,
-    courses: Sequence[ExpectedCourse],
-    suggested: Sequence[WeighedPose],
-) -> Iterator[str]:
+def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[WeighedPose]) -> Iterator[str]:
     from bench.plan.plan_text import render_plan
 
     yield render_plan(planned)
     if found is not None:
-        yield f"\n{_forecast_text(found)}"
-    for course in courses:
-        yield course.text
+        yield ""
+        yield from (course.text for course in found.courses)
+        yield from _forecast_lines(found)
     if suggested:
         from bench.results.forecasts import forecasts_with
 
@@ -158,7 +141,7 @@ def _plan_lines(
 
 def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
     """Return a forecast for programs."""
-    if found is None:
+    if found is None or found.forecast is None:
         return None
     forecast = found.forecast
     return {
@@ -176,26 +159,23 @@ def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
     }
 
 
-def _forecast_text(found: PlanForecast) -> str:
-    """Return a forecast for people: expanded uncertainties, the largest terms, and remarks."""
+def _forecast_lines(found: PlanForecast) -> Iterator[str]:
+    """Yield a forecast for people: expanded uncertainties, the largest terms, and remarks."""
     from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC
 
     forecast = found.forecast
+    if forecast is None:
+        return
     k = forecast.coverage_factor
-    poses = f"{found.poses} poses" if found.poses != 1 else "1 pose"
-    if found.chosen:
-        poses = f"as many poses as allowed, {found.poses}"
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
     direction = angle_text(URAD_PER_ARCSEC * k * forecast.projection_map.worst_arcsec)
-    lines = [
-        f"Expected with {poses}, {forecast.model} model; U with k = {k:.3g}:",
-        f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}",
-        f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}",
-    ]
+    yield f"Expected with {found.poses_text}, {forecast.model} model; U with k = {k:.3g}:"
+    yield f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}"
+    yield f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}"
     for row in _largest(forecast.budget_rows):
         parts = [k * row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
-        lines.append(f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}")
-    return "\n".join([*lines, *found.remarks])
+        yield f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}"
+    yield from found.remarks
 
 
 def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
@@ -226,7 +206,7 @@ def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
     from bench.batch.batch_plan import paces, plan_batch, read_queue
     from bench.records.ledger import bench_ledger
-    from bench.results.forecasts import expected_uncertainty
+    from bench.results.expectations import expected_uncertainty
 
     read = read_queue(queue)
     known: list[LedgerRun] = []
@@ -236,8 +216,15 @@ def _show_night(queue: Path, begin: datetime | None) -> int:
         known = bench_ledger().runs()
     night = plan_batch(read.value, begin_utc(read.value, begin), paces(known))
     forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
-    expected = {name: dict(found.forecast.sigma) if found else None for name, found in forecasts.items()}
-    show(lambda: {**night.to_dict(), "expected_sigma": expected}, _night_lines(night, forecasts))
+    expected = {
+        name: dict(found.forecast.sigma) if found and found.forecast else None
+        for name, found in forecasts.items()
+    }
+    untils = {name: [one.to_dict() for one in found.courses] for name, found in forecasts.items() if found}
+    show(
+        lambda: {**night.to_dict(), "expected_sigma": expected, "expected_untils": untils},
+        _night_lines(night, forecasts),
+    )
     return 0
 
 
@@ -258,9 +245,11 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 
     begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
     yield from (f"{text}\n" for text in night.slow)
-    yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {'takes':>12}  run"
+    most = "at most " if any(planned.untils for planned in night.plans.values()) else ""
+    takes = f"takes {most}".strip()
+    yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {takes:>13}  run"
     rows = [
-        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>12}"
+        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>13}"
         f"  {slot.item.key}"
         for slot in night.slots
         if slot.begin_s is not None and slot.end_s is not None
@@ -272,15 +261,25 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
     if night.without_time:
         left_out = ", ".join(item.key for item in night.without_time)
         yield f"\nNo time for {len(night.without_time)}: {left_out}"
-    yield f"\n{'job':<16} {'a run takes':>12} {'disk':>8}  expected U (about 95 %)"
+    yield f"\n{'job':<16} {'a run takes':>20} {'disk':>15}  expected U (about 95 %)"
     for name, planned in night.plans.items():
-        found = forecasts[name]
-        expected = _expected_text(found.forecast) if found else "unknown"
-        takes, size = duration_text(planned.duration_s), size_text(planned.size_bytes)
-        yield f"{name:<16} {takes:>12} {size:>8}  {expected}"
+        yield from _job_lines(name, planned, forecasts[name])
     runs = len(night.slots) - len(night.without_time)
-    end = f"{night.end.astimezone(zone):%a %H:%M %Z}"
-    yield f"\n{runs} runs, until {end}, about {size_text(night.size_bytes)} on disk."
+    end = f"{night.end.astimezone(zone):%a %H:%M %Z}{' at the latest' if most else ''}"
+    yield f"\n{runs} runs, until {end}, {most}about {size_text(night.size_bytes)} on disk."
+
+
+def _job_lines(name: str, planned: Plan, found: PlanForecast | None) -> Iterator[str]:
+    """Yield what a run of a job takes and reaches; with an ``until``, the most that it takes, and how it will end."""
+    from bench.plan.plan_text import duration_text, size_text
+
+    most = "at most " if planned.untils else ""
+    takes, size = f"{most}{duration_text(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"
+    expected = _expected_text(found.forecast) if found and found.forecast else "unknown"
+    expected += f", with {found.poses_text}" if found and found.courses else ""
+    yield f"{name:<16} {takes:>20} {size:>15}  {expected}"
+    for course in found.courses if found else ():
+        yield f"{'':<16} {course.text}"
 
 
 def _expected_text(forecast: Forecast) -> str:

@@ -29,6 +29,7 @@ from bench.report.text import (
     conformity_headline,
     conformity_sentences,
     fixed,
+    goals_missed,
     unit_text,
     with_uncertainty,
     words_of,
@@ -145,6 +146,7 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from _recorded_lines(end)
         return
     results = end.outcome.results
+    yield from goals_missed(results.get("untils") or [])
     if check := results.get("check"):
         yield from check_sentences(check)
     if found := results.get("conformity"):
@@ -182,12 +184,14 @@ def _device_lines(end: RunEnd) -> list[str]:
     """Return what is known of each device; nothing is said that no device has answered."""
     if all(one.state == "never opened" for one in end.devices):
         return [
-            "No device was ready for use: this run moved nothing and switched nothing.",
-            "Look at the bench: the light may be on, and the stage may be moving.",
+            "No device was ready for use, so this run asked none how it stands.",
+            "Look at the bench: whether the stage stands and the light is off is not known.",
         ]
     unsure = [one for one in end.devices if one.state != "confirmed safe"]
     if end.devices and not unsure:
         head = "The bench is safe; each device confirmed it:"
+        if not end.opened:  # a resumed run that needed none
+            head = "No device was needed. Each confirmed before that it was safe:"
     elif end.devices and all(one.device == "camera" for one in unsure):
         head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
     else:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from bench.compare.methods import Row
     from bench.compare.run_comparison import Task
     from bench.compare.spec import ComparisonConfig
+    from calib.calibration import CalibrationOptions
     from calib.studies.monte_carlo import MonteCarloStudy
 
 
@@ -209,6 +210,7 @@ def study(
     The work is done on all processors of this computer or on the workers of a Dask scheduler, with the same result.
     """
     from bench.cluster.recalculation import BLOCK, plan_study, write_study_plot
+    from calib.calibration import CalibrationOptions
 
     planned = plan_study(sequence, station, **options)
     who = open_workers(workers, most=-(-runs // BLOCK))
@@ -227,7 +229,7 @@ def study(
             "z_rms": studied.z_rms,
             "coverage": studied.coverage,
         },
-        _lines(studied, options["model"], held=held),
+        _lines(studied, CalibrationOptions(options["model"], loss=options["loss"]), held=held),
     )
     return 0
 
@@ -241,9 +243,11 @@ def _run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path 
         return run_blocks(planned, runs, workers, kept, line.count)
 
 
-def _lines(study: MonteCarloStudy, model: str, *, held: bool) -> Iterator[str]:
+def _lines(study: MonteCarloStudy, options: CalibrationOptions, *, held: bool) -> Iterator[str]:
     low, high = study.coverage_band
-    yield f"{len(study.values)} calibrations, model {model}, {len(study.failed)} failed."
+    yield f"{len(study.values)} calibrations, model {options.model}, {len(study.failed)} failed."
+    if options.unused:
+        yield f"Note: {options.unused}"
     width = max(map(len, study.names))
     for name, stated in zip(study.names, study.sigmas.mean(axis=0).tolist(), strict=True):
         yield (

@@ -170,9 +170,9 @@ def _failed_in_a_row(model: RunModel) -> int:
 
 def _needed_bytes(model: RunModel) -> float:
     """Return the disk space that the poses still to come may need."""
-    poses = max(model.plan.most_poses, 1)
+    of_pose = model.plan.most_bytes / max(model.plan.most_poses, 1)
     done = len(model.history.accepted()) + len(model.history.skipped)
-    return model.plan.most_bytes * max(0.0, 1.0 - done / poses)
+    return of_pose * max(0, model.plan.count_poses(model.history).most - done)
 
 
 _MOST_DEVIATIONS = 30
@@ -305,11 +305,12 @@ def _times(model: RunModel, process: ProcessState, now: datetime) -> TimesData:
 
 def _counts(model: RunModel) -> CountsData:
     history = model.history
-    known = len(model.rows)
+    poses = model.plan.count_poses(history)
     recordings, lost = len(history.attempts), sum(history.lost.values())
     return {
-        "poses": known,
-        "most_poses": model.plan.most_of(history, known),
+        "poses": poses.known,
+        "most_poses": poses.most,
+        "poses_text": poses.text,
         "accepted": len(history.accepted()),
         "skipped": len(history.skipped),
         "recordings": recordings + lost,

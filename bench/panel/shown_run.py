@@ -78,6 +78,7 @@ class CountsData(TypedDict):
 
     poses: int
     most_poses: int
+    poses_text: str  # Both as people read them
     accepted: int
     skipped: int
     recordings: int

@@ -15,7 +15,7 @@ from typing import Any
 
 from bench.base.errors import ScriptError
 from bench.plan.passports import PassportChoice, choose_passport
-from bench.plan.script_check import angle_faults, check_script, find_url_secrets
+from bench.plan.script_check import angle_faults, check_script, find_simulation_faults, find_url_secrets
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.stations.sections import AxisConfig, FrameCameraConfig
 from bench.stations.station import Station, load_station
@@ -351,6 +351,7 @@ def make_plan(
     missing = find_placeholders(station.tree)
     is_new = passport_copy is None  # a run that has begun holds its files already
     secrets = [*find_url_secrets(sequence), *find_url_secrets(station)] if is_new else []
+    simulated = find_simulation_faults(station) if is_new else []
     estimate = Estimate(station.value)
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0
@@ -366,7 +367,9 @@ def make_plan(
         station=station,
         steps=tuple(steps),
         faults=tuple(
-            sorted({*faults, *findings.faults, *passport.faults, *checked.faults, *missing, *secrets})
+            sorted(
+                {*faults, *findings.faults, *passport.faults, *checked.faults, *missing, *secrets, *simulated}
+            )
         ),
         remarks=tuple(sorted({*findings.remarks, *passport.remarks})),
         duration_s=elapsed_s,

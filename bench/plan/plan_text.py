@@ -9,6 +9,7 @@ from bench.plan.passports import PassportInUse
 from bench.plan.plan import Plan, PlannedStep
 from bench.report.text import meaning_of_goal
 from bench.terminal.encoding import counted
+from calib.calibration import REFERENCE_MODELS
 from sequences.script import Flicker, LightStep, MoveStep, PromptStep, RecordStep, SolveStep, Step
 
 MOST_LINES = 120
@@ -104,7 +105,9 @@ def _what(step: Step, plan: Plan) -> str:
             what = f"ask: {step.text} [{step.default}]"
         case SolveStep():
             lens = step.distortion if isinstance(step.distortion, str) else " ".join(step.distortion)
-            what = f"solve {plan.model_for(step)}, {lens or 'no distortion'}, {step.loss}"
+            what = f"solve {plan.model_for(step)}, {lens or 'no distortion'}"
+            if step.model in REFERENCE_MODELS:
+                what += f", {step.loss}"
             if plan.passport.in_use is not None and plan.passport_for(step) is not None:
                 what += f", passport {plan.passport.in_use.name}"
         case _:

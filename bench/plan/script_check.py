@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 
 from bench.base.bounded_json import leaves
 from bench.plan.passports import NO_PASSPORT, setting_path
+from bench.simulated import fault_of_simulation
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
-from calib.calibration import REFERENCE_MODELS
+from bench.stations.station_fields import SIMULATED_PREFIX
+from calib.calibration import REFERENCE_MODELS, CalibrationOptions
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (
@@ -339,6 +341,10 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
                 )
         elif isinstance(step, SolveStep):
             unsolved = None
+            if said := CalibrationOptions(
+                step.model or "auto", loss=step.loss, huber_px=step.huber_px
+            ).unused:
+                yield document.fault(setting_path(document, step.path, "loss", "solve"), said)
         if isinstance(step, MoveStep | SettleStep | WaitStep | RecordStep):
             last = step
     if unsolved is not None:
@@ -355,3 +361,17 @@ def _steady_remarks(
         flicker = step.flicker if isinstance(step, LightStep) else None
         if flicker is not None and flicker.waveform != "steady" and not _flickers(flicker, station):
             yield document.fault(step.path, "the station has a frame camera: the light is steady instead.")
+
+
+def find_simulation_faults(station: Located[Station]) -> list[Fault]:
+    """Return what is wrong with the section ``simulation``, which only the simulators know; empty if nothing is."""
+    value = station.value
+    if value.simulation is None:
+        return []
+    simulated = any(port.startswith(SIMULATED_PREFIX) for port in value.stage.ports)
+    found = fault_of_simulation(value.simulated_world, value.axes if simulated else ())
+    if found is None:
+        return []
+    keys = re.findall(r"[^.\[\]]+", found[0])
+    path = ("simulation", *(int(key) if key.isdigit() else key for key in keys))
+    return [station.fault(path, found[1])]

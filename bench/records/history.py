@@ -35,8 +35,10 @@ DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]
 
 DEVICES: Final[tuple[DeviceName, ...]] = ("stage", "light", "camera")
-NOT_ASKED: Final = "the process that used it ended before it could be asked"
-"""What is known of a device after a process that was killed, if no line of the journal states more."""
+NOT_ASKED: Final = "nothing states how it was left"
+"""What is known of a device if no line of the journal states more."""
+NO_END: Final = "killed, power lost or disk full"
+"""Why a journal has no line that ends the run, as far as can be known."""
 _MAY_BE: Final[Mapping[DeviceName, str]] = {
     "stage": "The stage may be moving.",
     "light": "The light may be on.",

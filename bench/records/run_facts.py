@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, 
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
-from bench.records.events import DeviceData, Event, LightSettingsData, Solved, Written
+from bench.records.events import DeviceData, Event, LightSettingsData, Solved, UntilDecided, Written
 from bench.records.history import Attempt, History
 from bench.records.journal import Entry
 from bench.records.results import CalibrationData, CameraData, ConformityData, Results, StatementData, Verdict
@@ -239,6 +239,7 @@ class RunDetails(RunConditions, ResultFacts):
     passport_sha256: str | None
     journal_head: str | None
     deviations: Sequence[str]
+    untils: Sequence[UntilDecided]  # What each ``until`` decided, in order
     results_sha256: str | None  # As the journal states it
     results_fault: str | None
     warnings: Sequence[str]
@@ -274,6 +275,7 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> Run
         "passport_sha256": hashes.get("passport.json"),
         "journal_head": entries[-1].hash if entries else None,
         "deviations": list(history.deviations),
+        "untils": list(history.decisions),
         **_conditions(history),
         **_from_results(results),
         "results_sha256": _named_hash(entries),

@@ -46,6 +46,7 @@ class ItemData(TypedDict):
     ledger_number: int | None
     ledger_head: str | None
     conformity: str | None  # ``PASS`` or ``FAIL``; None without limits
+    goals_missed: Sequence[str]  # Each ``until`` that ended without its goals, as sentences
 
 
 class TotalsData(TypedDict):

@@ -185,9 +185,7 @@ def rehearse_job(
             if begun and replay(journal.entries).ended == "finished":
                 return RunEnd("finished", "", held.path, None)
             _journal_begin(journal, job, held, again=begun)
-            progress = Progress(
-                clock.monotonic, job.plan.duration_s, job.plan.most_poses, stream=io.StringIO()
-            )
+            progress = Progress(clock.monotonic, job.plan.duration_s, stream=io.StringIO())
 
             def decide(*given: Any) -> UntilDecided:
                 clock.sleep(CHOOSE_S)

@@ -280,8 +280,7 @@ def checks(results: Results) -> list[tuple[str, str]]:
 
 def _gimbal(gimbal: GimbalCheckData) -> list[tuple[str, str]]:
     """Describe the hand-eye check."""
-    more = "" if gimbal["agrees"] else ". This is more than the uncertainty of the stars explains"
-    found = f"RMS difference {angle(gimbal['rms_arcsec'])}{more}."
+    found = f"RMS difference {angle(gimbal['rms_arcsec'])}."
     rows = [("Hand-eye check: rotations against the gimbal's readings", found)]
     rows.append((_VERDICTS[gimbal["verdict"]], " ".join(gimbal["says"])))
     for axis, scale in gimbal["scale"].items():

@@ -24,6 +24,8 @@ from bench.report.text import (
     NOTHING,
     STARS,
     TargetWords,
+    beside_goal,
+    digits_beside,
     duration,
     fixed,
     goals_text,
@@ -146,9 +148,9 @@ def _panel(
     words = Words((f"{meaning_of_goal(name)}, px",), "poses")
     up = Scale(0.7 * min(heights), 1.5 * max(heights), "log")
     axes = axes_in(picture, _poses_scale([n for n, _ in points]), up, words, place=place, grid="y")
-    _goal_line(axes, goal, "goal", INK)
-    for height in at_end:  # the course is above it
-        _goal_line(axes, height, "expected with all poses allowed", MUTED, above=-10.0)
+    levels = [(goal, "goal", INK), *((height, "expected with all poses allowed", MUTED) for height in at_end)]
+    for rank, level in enumerate(sorted(levels, reverse=True)):
+        _level(axes, *level, below=rank > 0)
     axes.line(points, colour, 1.2)
     axes.dots(points, colour, 4.5)
 
@@ -161,14 +163,15 @@ def _poses_scale(poses: Sequence[int]) -> Scale:
     return Scale(first - beside, last + beside, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
 
 
-def _goal_line(axes: Axes, height: float, name: str, colour: str, above: float = 3.0) -> None:
+def _level(axes: Axes, height: float, name: str, colour: str, *, below: bool) -> None:
+    """Draw a level with its name at the left, where the course is far above; the lower of two has it below its line."""
     axes.level(height, colour, 0.9, "4 2.5")
-    axes.text((axes.x.high, height), name, by=(-2.0, -above), colour=colour, anchor="end", size=8.5)
+    axes.text((axes.x.low, height), name, by=(3.0, 10.0 if below else -3.0), colour=colour, size=8.5)
 
 
 def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:
     parts = [
-        f"{meaning_of_goal(name)} {last['now'][name]:.3g} px, wanted {goal:g} px"
+        f"{meaning_of_goal(name)} {beside_goal(last['now'][name], goal)} px, wanted {goal:g} px"
         for name, goal in wanted.items()
     ]
     return f"After {last['poses']} poses: {'; '.join(parts)}."
@@ -307,7 +310,10 @@ def _row(decided: UntilDecided) -> dict[str, Any]:
     return {
         "poses": number(decided["poses"]),
         "model": decided["model"] or NOTHING,
-        "reached": [number(decided["now"].get(name), 3) for name in goals],
+        "reached": [
+            number(value, digits_beside(value, goal)) if (value := decided["now"].get(name)) else NOTHING
+            for name, goal in goals.items()
+        ],
         "chosen": chosen.get("pose_name", NOTHING),
         "angles": ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in axes) or NOTHING,
         "expected": [number(expected.get(name), 3) for name in goals],

@@ -22,6 +22,7 @@ from bench.report.text import (
     NOTHING,
     check_sentences,
     exact,
+    goals_missed,
     moment,
     number,
     value_text,
@@ -335,11 +336,7 @@ def alerts(results: Results) -> list[str]:
         for row in gates(results.get("gates") or [], words_of(results))
         if row.verdict != "pass"
     ]
-    missed = [
-        f"The goal of a step was not met. {decided['why']}"
-        for decided in results.get("untils") or []
-        if decided.get("ended", "met") != "met"
-    ]
+    missed = goals_missed(results.get("untils") or [])
     return details + missed + doubts + deviations(results)
 
 

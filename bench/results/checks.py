@@ -48,10 +48,11 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> Halv
 
 
 def gimbal_check(
-    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]
+    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]], reading_sigma_deg: float = 0.0
 ) -> GimbalCheckData | None:
     """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
 
+    ``reading_sigma_deg`` is what the station states of a reading, 1 sigma.
     None with too few poses, or if an axis did not move.
     """
     try:
@@ -59,6 +60,7 @@ def gimbal_check(
             calibration.rotations,
             calibration.rotation_covariance,
             [engine_angles_deg(pose) for pose in readings_deg],
+            reading_sigma_deg=reading_sigma_deg,
             focal_uncertainty=_focal_uncertainty(calibration),
             birge_ratio=calibration.birge_ratio,
             names=[view.name for view in calibration.views],
@@ -72,7 +74,7 @@ def gimbal_check(
         "rms_arcsec": check.rms_arcsec,
         "scale": dict(check.scale),
         "scale_sigma": dict(check.scale_sigma),
-        "agrees": check.consistent,
+        "agrees": check.verdict.kind == "agrees",
         "excess_arcsec": check.excess_arcsec,
         "verdict": check.verdict.kind,
         "says": [*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],

@@ -5,8 +5,8 @@ A forecast is that of a sequence's last calibration, with the collimator's error
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bench.base.errors import UsageError
 from bench.plan.plan import Plan
-from bench.report.text import meaning_of_goal
 from bench.results.solve_options import gimbal_readings, stated_radial_sigma
 from bench.stations.station import Station
 from calib.calibration import REFERENCE_MODELS
@@ -22,10 +21,11 @@ from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.result_parts import WORST_CORNER
+from calib.studies.expected_posterior import Angles
 from calib.studies.planning import Forecast, WeighedPose, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
-from sequences.script import ChooseStep, SolveStep
+from sequences.script import ChooseStep, Pose, SolveStep
 
 _CENTRE = 0.5
 _CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}
@@ -35,18 +35,6 @@ SMALLEST_COVERAGE_FACTOR = 2.0
 """The k of the expanded uncertainty if many poses determine it."""
 QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px": WORST_CORNER}
 """Column of the budget for each limit that the budget explains."""
-_UNITS = ("_px", "_mm")
-
-
-@dataclass(frozen=True)
-class PlanForecast:
-    """The forecast of a plan."""
-
-    forecast: Forecast
-    poses: int
-    chosen: int  # How many of them an ``until`` is expected to choose during the run
-    # What the operator should know: limits that will not be met, and why; what limits the forecast.
-    remarks: tuple[str, ...]
 
 
 def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
@@ -88,7 +76,7 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
         terms=station.budget.terms(station.collimator),
         radial_sigma=stated_radial_sigma(station),
     )
-    step = _last_solve(planned)
+    step = last_solve(planned)
     if step is None:
         return bench
     terms = ("k1", "k2") if isinstance(step.distortion, str) else step.distortion
@@ -102,33 +90,21 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
     )
 
 
-def expected_uncertainty(planned: Plan) -> PlanForecast | None:
-    """Predict the uncertainties that a plan's poses give, also those of an ``until``, as many as it allows.
-
-    None if the station expects nothing, no poses are planned, they show too few stars, or the prediction fails.
-    """
-    if planned.station.value.expected is None or not planned.poses:
-        return None
-    bench, poses = forecast_bench(planned), _poses_deg(planned)
-    further = planned.most_poses - len(poses)
-    try:
-        if further > 0:
-            poses = _and_further(planned, bench, poses, further)
-        found = forecast(bench, poses)
-    except (TooFewStars, DegenerateViews):
-        return None
-    return PlanForecast(found, len(poses), further, (*_missed(planned, bench, poses, found), *found.remarks))
-
-
 def suggest_poses(planned: Plan, count: int) -> list[WeighedPose]:
     """Suggest further poses (``pan_deg`` ...) within the station's limits that improve most, the best first."""
-    bench = forecast_bench(planned)
-    return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
+    return further_poses(planned, forecast_bench(planned), poses_deg(planned.poses), count)
+
+
+def further_poses(
+    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], count: int
+) -> list[WeighedPose]:
+    """Return further poses, besides these, where they help most."""
+    return list(next_poses(bench, poses, list(_candidates(planned)), count))
 
 
 def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Forecast | None]:
     """Predict a plan's uncertainties with the first further pose, the first two ...; None where stars are too few."""
-    bench, poses = forecast_bench(planned), _poses_deg(planned)
+    bench, poses = forecast_bench(planned), poses_deg(planned.poses)
     found: list[Forecast | None] = []
     for pose in further:
         poses = [*poses, dict(pose.angles_deg)]
@@ -136,7 +112,7 @@ def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Foreca
     return found
 
 
-def forecast_if_enough(bench: ExpectedBench, poses: list[dict[str, float]]) -> Forecast | None:
+def forecast_if_enough(bench: ExpectedBench, poses: Sequence[Angles]) -> Forecast | None:
     """Return the forecast for these poses; None if they do not suffice."""
     try:
         return forecast(bench, poses) if poses else None
@@ -144,8 +120,9 @@ def forecast_if_enough(bench: ExpectedBench, poses: list[dict[str, float]]) -> F
         return None
 
 
-def _poses_deg(planned: Plan) -> list[dict[str, float]]:
-    return [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
+def poses_deg(poses: Iterable[Pose]) -> list[dict[str, float]]:
+    """Return poses with the names of the engine, degrees (``pan_deg``)."""
+    return [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in poses]
 
 
 def _candidates(planned: Plan) -> Iterator[dict[str, float]]:
@@ -165,7 +142,7 @@ def pose_grid(axes: Mapping[str, NDArray[np.float64]]) -> Iterator[dict[str, flo
         yield dict(zip(axes, map(float, angles), strict=True))
 
 
-def _last_solve(planned: Plan) -> SolveStep | None:
+def last_solve(planned: Plan) -> SolveStep | None:
     """Return the options of the last calibration of a plan."""
     for step in reversed(planned.script):
         if isinstance(step, SolveStep):
@@ -173,47 +150,6 @@ def _last_solve(planned: Plan) -> SolveStep | None:
         if isinstance(step, ChooseStep):
             return step.solve
     return None
-
-
-def _missed(
-    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], found: Forecast
-) -> Iterator[str]:
-    """Yield a sentence for each limit that the forecast exceeds; for U, with what more poses would leave."""
-    step = _last_solve(planned)
-    twice: Forecast | None = None
-    for name, most in (step.limits if step else {}).items():
-        plain = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
-        expected = found.limited.get(plain)
-        if expected is None or expected <= most:
-            continue
-        unit = name.removeprefix(plain).removeprefix("_")
-        text = f"{meaning_of_goal(name)} of at most {most:g} {unit}".rstrip()
-        cause = ""
-        if name in QUANTITIES:
-            twice = twice or with_further(planned, bench, poses, len(poses))
-            later = (
-                "" if twice is None else f"; twice as many poses would leave {twice.limited[plain]:.2g} px"
-            )
-            cause = f" {largest_part(found, QUANTITIES[name])}{later}."
-        yield f"{text} will not be met: {expected:.2g} expected.{cause}"
-
-
-def with_further(
-    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], count: int
-) -> Forecast | None:
-    """Return the forecast with further poses; None if the stage does not reach so many."""
-    try:
-        return forecast(bench, _and_further(planned, bench, poses, count))
-    except (TooFewStars, DegenerateViews):
-        return None
-
-
-def _and_further(
-    planned: Plan, bench: ExpectedBench, poses: list[dict[str, float]], count: int
-) -> list[dict[str, float]]:
-    """Return the poses with further ones where they help most."""
-    further = next_poses(bench, poses, list(_candidates(planned)), count)
-    return [*poses, *(dict(pose.angles_deg) for pose in further)]
 
 
 def largest_part(found: Forecast, quantity: str) -> str:

@@ -5,7 +5,7 @@ A decision depends on history and calibration alone: no clock, no chance. The jo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from bench.plan.job import Job
 from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import History
-from bench.report.text import meaning_of_goal
+from bench.report.text import meaning_of_goal, missed_text
 from bench.results.forecasts import QUANTITIES
 from bench.results.next_pose import Choice, Wish, cannot_reach, choose_pose
 from bench.results.solution import accepted_measurements, views_in
@@ -27,8 +27,6 @@ from calib.model.passport import Passport
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
-_LITTLE_GAIN = 0.95
-"""A goal out of reach ends the step only if all allowed poses would leave more than this share of U."""
 _FEWEST_LABELLED = 3
 """Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
 
@@ -96,15 +94,15 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         if decided["now"]:
             decided["at_end"] = {goal: value for goal, value in choice.at_end.items() if np.isfinite(value)}
             missed = choice.hopeless(until.goals, decided["now"])
-            if missed and choice.at_end[missed] > _LITTLE_GAIN * decided["now"][missed]:
+            if missed:
                 why = cannot_reach(missed, until.goals[missed], choice.at_end[missed], until.at_most)
                 return {
                     **decided,
                     "ended": "unreachable",
-                    "why": f"{why} {_largest_source(calibration, missed)}",
+                    "why": f"{_missed(decided, interim)} {why} {_largest_source(calibration, missed)}",
                 }
         return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
-    return {**decided, "ended": "no_pose", "why": f"{choice} {interim.why}".strip()}
+    return {**decided, "ended": "no_pose", "why": f"{_missed(decided, interim)} {choice}".strip()}
 
 
 def _reached(until: Until, calibration: Calibration) -> dict[str, float]:
@@ -118,24 +116,23 @@ def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> 
     now, wanted = decided["now"], decided["wanted"]
     if now and all(now[goal] <= most for goal, most in wanted.items()):
         return "met", "The goals are met."
-    largest = max(now, key=lambda goal: now[goal] / wanted[goal], default="")
-    missed = f"{_missed(now, wanted)} {_largest_source(interim.calibration, largest)}".strip() or interim.why
+    bound: tuple[UntilEnd, str] | None = None
     if decided["recorded"] >= until.at_most:
-        return "at_most", f"{decided['recorded']} recordings are accepted, the most allowed. {missed}"
-    if failed >= POSES_FAILED:
-        return "failures", f"{failed} chosen poses were not recorded. {missed}"
-    if until.minutes is not None and decided["worked_s"] >= 60.0 * until.minutes:
-        return "minutes", f"The step has worked for {until.minutes:g} minutes, the most allowed. {missed}"
-    return None
+        bound = "at_most", f"{decided['recorded']} recordings are accepted, the most allowed."
+    elif failed >= POSES_FAILED:
+        bound = "failures", f"{failed} chosen poses were not recorded."
+    elif until.minutes is not None and decided["worked_s"] >= 60.0 * until.minutes:
+        bound = "minutes", f"The step has worked for {until.minutes:g} minutes, the most allowed."
+    if bound is None:
+        return None
+    largest = max(now, key=lambda goal: now[goal] / wanted[goal], default="")
+    source = _largest_source(interim.calibration, largest)
+    return bound[0], f"{_missed(decided, interim)} {bound[1]} {source}".strip()
 
 
-def _missed(now: Mapping[str, float], wanted: Mapping[str, float]) -> str:
-    """Return the goals that are not met, as text."""
-    return " ".join(
-        f"{meaning_of_goal(goal)} is {now[goal]:.3g} px; the goal is {most:g} px."
-        for goal, most in wanted.items()
-        if now and now[goal] > most
-    )
+def _missed(decided: UntilDecided, interim: Interim) -> str:
+    """Return the goals that are not met, as text, or why there is no calibration."""
+    return missed_text(decided["now"], decided["wanted"]) or interim.why
 
 
 def _largest_source(calibration: Calibration | None, goal: str) -> str:

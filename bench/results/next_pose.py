@@ -6,24 +6,18 @@ They are a grid where the camera sees enough of the target, and a finer one arou
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.plan.plan import Plan
-from bench.report.text import goals_text, meaning_of_goal
+from bench.report.text import beside_goal, meaning_of_goal
 from bench.results.forecasts import (
     LARGEST_ROLL_DEG,
-    QUANTITIES,
     SMALLEST_COVERAGE_FACTOR,
     expected_bench,
-    forecast_bench,
-    forecast_if_enough,
-    largest_part,
     pose_grid,
-    with_further,
 )
 from bench.results.solve_options import stated_radial_sigma
 from bench.stations.sections import AxisConfig
@@ -37,7 +31,6 @@ from calib.studies.expected_posterior import Angles, Sigmas
 from calib.studies.planning import PoseWeigher, WeighedPose, fit_gimbal
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
-from sequences.script import RecordStep, Until
 
 Array = NDArray[np.float64]
 
@@ -49,6 +42,8 @@ ALIGNED_ROLL_DEG = 5.0
 """A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
 MORE_STARS = 1.2
 """A chosen pose should show this many times the stars that its gate asks for."""
+LITTLE_GAIN = 0.95
+"""A goal out of reach ends the step only if all allowed poses would leave more than this share of U."""
 LATER_CANDIDATES = 100
 """Number of poses of the grid, about, from which all later poses are chosen for an expectation of the end."""
 
@@ -69,12 +64,14 @@ class Choice:
     def hopeless(self, wanted: Mapping[str, float], now: Mapping[str, float]) -> str:
         """Return the goal that all allowed poses will miss most, even if they gain twice as much as is expected.
 
-        Empty if they may meet each, or if none is known. ``now`` are the expanded uncertainties reached, px.
+        Empty if they may meet each, if they still lower U, or if none is known. ``now`` are the expanded uncertainties
+        reached, px.
         """
         least = {name: 2.0 * self.at_end[name] - now.get(name, np.inf) for name in wanted}
         shares = {name: least[name] / most for name, most in wanted.items()}
         missed = [name for name, share in shares.items() if 1.0 < share < np.inf]
-        return max(missed, key=lambda name: shares[name], default="")
+        worst = max(missed, key=lambda name: shares[name], default="")
+        return worst if worst and self.at_end[worst] > LITTLE_GAIN * now[worst] else ""
 
 
 @dataclass(frozen=True)
@@ -285,73 +282,9 @@ def _reason(wish: Wish, lacks: str) -> str:
     return f"it lowers {meaning_of_goal(widest)} most"
 
 
-@dataclass(frozen=True)
-class ExpectedCourse:
-    """What an ``until`` is expected to do."""
-
-    until: int  # Number of its first step
-    # Expected number of accepted recordings of the step; None if it will not meet its goals.
-    poses: int | None
-    reached: Mapping[str, float]  # Expanded uncertainties expected at its end, px, by name of the goal
-    text: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the expectation for JSON output."""
-        return asdict(self)
-
-
-def expected_courses(planned: Plan) -> list[ExpectedCourse]:
-    """Predict what each ``until`` of a plan will do; empty if the station expects nothing."""
-    if planned.station.value.expected is None:
-        return []
-    return [_course(planned, until) for until in planned.untils]
-
-
-def _course(planned: Plan, until: Until) -> ExpectedCourse:
-    before = [
-        step.pose
-        for step in planned.script
-        if isinstance(step, RecordStep) and not step.pose.chosen_in_run and step.pose.index < until.poses.stop
-    ]
-    record = next(
-        s for s in planned.script if isinstance(s, RecordStep) and s.pose.index == until.poses.start
-    )
-    taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in before]
-    earlier, bench = len(taken) - until.starts, forecast_bench(planned)
-    wish = Wish(until.goals, {}, roll=False, needs_tag=True, min_stars=record.gates.min_stars)
-    while True:
-        recorded = len(taken) - earlier
-        found = forecast_if_enough(bench, taken)
-        reached = {name: found.limited[name.removesuffix("_px")] for name in until.goals} if found else {}
-        if reached and all(reached[name] <= goal for name, goal in until.goals.items()):
-            text = f"about {recorded} poses until {goals_text(until.goals)}"
-            return ExpectedCourse(until.first, recorded, reached, f"Expected: {text}.")
-        if recorded >= until.at_most:
-            why = f"{until.at_most} poses do not suffice until {goals_text(until.goals)}."
-            return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
-        choice = choose_pose(
-            planned.station,
-            None,
-            bench.passport,
-            taken_deg=taken,
-            refused_deg=[],
-            wish=replace(wish, now=reached, more=until.at_most - recorded),
-            readings=bench.readings,
-        )
-        if not isinstance(choice, Choice):
-            return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")
-        if found and (missed := choice.hopeless(until.goals, reached)):
-            last = with_further(planned, bench, taken, until.at_most - recorded)
-            left = last.limited[missed.removesuffix("_px")] if last else choice.at_end[missed]
-            why = cannot_reach(missed, until.goals[missed], left, until.at_most)
-            part = largest_part(last or found, QUANTITIES[missed])
-            return ExpectedCourse(until.first, None, reached, f"Expected: {why} {part}.")
-        taken.append(dict(choice.angles_deg))
-
-
 def cannot_reach(name: str, goal: float, at_end: float, poses: int) -> str:
     """Return that a goal is out of reach, and what all ``poses`` are expected to leave, px."""
     return (
-        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about {at_end:.2g} px "
-        "is expected."
+        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about "
+        f"{beside_goal(at_end, goal, 2)} px is expected."
     )

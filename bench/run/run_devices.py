@@ -50,6 +50,7 @@ class RunDevices:
     ) -> None:
         self.unsafe: list[str] = []
         self.was_opened = False
+        self._tried = False
         self._is_event_camera = job.camera_kind.name == "event"
         self._folder = folder
         self._log = log
@@ -74,6 +75,7 @@ class RunDevices:
     def open(self) -> Devices:
         """Open the devices, unless they are open."""
         if self._devices is None:
+            self._tried = True
             try:
                 self._devices = self._open_devices()
             except BaseException as error:
@@ -127,8 +129,10 @@ class RunDevices:
         self._log.write(events.DevicesLeft, devices=ends)
 
     def ends(self) -> list[DeviceEnd]:
-        """Return how the run leaves each device, as far as anything is known."""
-        return all_ends(self._ends)
+        """Return how the run leaves each device, as far as anything is known: by an earlier process if it used none."""
+        history = self._log.history
+        stated = () if self._tried else history.devices_at_end or history.devices_left
+        return [DeviceEnd.from_dict(end) for end in stated] or all_ends(self._ends)
 
     def close(self) -> None:
         """Close the ports; nothing moves."""

@@ -29,7 +29,7 @@ from bench.run.interlocks import Interlocks, Trip, interlock_text, loss_text
 from bench.run.machine import RunMachine
 from bench.run.run_devices import RunContext, RunDevices, interlocks_of
 from bench.run.states import StateWork
-from bench.run.status import read_status, status_text
+from bench.run.status import RunPlan, read_status, status_text
 from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to_do
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
@@ -165,6 +165,8 @@ class Runner:
         self._steps = Steps(self.context, self._machine)
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         self._names = pose_names(job, log.history)
+        self._plan = RunPlan.from_dict(job.plan.to_dict())
+        self._count_poses()
         round_tasks = (
             self._heartbeat.beat,
             self._report_lost_supervisor,
@@ -332,8 +334,13 @@ class Runner:
         """Show what an ``until`` decided; its chosen pose can be skipped by command from now on."""
         decided = self.context.log.history.decisions[-1]
         self._progress.say(decision_text(decided))
+        self._count_poses()
         if step.pose is not None and "chosen" in decided:
             self._names[step.pose.index] = step.pose.name
+
+    def _count_poses(self) -> None:
+        """Show how many poses the run has now."""
+        self._progress.poses = self._plan.count_poses(self.context.log.history).text
 
     # ------------------------------------------------------------------ interlocks
 

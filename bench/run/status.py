@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
@@ -24,12 +24,12 @@ from bench.records.events import (
     RunEnded,
     RunResumed,
 )
-from bench.records.history import NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, replay, way_on
+from bench.records.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, replay, way_on
 from bench.records.journal import Entry, read_journal
 from bench.records.run_facts import estimates, factors_text
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import is_locked, read_json
-from bench.report.text import decision_text, reached_text, with_uncertainty
+from bench.report.text import decision_text, goals_missed, reached_text, with_uncertainty
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft
 from bench.terminal.encoding import clock_text, counted, times
@@ -148,6 +148,7 @@ class Status:
     attempts: int
     # What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
     uncertainty: str
+    goals_missed: Sequence[str]  # Each ``until`` that ended without its goals, as sentences
     # Focal lengths with their expanded uncertainty, as text; empty if nothing is calibrated yet.
     result: str
     left_s: float | None  # Expected time until the end, s; None if no process works on the run
@@ -170,6 +171,11 @@ class Status:
     # None for a rehearsal.
     ledger_number: int | None = None
     ledger_head: str | None = None
+
+    @property
+    def poses_text(self) -> str:
+        """How many poses there are, as people read it."""
+        return PoseCount(self.poses, self.most_poses).text
 
     @property
     def place(self) -> tuple[int, str] | None:
@@ -197,21 +203,11 @@ class RunPlan:
     simulated: bool = False  # Whether any device is simulated
     fault: str = ""  # Why there is no plan; empty if there is one
 
-    def most_of(self, history: History, known: int) -> int:
-        """Return how many poses there can be; that is known once every ``until`` has ended."""
-        ended = {decided["until"] for decided in history.decisions if "ended" in decided}
-        if all(until["first"] in ended for until in self.untils):
-            return known
-        return max(known, self.most_poses)
-
-
-def read_plan(folder: Path) -> RunPlan:
-    """Read the plan of a run; one that is missing or damaged gives a ``fault``."""
-    path = folder / PLAN
-    try:
-        plan = read_json(path)
+    @classmethod
+    def from_dict(cls, plan: Mapping[str, Any]) -> RunPlan:
+        """Return the plan that ``plan.json`` holds."""
         poses = {int(pose["index"]): pose for pose in plan["poses"]}
-        return RunPlan(
+        return cls(
             poses,
             max(len(poses), int(plan.get("most_poses", 0))),
             plan.get("untils", ()),
@@ -221,6 +217,31 @@ def read_plan(folder: Path) -> RunPlan:
             int(plan.get("most_bytes", 0)),
             bool(plan.get("simulated", False)),
         )
+
+    def count_poses(self, history: History) -> PoseCount:
+        """Return how many poses a run has; the most are those that it has once every ``until`` has ended."""
+        known = len(self.poses.keys() | history.chosen.keys())
+        ended = {decided["until"] for decided in history.decisions if "ended" in decided}
+        is_open = any(until["first"] not in ended for until in self.untils)
+        return PoseCount(known, max(known, self.most_poses) if is_open else known)
+
+
+class PoseCount(NamedTuple):
+    """How many poses a run has: those whose angles are known, and the most, with those that it may still choose."""
+
+    known: int
+    most: int
+
+    @property
+    def text(self) -> str:
+        """The number as people read it: ``25`` or ``at most 25``."""
+        return f"{'at most ' if self.most > self.known else ''}{self.most}"
+
+
+def read_plan(folder: Path) -> RunPlan:
+    """Read the plan of a run; one that is missing or damaged gives a ``fault``."""
+    try:
+        return RunPlan.from_dict(read_json(folder / PLAN))
     except StorageError as error:
         return RunPlan(fault=f"{PLAN} cannot be read: {error.what}")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -255,7 +276,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         )
     names = {number: pose["name"] for number, pose in plan.poses.items()}
     names |= {d["chosen"]["pose"]: d["chosen"]["pose_name"] for d in history.decisions if "chosen" in d}
-    held_by = _held_by(history) if running else ""
+    held_by, poses = _held_by(history) if running else "", plan.count_poses(history)
     going_on = running and not _is_over(history)
     return Status(
         run_id=str(history.started.get("id", folder.name)),
@@ -271,12 +292,13 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         why=history.why,
         pose=history.at_pose,
         pose_name=names.get(history.at_pose or 0, ""),
-        poses=len(names),
-        most_poses=plan.most_of(history, len(names)),
+        poses=poses.known,
+        most_poses=poses.most,
         accepted=len(history.accepted()),
         skipped=len(history.skipped),
         attempts=len(history.attempts) + sum(history.lost.values()),
         uncertainty=reached_text(history.decisions[-1]) if history.decisions else "",
+        goals_missed=goals_missed(history.decisions),
         result=_result_text(history),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
         held_by=held_by,
@@ -377,21 +399,22 @@ def status_text(status: Status) -> str:
 
 def head_lines(status: Status) -> list[str]:
     """Return the first part of a status as text: state, counts, uncertainty and deviations."""
-    poses = f"{'at most ' if status.most_poses > status.poses else ''}{status.most_poses}"
-    counts = f"{status.accepted} of {poses} poses recorded, {counted(status.attempts, 'recording')}"
+    counts = (
+        f"{status.accepted} of {status.poses_text} poses recorded, {counted(status.attempts, 'recording')}"
+    )
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
-    lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
+    lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status), counts]
     told = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
     lines += [f"{name} {text}" for name, text in told.items() if text]
-    lines += _unasked(status)
+    lines += [*status.goals_missed, *_unasked(status)]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
 
-def _state(status: Status, poses: str) -> str:
+def _state(status: Status) -> str:
     """Return the state of a run as one line."""
-    at = f", pose {status.pose} of {poses} ({status.pose_name})" if status.pose else ""
+    at = f", pose {status.pose} of {status.poses_text} ({status.pose_name})" if status.pose else ""
     end = status.ended or (status.state if status.state in END_STATES else "")
     if status.running and end:
         why = f": {status.why}" if status.why else ""
@@ -406,7 +429,7 @@ def _state(status: Status, poses: str) -> str:
         return f"{status.ended}{': ' if status.why else ''}{status.why}"
     if status.sealed:
         return "sealed, but the journal does not say how the run ended"
-    return f"interrupted (killed or power lost): {status.state}{at}"
+    return f"interrupted ({NO_END}): {status.state}{at}"
 
 
 def _busy(status: Status) -> dict[str, str]:
@@ -426,4 +449,4 @@ def _unasked(status: Status) -> list[str]:
     advice = [end.advice for end in ends if end.state == "not confirmed" and end.advice]
     if not advice:
         return []
-    return [" ".join(["CHECK THE BENCH: the process ended before it could ask the devices.", *advice])]
+    return [" ".join(["CHECK THE BENCH: nothing states how the devices were left.", *advice])]

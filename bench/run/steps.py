@@ -13,11 +13,12 @@ from bench.base.errors import PoseFailed
 from bench.plan.job import Job, ParkStep, ScriptStep
 from bench.records import events
 from bench.records.events import Circumstances
-from bench.records.history import History, count_crash
+from bench.records.history import NO_END, History, count_crash
 from bench.records.journal import capture_name
 from bench.report.text import goals_text
 from bench.run.machine import RunMachine
 from bench.run.run_devices import RunContext
+from bench.run.status import RunPlan
 from bench.terminal.encoding import counted
 from drivers.errors import RecordingFailed
 from sequences.script import (
@@ -107,9 +108,10 @@ def intentions(job: Job, history: History, crash: str | None) -> list[str]:
     history = replace(history, crashes=dict(history.crashes))
     count_crash(history, crash)
     names = pose_names(job, history)
-    how = f"{history.ended}: {history.why}" if history.ended else crash or "killed or power lost"
+    how = f"{history.ended}: {history.why.rstrip('.')}" if history.ended else crash or NO_END
+    poses = RunPlan.from_dict(job.plan.to_dict()).count_poses(history).text
     return [
-        f"The run was stopped ({how}). {len(history.accepted())} of {len(names)} poses are recorded and are kept.",
+        f"The run was stopped ({how}). {len(history.accepted())} of {poses} poses are recorded and are kept.",
         *_skip_texts(history, names),
         *_step_texts(job, history),
     ]

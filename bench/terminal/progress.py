@@ -103,14 +103,17 @@ _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 
 
 class Progress:
-    """Shows a run's progress, ``total_s`` expected: a live line on a terminal; elsewhere a line for each state."""
+    """Shows a run's progress, ``total_s`` expected: a live line on a terminal; elsewhere a line for each state.
+
+    ``poses`` is how many poses the run has, as text; it may change.
+    """
 
     def __init__(
-        self, monotonic: Callable[[], float], total_s: float, poses: int, stream: TextIO | None = None
+        self, monotonic: Callable[[], float], total_s: float, poses: str = "", stream: TextIO | None = None
     ) -> None:
         self._monotonic = monotonic
         self._total_s = total_s
-        self._poses = poses
+        self.poses = poses
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False)
         # A terminal that cannot overwrite a line gets one line for each change, as a file does.
         self._can_overwrite = self._console.is_terminal and not self._console.is_dumb_terminal
@@ -157,7 +160,7 @@ class Progress:
     def _where(self) -> str:
         if not self._pose:
             return ""
-        return f"pose {self._pose} of {self._poses}" + (f" ({self._detail})" if self._detail else "")
+        return f"pose {self._pose} of {self.poses}" + (f" ({self._detail})" if self._detail else "")
 
     def _plain(self) -> str:
         left = self._left()

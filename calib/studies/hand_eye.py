@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
+from scipy import linalg
 
 from calib.arrays import Array
 from calib.compiled import on_one_thread
@@ -37,8 +37,6 @@ from calib.uncertainty.projection_uncertainty import ARCSEC
 
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5
-#: Probability that the readings of a gimbal without errors do not agree.
-_INCONSISTENT = 1e-3
 #: A scale with a larger 1-sigma is not determined.
 _UNDETERMINED = 0.25
 #: Minima differ if their scales or mountings differ by this many sigmas.
@@ -56,11 +54,11 @@ class HandEyeCheck:
     # (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's
     # axes, arc seconds.
     residuals_arcsec: Array
-    # chi_square, degrees_of_freedom: Chi-square of the residuals by the stated covariance, without faults,
-    # and its degrees of freedom; large if the gimbal repeats worse than the camera measures.
+    # chi_square, degrees_of_freedom: Chi-square of the residuals by the stated uncertainties, without faults,
+    # and its degrees of freedom; large if the gimbal repeats worse than stated.
     chi_square: float
     degrees_of_freedom: int
-    # 1-sigma of the scatter, for each component of a rotation, that the stated covariance and the faults do
+    # 1-sigma of the scatter, for each component of a rotation, that the stated uncertainties and the faults do
     # not explain, arc seconds.
     excess_arcsec: float
     pairs: PairRatios | None  # Ratios from the pairs of poses; None if no pair turned far enough
@@ -72,11 +70,6 @@ class HandEyeCheck:
         """Root mean square angle between rotations and readings, arc seconds."""
         return float(np.sqrt((self.residuals_arcsec**2).sum(axis=1).mean()))
 
-    @property
-    def consistent(self) -> bool:
-        """Whether the chi-square is below its 99.9 % quantile."""
-        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), _INCONSISTENT))
-
 
 @on_one_thread
 def check_hand_eye(
@@ -84,6 +77,7 @@ def check_hand_eye(
     covariance: Array,
     readings_deg: Sequence[Mapping[str, float]],
     *,
+    reading_sigma_deg: float = 0.0,
     focal_uncertainty: float | None = None,
     birge_ratio: float = 1.0,
     names: Sequence[str] = (),
@@ -93,7 +87,8 @@ def check_hand_eye(
     The unknown rotations and scales are estimated by generalised least squares. Robot-world and hand-eye equation:
     Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
     covariance: Paule and Mandel (1982). Rotations, covariance (of `Calibration.rotation_covariance`) and Birge ratio
-    are those of a `Calibration`. ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the
+    are those of a `Calibration`. ``reading_sigma_deg`` is what is stated of each reading, 1 sigma: scatter below it is
+    no fault. ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the
     1-sigma of the scales.
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
@@ -114,7 +109,9 @@ def check_hand_eye(
     values = first_scales(rotations, model)
     equal = np.eye(len(covariance))
     start = global_fit(rotations, model, equal, values)[0]
-    seen = SeenRotations(rotations, covariance, start)
+    turned = np.deg2rad(reading_sigma_deg) * start.motors[:, :, moved]
+    of_readings = linalg.block_diag(*(turned @ np.swapaxes(turned, 1, 2)))
+    seen = SeenRotations(rotations, covariance + of_readings, start)
     first = seen.explain(model, start)
     mirrored = False
     if 2 in free and len(free) > 1:

@@ -259,18 +259,18 @@ def _scatter(found: Findings) -> tuple[VerdictKind, str] | None:
     """Return what scatter remains, if the stated uncertainties do not explain it."""
     if found.excess_deg <= 0:
         return None
-    size = angle(found.excess_deg)
+    differ = (
+        f"Rotations and readings differ by {angle(found.excess_deg)} (standard deviation per axis) more than their "
+        "stated uncertainties explain."
+    )
     if found.views_disagree:
         return "views_biased", (
-            f"Rotations and readings differ by {size} (standard deviation per axis) more than the stars' noise "
-            f"explains. The views also contradict each other ({found.birge_ratio:.1f} times more than the stars' noise "
-            "explains), "
-            "without any reading: errors of the collimator or the lens model bias the rotations, so this scatter does "
-            "not show an error of the gimbal."
+            f"{differ} The views also contradict each other ({found.birge_ratio:.1f} times more than the stars' noise "
+            "explains), without any reading: errors of the collimator or the lens model bias the rotations, so this "
+            "scatter does not show an error of the gimbal."
         )
     few = "" if found.degrees_of_freedom >= 6 else " These poses are too few to tell which."
     return "scatter", (
-        f"Rotations and readings differ by {size} (standard deviation per axis) more than the stars' noise "
-        "explains. Possible causes: an axis slipped, a reading is wrong, or the gimbal repeats worse than the camera "
+        f"{differ} Possible causes: an axis slipped, a reading is wrong, or the gimbal repeats worse than the camera "
         f"resolves.{few}"
     )

@@ -86,15 +86,6 @@ def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> flo
     return float(np.mean(light.low + (light.high - light.low) * shares))
 
 
-#: Faults of the frame camera, by name.
-FRAME_CAMERA_FAULTS: Final = {
-    "unplug": "the camera disconnects and no longer answers",
-    "silence": "no more pictures arrive, without any message",
-    "frozen": "the last picture arrives again and again",
-    "mend": "clears the fault",
-}
-
-
 class SimulatedFrameCamera(CameraServer):
     """The simulated frame camera; it serves one host after another."""
 
@@ -110,7 +101,7 @@ class SimulatedFrameCamera(CameraServer):
         return f"tcp://{super().address}"
 
     def inject_fault(self, fault: str) -> None:
-        """Set one of `FRAME_CAMERA_FAULTS`, which replaces an earlier one from now on; ``mend`` clears it."""
+        """Set one of `streaming.FRAME_CAMERA_FAULTS`, which replaces an earlier one from now on; ``mend`` clears it."""
         self._fault = "" if fault == "mend" else fault
 
     def _meet(self, link: socket.socket) -> None:

@@ -68,6 +68,14 @@ STREAM_FAULTS: Final = {
     "silence": "nothing more arrives, without any message",
 }
 
+#: Faults of the frame camera, by name.
+FRAME_CAMERA_FAULTS: Final = {
+    "unplug": "the camera disconnects and no longer answers",
+    "silence": "no more pictures arrive, without any message",
+    "frozen": "the last picture arrives again and again",
+    "mend": "clears the fault",
+}
+
 _TIME_HIGH: Final = 0x8
 _UNKNOWN_WORD: Final = 0x9000
 

@@ -18,8 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS
-from simulators.cameras.streaming import STREAM_FAULTS
+from simulators.cameras.streaming import FRAME_CAMERA_FAULTS, STREAM_FAULTS
 from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from simulators.lights.driver import LAMP_FAULTS

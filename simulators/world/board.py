@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, Any, Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, SkipValidation
@@ -318,7 +317,7 @@ def placement_record(board: BoardTruth) -> dict[str, Any]:
     return {
         "number": board.state.number,
         "position_mm": middle.tolist(),
-        "turn_deg": np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist(),
+        "turn_deg": _vector_deg(rotation),
         "flicker": is_flickering(board),
         "second_mm": None if second is None else second.tolist(),
     }
@@ -371,10 +370,20 @@ def _drawn(board: BoardTruth, rng: np.random.Generator) -> Placement:
     else:
         middle, rotation = np.array([0.5 * (left + right), 0.5 * (top + bottom), 1.0]) * distance, np.eye(3)
     x_mm, y_mm, z_mm = middle.tolist()
-    a, b, c = np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist()
+    a, b, c = _vector_deg(rotation)
     return Placement((x_mm, y_mm, z_mm), (a, b, c))
 
 
 def _matrix(vector_deg: FloatArray) -> FloatArray:
     """Return the rotation matrix of a rotation vector."""
+    import cv2  # a plan, which only reads the configuration, needs none
+
     return np.asarray(cv2.Rodrigues(np.radians(np.asarray(vector_deg, np.float64)))[0], np.float64)
+
+
+def _vector_deg(rotation: FloatArray) -> list[float]:
+    """Return the rotation vector of a rotation matrix."""
+    import cv2
+
+    found: list[float] = np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist()
+    return found

@@ -33,13 +33,13 @@ function endCell(one) {
 }
 
 function runRow(run) {
-  const most = Math.max(run.most_poses, run.poses);
+  const most = run.most_poses;
   return el("tr", {},
     el("td", { class: "name" }, el("a", { href: address("run", run.key) }, run.id), run.id !== run.key ? el("div", { class: "note" }, run.key) : null,
       el("div", { class: "note" }, [run.sequence, run.camera && `camera ${run.camera}`].filter(Boolean).join(" · ")),
       run.simulated ? el("span", { class: "simulated" }, run.rehearsal ? "REHEARSAL" : "SIMULATED") : null),
     el("td", { "data-label": "State" }, verdictPill(run.verdict, run.tone)),
-    el("td", { "data-label": "Poses", class: "n" }, `${run.accepted} / ${most}`, run.running ? el("div", { class: "bar" }, el("i", { style: `width: ${most ? (100 * run.accepted) / most : 0}%` })) : null),
+    el("td", { "data-label": "Poses", class: "n" }, `${run.accepted} of ${run.poses_text}`, run.running ? el("div", { class: "bar" }, el("i", { style: `width: ${most ? (100 * run.accepted) / most : 0}%` })) : null),
     el("td", { "data-label": "Began", class: "nowrap" }, run.started_utc ? clockText(run.started_utc) : "–"),
     endCell(run),
     el("td", { class: "why" }, runState(run)));

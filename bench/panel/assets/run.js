@@ -77,7 +77,7 @@ function drawHead() {
   at("rehearsal").hidden = !head.rehearsal;
   const camera = [head.camera.maker, head.camera.model, head.camera.serial].filter(Boolean).join(" ");
   setText(at("lead"), [head.sequence, head.station, camera && `camera ${camera}`, head.operator && `operator ${head.operator}`].filter(Boolean).join(" · "));
-  document.title = `${head.running ? `${head.accepted}/${head.most_poses} ` : ""}${head.id} – ${head.verdict} – Starbench`;
+  document.title = `${head.running ? `${head.accepted} of ${head.poses_text} ` : ""}${head.id} – ${head.verdict} – Starbench`;
   const faults = [...head.faults];
   if (head.incomplete) faults.push("The journal ends within a line: the process was killed while it wrote. Nothing that counts is lost; `starbench resume` removes the rest of the line.");
   fill(at("faults"), faults.map((text) => el("p", { class: "banner bad" }, text)),
@@ -104,7 +104,7 @@ function figure(value, meaning, note) {
 }
 
 function drawFigures() {
-  const most = head.most_poses > head.poses ? `at most ${head.most_poses}` : String(head.poses);
+  const most = head.poses_text;
   const left = head.end_utc ? (new Date(head.end_utc) - Date.now()) / 1000 : head.left_s;
   const since = head.state_utc && head.running ? ` for ${durationText((Date.now() - new Date(head.state_utc)) / 1000)}` : "";
   const lastNow = head.decisions.length ? head.decisions[head.decisions.length - 1].now : {};

@@ -116,6 +116,40 @@ def test_an_option_without_meaning_is_refused(option):
         CalibrationOptions(**option)
 
 
+@pytest.mark.parametrize(
+    ("option", "ignored"),
+    [
+        (
+            {"model": "joint", "loss": "l2", "huber_px": 0.3},
+            "The joint model does not use: the loss, the limit of the loss.",
+        ),
+        ({"model": "auto", "loss": "cauchy"}, "The joint model does not use: the loss."),
+        (
+            {"model": "spherical", "radial_sigma": 0.1},
+            "The spherical model does not use: the prior of the radial term.",
+        ),
+        ({"model": "spherical", "loss": "l2"}, ""),
+        ({"model": "joint", "radial_sigma": 0.1}, ""),
+    ],
+)
+def test_what_a_model_does_not_use_is_said(bench, option, ignored):
+    options = CalibrationOptions(**option)
+    assert options.unused == ignored
+    result = calibrate(bench.views(np.random.default_rng(5), 0.05), options)
+    said = [note for note in result.notes if "does not use" in note]
+    assert (
+        said == [note for note in result.remarks if "does not use" in note] == ([ignored] if ignored else [])
+    )
+
+
+def test_a_method_of_reference_says_that_readings_and_budget_are_not_used():
+    readings = GimbalReadings(({"pan_deg": 1.0},), 0.002, 0.0, 0.0, None, "test")
+    told = CalibrationOptions("planar", gimbal=readings, budget=(object(),)).unused
+    assert (
+        told == "The planar model does not use: the readings of the gimbal, the uncertainties of the budget."
+    )
+
+
 @pytest.mark.parametrize(("r_mm", "sigma_mm"), [(0.0, 0.05), (-250.0, 0.05), (250.0, -0.05), (250.0, np.nan)])
 def test_a_certificate_without_meaning_is_refused(r_mm, sigma_mm):
     with pytest.raises(InputMismatch, match="passport"):

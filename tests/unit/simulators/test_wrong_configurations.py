@@ -88,7 +88,7 @@ screen: {rows: 5} -> screen.columns
 screen: {columns: 1} -> screen.columns
 screen: {columns: 8, position_mm: [0, 0, -900]} -> screen.position_mm
 screen: {columns: 8, turn_deg: [0, 0]} -> screen.turn_deg
-stage: {} -> stage
+stage: 5 -> stage
 stage: {yaw: {}} -> stage.yaw
 stage: {pan: {limits: 5}} -> stage.pan.limits
 stage: {pan: {limit_deg: -5}} -> stage.pan.limit_deg
@@ -112,3 +112,14 @@ def test_a_wrong_configuration_names_its_key(line):
     with pytest.raises(ConfigError, match=said[0] if said else None) as error:
         bench_config(yaml.safe_load(f"{{{sections.replace('CHECKER', CHECKER)}}}"))
     assert error.value.where == where
+
+
+def test_naming_one_axis_leaves_the_others():
+    def serials(**stage):
+        return [(name, axis.serial) for name, axis in bench_config({"stage": stage}).axes.items()]
+
+    both = [("pan", "100101"), ("tilt", "100102")]
+    assert serials() == serials(pan={}) == serials(tilt={"limit_deg": 5}) == both
+    assert bench_config({"stage": {"tilt": {"limit_deg": 5}}}).axes["tilt"].limit_deg == 5.0
+    assert serials(roll={}) == [*both, ("roll", "100103")]
+    assert serials(tilt={}, pan={}) == both[::-1]

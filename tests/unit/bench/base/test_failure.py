@@ -2,19 +2,22 @@
 
 import inspect
 import json
+import re
 from dataclasses import replace
 
 import pytest
 from json_form import with_json
+from quick_runs import END, THREE
 from rehearsed import Scene
 
-from bench.base.errors import FORESEEN, BenchError, Failure, JournalBroken
+from bench.base.errors import FORESEEN, BenchError, Failure, JournalBroken, StorageError
 from bench.commands.run import show_run
 from bench.records.events import Event
 from bench.records.history import DeviceEnd, replay
 from bench.records.journal import read_journal
 from bench.run.runner import RunEnd
-from bench.run.status import line_text
+from bench.run.status import line_text, read_status
+from bench.run.steps import intentions
 from calib.errors import CalibrationError
 from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError
@@ -75,7 +78,7 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
 @pytest.mark.parametrize(
     ("where", "opened", "text"),
     [
-        ("open", False, "No device was ready for use: this run moved nothing and switched nothing."),
+        ("open", False, "No device was ready for use, so this run asked none how it stands."),
         ("stage.move_to", True, "The bench is safe; each device confirmed it:"),
     ],
 )
@@ -140,7 +143,37 @@ def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
     end = RunEnd("failed", "the port is missing", tmp_path, None)
     assert show_run(end) == 1
     told = capsys.readouterr().err
-    assert "Look at the bench: the light may be on, and the stage may be moving." in told
+    assert "Look at the bench: whether the stage stands and the light is off is not known." in told
+    assert not re.search("moved nothing|may be moving", told)
+
+
+def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_each_confirmed(
+    tmp_path, monkeypatch, capsys
+):
+    """The second time it said that no device was ready, and that the light may be on."""
+
+    def full(*_):
+        raise StorageError("The disk is full.", where="views.h5", remedy="Make room.")
+
+    monkeypatch.setattr("bench.rehearsal.rehearsal.RehearsedResults.write", full)
+    scene = Scene(tmp_path, poses=THREE, end=END)
+    for opened, head in (
+        (True, "The bench is safe; each device confirmed it:"),
+        (False, "No device was needed. Each confirmed before that it was safe:"),
+        (False, "No device was needed. Each confirmed before that it was safe:"),
+    ):
+        end = scene.run()
+        assert (end.how, end.opened) == ("failed", opened)
+        assert [one.state for one in end.devices] == ["confirmed safe"] * 3
+        show_run(end)
+        said = capsys.readouterr().err
+        assert head in said.splitlines()
+        assert "Look at the bench" not in said
+        assert [one["state"] for one in read_status(scene.folder).devices] == ["confirmed safe"] * 3
+    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    assert (
+        "(failed: views.h5: The disk is full. Make room). 3 of 3" in intentions(scene.task, history, None)[0]
+    )
 
 
 def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):

@@ -13,6 +13,7 @@ from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
 from bench.batch.batch_record import by_priority, items_of
+from bench.batch.batch_summary import read_batch, summary_lines, write_summary
 from bench.batch.supervisor import WorkerEnd
 from bench.records.events import Event
 from bench.records.journal import Journal, read_journal
@@ -247,3 +248,24 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
 def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
     with pytest.raises(DocumentFaults, match="same name: Cam7, cam7"):
         queue(("cam7", ""), ("Cam7", ""))
+
+
+def test_the_summary_names_a_run_whose_goal_was_missed(tmp_path):
+    batch, _ = night(tmp_path, queue(("a", ""), ("b", "")))
+    batch.run()
+    decided = {
+        "until": 2,
+        "until_last": 9,
+        "step": 5,
+        "ended": "at_most",
+        "why": "U(fx) is 3 px; the goal is 2 px.",
+    }
+    clock, path = NightClock(), tmp_path / "runs" / "a-001" / "journal.jsonl"
+    with Journal.open(path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+        journal.append(Event.UNTIL_DECIDED, **decided)
+    summary = write_summary(tmp_path, read_batch(tmp_path))
+    told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
+    assert [item["goals_missed"] for item in summary["items"]] == [[told], []]
+    _, first, below, second = list(summary_lines(summary))[:4]
+    assert ("a-001" in first, below.strip(), "b-001" in second) == (True, told, True)
+    assert f"<b>a-001:</b> {told}" in (tmp_path / "summary.html").read_text()

@@ -96,6 +96,7 @@ def item(key, number=None, head=None):
         "ledger_number": number,
         "ledger_head": head,
         "conformity": None,
+        "goals_missed": [],
     }
 
 

@@ -9,7 +9,8 @@ from calling import out_of, refusal
 from expected_stars import expected_views, write_points
 
 from bench.plan.plan import load_documents, make_plan
-from bench.results.forecasts import expected_bench, expected_uncertainty, suggest_poses
+from bench.results.expectations import expected_uncertainty
+from bench.results.forecasts import expected_bench, suggest_poses
 from bench.stations.station import load_station
 from calib.studies.monte_carlo import Repetition, study_of
 
@@ -185,6 +186,10 @@ def test_a_study_names_the_model_that_it_judges(capsys):
     assert "model spherical, 0 failed" in spherical
     joint = out_of(capsys, "study", "--runs", 2)
     assert "model joint, 0 failed" in joint
+    assert "does not use" not in joint + spherical
+    assert "Note: The joint model does not use: the loss." in out_of(
+        capsys, "study", "--runs", 2, "--loss", "l2"
+    )
     assert len({line.index("error") for line in joint.splitlines() if " rms, stated " in line}) == 1
 
 

@@ -149,7 +149,7 @@ def test_a_run_that_dies_and_a_terminal_that_is_small(run, followed):
     on.shows("pose 2 of 3")
     run.die()
     assert on.end() == 1
-    assert "interrupted (killed or power" in on.screen.text
+    assert "interrupted (killed, power" in on.screen.text
     assert on.screen.text.startswith("Run run-7")
     assert len(on.screen.text.splitlines()) < 8
     assert not on.screen.scrolled

@@ -410,3 +410,47 @@ def test_a_limit_of_the_station_counts_too_and_needs_a_result():
     )
     without = SOLVED % ("fx", "spherical", "")
     assert any("limits need a solve step and a report step" in fault for fault in faults(without))
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("{stge: {}}", "simulation.stge: Unknown key. Known are: "),
+        (
+            "{stage: {tilt: {limits: 5}}}",
+            "simulation.stage.tilt.limits: Unknown key. Known are: serial, limit_deg",
+        ),
+        ("{faults: [{device: pan, fault: no}]}", "simulation.faults[0].fault: "),
+        ("{stage: {pan: {limit_deg: 20}}}", ""),
+    ],
+)
+def test_a_wrong_key_of_the_simulation_is_found_by_the_plan_at_its_place(section, said):
+    text = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text()
+    station = check_document(
+        text.replace("simulation: {}", f"simulation: {section}").encode(), "b.yaml", Station
+    )
+    found = faults(GOOD, station)
+    assert len(found) == bool(said)
+    assert all(said in fault and fault.startswith("b.yaml:8:") for fault in found)
+
+
+def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
+    text = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text()
+    (tilt,) = re.findall(r"\n    tilt:\n(?:      .*\n)+", text)
+    roll = tilt.replace("tilt:", "roll:").replace("100102", "100103").replace("device: 2", "device: 3")
+    station = check_document(text.replace(tilt, tilt + roll.lstrip("\n")).encode(), "b.yaml", Station)
+    (fault,) = faults(GOOD, station)
+    assert "The simulated stage has no axis roll. Name it here: roll: {}." in fault
+
+
+def test_a_loss_that_the_model_does_not_use_is_said_by_the_plan_and_not_listed_as_used():
+    def told(settings):
+        made = planned(GOOD.replace("solve,", f"{{solve: {settings}}},"))
+        return [remark.message for remark in made.remarks], render_plan(made)
+
+    remarks, text = told("{loss: cauchy}")
+    assert remarks == ["The joint model does not use: the loss."]
+    assert "solve auto, k1 k2 " in text
+    remarks, text = told("{model: spherical, loss: cauchy}")
+    assert remarks == []
+    assert "solve spherical, k1 k2, cauchy" in text

@@ -66,7 +66,7 @@ def item(key, how="finished", why="", **facts):
         "report": None, "camera": "1", "poses": 9, "accepted": 9, "recordings": 10, "deviations": 0,
         "temperature_c": None, "model": "spherical", "rms_px": 0.05, "sealed": True,
         "parameters": parameters_data({"fx": Estimate(3300.0, 0.5)}), "ledger_number": None, "ledger_head": None,
-        "conformity": None,
+        "conformity": None, "goals_missed": [],
     }  # fmt: skip
     told["tries"] = [{"begun_utc": told["begun_utc"], "ended_utc": told["ended_utc"], "how": how}]
     return {**told, **facts}

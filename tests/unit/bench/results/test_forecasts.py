@@ -7,8 +7,9 @@ import pytest
 from calling import out_of
 
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.results.forecasts import expected_uncertainty, forecast_bench, suggest_poses
-from bench.results.next_pose import expected_courses
+from bench.results import next_pose
+from bench.results.expectations import expected_uncertainty
+from bench.results.forecasts import forecast_bench, suggest_poses
 from bench.stations.station import ExpectedConfig
 from calib.model.camera import distortion_names
 from calib.studies.expected_posterior import distance_deg
@@ -30,6 +31,12 @@ def solved(tmp_path):
         return plan(str(tmp_path / "nine.yaml"))
 
     return write
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
+    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
 
 
 def test_what_a_station_does_not_state_is_typical():
@@ -69,15 +76,16 @@ def test_a_limit_that_more_poses_can_meet_says_so(solved):
     assert re.search(r"twice as many poses would leave 1\.[4-7] px\.$", fx)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is_named(tmp_path):
-    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
+    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "0.5, ")
     (tmp_path / "until.yaml").write_text(
         text.replace("  - report", "  - solve: {limits: {expanded_fx_px: 1}}\n  - report")
     )
     found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
     assert found.chosen == found.poses - 3 > 0
     assert re.search(
-        "not be met: 1.[56] expected. Its largest part is: (parallax|scale and)", found.remarks[0]
+        "not be met: 1.[5-9] expected. Its largest part is: (parallax|scale and)", found.remarks[0]
     )
 
 
@@ -112,29 +120,72 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
 GOAL = "sequence.steps.1.until."
 
 
-def courses(sequence="until_good", station="simulated", **settings):
+def expected(sequence="until_good", station="simulated", **settings):
     paths = {GOAL + name: str(value) for name, value in settings.items()}
-    return expected_courses(make_plan(*load_documents(sequence, station, paths)))
+    return expected_uncertainty(make_plan(*load_documents(sequence, station, paths)))
 
 
 def test_on_an_ideal_bench_the_first_poses_suffice():
-    (course,) = courses(station="simulated_ideal")
-    assert course.poses == 3
+    found = expected(station="simulated_ideal")
+    (course,) = found.courses
+    assert course.poses == found.poses == 3
     assert course.reached["expanded_fx_px"] < 2.5
     assert course.text == (
         "Expected: about 3 poses until U(fx) is at most 2.5 px and U at the corners at most 1.5 px."
     )
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
-    (course,) = courses(expanded_fx_px=1.8)
+    found = expected(expanded_fx_px=1.8)
+    (course,) = found.courses
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
-    (below,) = courses(expanded_fx_px=0.5)
+    (below,) = expected(expanded_fx_px=0.5).courses
     assert "U(fx) cannot reach the goal of 0.5 px: with all 25 poses, about 1" in below.text
     assert re.search("Its largest part is: (parallax|scale and eccentricity)", below.text)
-    (beyond,) = courses(station="simulated_ideal", expanded_fx_px=0.001)
+    (beyond,) = expected(station="simulated_ideal", expanded_fx_px=0.001, at_most=5).courses
     assert (below.poses, beyond.poses) == (None, None)
-    assert beyond.text.startswith("Expected: ")
-    assert "U(fx) cannot reach the goal of 0.001 px" in beyond.text
-    assert courses("three_pose") == courses("nine_pose") == []
+    assert beyond.text.startswith("Expected: 5 poses do not suffice until U(fx) is at most 0.001 px")
+    assert "It ends after about 5 poses; U(fx) is then about " in beyond.text
+    assert expected("three_pose").courses == ()
+
+
+@pytest.mark.usefixtures("coarse")
+def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
+    for goal in (1.8, 0.5):
+        found = expected(expanded_fx_px=goal)
+        (course,) = found.courses
+        assert course.reached["expanded_fx_px"] == found.forecast.limited["expanded_fx"]
+        assert found.chosen == found.poses - 3 > 0
+        assert f"about {found.poses} poses" in course.text
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
+    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
+    second = "  - until: {expanded_fx_px: 1.8, at_most: 10}\n  - light: off\n"
+    (tmp_path / "two.yaml").write_text(text.replace("2.5", "1.9").replace("  - light: off\n", second))
+    first, then = expected_uncertainty(plan(str(tmp_path / "two.yaml"))).courses
+    (alone,) = expected(expanded_fx_px=1.8).courses
+    assert first.poses + then.poses == alone.poses
+
+
+@pytest.mark.usefixtures("coarse")
+def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_most(tmp_path, capsys):
+    (tmp_path / "until.yaml").write_text(
+        (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "1.8, ")
+    )
+    jobs = [
+        "{name: a, sequence: until.yaml, station: simulated}",
+        "{name: b, sequence: nine_pose, station: simulated}",
+    ]
+    (tmp_path / "night.yaml").write_text(f"format: starbench/queue/1\nname: N\njobs: [{', '.join(jobs)}]\n")
+    said = out_of(capsys, "plan", str(tmp_path / "night.yaml")).splitlines()
+    place = next(place for place, line in enumerate(said) if line.startswith("a  "))
+    job, until, nine = said[place : place + 3]
+    assert re.search(r"^a +at most .* at most .* \(k = 2[.\d]*\), with about \d+ poses$", job)
+    assert until.strip().startswith("Expected: about ")
+    assert "at most" not in nine
+    assert "at the latest, at most about" in said[-1]
+    assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in said)

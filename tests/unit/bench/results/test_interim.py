@@ -130,6 +130,7 @@ def test_a_goal_out_of_reach_ends_it_when_poses_hardly_help_and_the_largest_part
     told = with_all_poses(2.55)
     assert (told["ended"], told["at_end"]["expanded_fx_px"]) == ("unreachable", 2.55)
     assert told["why"] == (
+        "U(fx) is 2.6 px; the goal is 2 px. U at the corners is 0.5 px; the goal is 0.3 px. "
         "U(fx) cannot reach the goal of 2 px: with all 25 poses, about 2.5 px is expected. The largest part of U(fx) "
         "comes from: passport of the collimator, 2.4 px."
     )
@@ -158,7 +159,7 @@ def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
     told = decided(job, HistoryOf(range(1, 26)), found)
     assert told["ended"] == "at_most"
     assert told["why"] == (
-        "25 recordings are accepted, the most allowed. U(fx) is 4.5 px; the goal is 2 px. The largest part of U(fx) "
+        "U(fx) is 4.5 px; the goal is 2 px. 25 recordings are accepted, the most allowed. The largest part of U(fx) "
         "comes from: disagreement of the views, 4 px."
     )
     assert decided(job, HistoryOf([1, 2, 3], chosen=10), found)["ended"] == "failures"
@@ -172,7 +173,7 @@ def test_without_a_calibration_it_goes_on_and_says_why_at_the_end(job, monkeypat
     assert "chosen" in decided(job, HistoryOf([1]), None)
     monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: "No pose is left.")
     told = decided(job, HistoryOf([1]), None)
-    assert (told["ended"], told["why"]) == ("no_pose", "No pose is left. Too few stars.")
+    assert (told["ended"], told["why"]) == ("no_pose", "Too few stars. No pose is left.")
     assert told["now"] == {}
     assert told["problem"] == "Too few stars."
 

@@ -135,7 +135,7 @@ def test_resuming_states_what_is_kept_recorded_and_skipped(job):
 
 def test_resuming_names_each_pose_to_record_and_the_repeated_move(job):
     said = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
-    assert "killed or power lost" in said[0]
+    assert "killed, power lost or disk full" in said[0]
     assert "Record pose 2 (right)." in said
     assert "Record pose 3 (below)." in said
     assert "Move to pose right again." in said

@@ -118,7 +118,7 @@ def test_a_killed_run_is_not_running_and_not_held(run):
     run.die()
     status = run.status()
     assert (status.running, status.held_by, status.left_s) == (False, "", None)
-    assert "interrupted (killed or power lost): slewing, pose 1 of 3 (left)" in status_text(status)
+    assert "interrupted (killed, power lost or disk full): slewing, pose 1 of 3 (left)" in status_text(status)
     assert [one["state"] for one in status.to_dict()["devices"]] == ["not confirmed"] * 3
     assert "CHECK THE BENCH" in status_text(status)
     assert "The stage may be moving. The light may be on." in status_text(status)

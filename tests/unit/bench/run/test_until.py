@@ -7,6 +7,7 @@ import pytest
 from quick_runs import THREE, write_until
 from rehearsed import Scene, with_runner
 
+from bench.commands.run import show_run
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
@@ -55,9 +56,10 @@ def angles(scene):
     return {one["pose"]: one["commanded_deg"] for one in stored if one["pose"] in accepted}
 
 
-def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path):
+def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path, capsys):
     scene = until_scene(tmp_path, NEVER)
-    assert scene.run().how == "finished"
+    end = scene.run()
+    assert end.how == "finished"
     told = decisions(scene)
     assert [one["recorded"] for one in told] == [3, 4, 5]
     assert all("chosen" in one for one in told[:-1])
@@ -70,6 +72,11 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path):
     assert not scene.light_is_on()
     results = json.loads((scene.folder / "results.json").read_text())
     assert results["untils"][-1]["ended"] == "at_most"
+    missed = f"The goal of a step was not met. {told[-1]['why']}"
+    assert "; the goal is 0.001 px." in missed
+    assert missed in status_text(read_status(scene.folder)).splitlines()
+    show_run(end)
+    assert capsys.readouterr().out.splitlines()[0] == missed
 
 
 def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
@@ -78,6 +85,28 @@ def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
     (told,) = decisions(scene)
     assert told["ended"] == "met"
     assert "chosen" not in told
+
+
+def test_the_count_of_poses_is_the_same_in_all_words_and_known_when_it_has_ended(tmp_path, monkeypatch):
+    scene = with_runner(
+        until_scene(tmp_path, NEVER.replace("at_most: 5", "minutes: 0.05, at_most: 9")), monkeypatch
+    )
+    shown = []
+    scene.hook = lambda name: shown.append(scene.runner._progress.poses) if name == "camera.record" else None
+    scene.run()
+    number = len(shown)
+    assert 3 <= number < 9
+    assert set(shown) == {"at most 9"}
+    assert scene.runner._progress.poses == str(number)
+    assert f"{number} of {number} poses recorded" in status_text(read_status(scene.folder))
+    entries = read_journal(scene.folder / "journal.jsonl")[0]
+    ended = next(place for place, entry in enumerate(entries) if entry.event == Event.UNTIL_DECIDED)
+    (scene.folder / "journal.jsonl").write_bytes(
+        b"".join((scene.folder / "journal.jsonl").read_bytes().splitlines(keepends=True)[:ended])
+    )
+    texts = intentions(scene.task, replay(entries[:ended]), None)
+    assert "3 of at most 9 poses are recorded and are kept." in texts[0]
+    assert "3 of at most 9 poses recorded" in status_text(read_status(scene.folder))
 
 
 def cut_and_go_on(folder, whole, cut):
@@ -181,7 +210,8 @@ def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp
     assert told["poses"] < 9
     assert told["at_end"]["expanded_fx_px"] > 0.95 * told["now"]["expanded_fx_px"]
     assert all(one["at_end"]["expanded_fx_px"] < 0.95 * one["now"]["expanded_fx_px"] for one in before)
-    assert told["why"].startswith("U(fx) cannot reach the goal of 1 px: with all 9 poses, about ")
+    assert told["why"].startswith("U(fx) is ")
+    assert "the goal is 1 px. U(fx) cannot reach the goal of 1 px: with all 9 poses, about " in told["why"]
     assert "The largest part of U(fx) comes from: stars, " in told["why"]
 
 

@@ -24,7 +24,7 @@ def test_a_true_gimbal_is_consistent_within_the_cameras_own_noise():
     found = [checked(quiet(seed)) for seed in range(30)]
     assert found[0].degrees_of_freedom == 18 - 8
     assert np.mean([one.chi_square for one in found]) == pytest.approx(10, abs=3.5)
-    assert sum(one.consistent for one in found) >= 29
+    assert sum(one.verdict.kind == "agrees" for one in found) >= 29
     assert found[0].rms_arcsec < 6
 
 
@@ -40,7 +40,7 @@ def test_a_reading_that_is_off_shows_in_arc_seconds():
     bench = quiet(5)
     bench.angles[1, 0] += 60.0 / 3600
     found = checked(bench)
-    assert not found.consistent
+    assert found.verdict.kind != "agrees"
     assert np.linalg.norm(found.residuals_arcsec, axis=1).argmax() == 1
     assert np.abs(found.residuals_arcsec[1]).max() > 25
 
@@ -149,6 +149,23 @@ def test_readings_that_scatter_show_no_fault(poses, noise_arcsec):
         ]
         found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
         assert not found.faults, seed
+
+
+def test_scatter_below_what_is_stated_of_the_readings_is_no_fault_and_scatter_above_it_is_told():
+    bench, rng = draw_gimbal(31, **NINE), np.random.default_rng(31)
+    readings = [
+        {axis: deg + 0.005 * rng.standard_normal() for axis, deg in reading.items()}
+        for reading in bench.readings
+    ]
+
+    def said(**stated):
+        return check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4, **stated)
+
+    assert said(reading_sigma_deg=0.006).verdict.kind == "agrees"
+    assert "slipped" not in text_of(said(reading_sigma_deg=0.006))
+    for stated in ({}, {"reading_sigma_deg": 0.001}):
+        assert said(**stated).verdict.kind == "scatter"
+        assert "more than their stated uncertainties explain" in text_of(said(**stated))
 
 
 def test_a_mount_that_creeps_shows_no_fault():
@@ -266,7 +283,6 @@ def test_three_poses_that_disagree_are_too_few_to_name_the_cause():
     readings = [dict(reading) for reading in bench.readings]
     readings[1]["pan_deg"] += 0.1
     found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
-    assert not found.consistent
     assert found.verdict.kind == "scatter"
     assert "too few to tell which" in " ".join(found.verdict.says)
 
