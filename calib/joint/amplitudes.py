@@ -15,9 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint.fields import DEGREE
-
-Array = NDArray[np.float64]
 
 #: Highest degree of the field of a pose.
 POSE_DEGREE = 4

@@ -7,15 +7,13 @@ through the middle of the image does not, and is known better.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint.posterior import Posterior
 from calib.model.camera import CameraModel
 from calib.model.gimbal import MOUNTING, Gimbal
 from calib.model.result_parts import Boresight
 from calib.model.rotation import skew
-
-Array = NDArray[np.float64]
 
 #: A mounting with a larger 1-sigma is not determined, rad: one axis alone leaves a turn free.
 _UNDETERMINED = 0.05

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.knowledge import Statement
 from calib.joint.marginal import Marginal
@@ -21,8 +21,6 @@ from calib.joint.samples import Node
 from calib.model import result_parts as names
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.uncertainty.projection_uncertainty import worst_point
-
-Array = NDArray[np.float64]
 
 #: Type and source of the rows that are not statements.
 _SOURCES = {

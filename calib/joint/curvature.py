@@ -11,11 +11,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.prior import NO_FAULT, Faults
-
-Array = NDArray[np.float64]
 
 #: No step of the search changes a logarithm by more than this.
 _LONGEST = 1.5

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import mapped
+from calib.arrays import Array
 from calib.joint.fields import COEFFICIENTS
 from calib.joint.layout import RIM_POWERS, Layout
 from calib.joint.readings import Readings
@@ -24,8 +25,6 @@ from calib.model.gimbal import GIMBAL, Gimbal
 from calib.model.rim_fit import Disc
 from calib.model.rotation import exp_map
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Stars outside of the visible disc are displaced as those at so many of its radii; the change is so wide.
 _BEYOND, _BEND = 1.05, 0.02

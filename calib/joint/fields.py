@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Highest degree of a field.
 DEGREE = 7

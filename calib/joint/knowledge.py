@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
@@ -35,8 +35,6 @@ from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.type_b_terms import RADII, TypeBTerm
 from calib.model.type_b_terms import SCALES as SCALE_TERMS
-
-Array = NDArray[np.float64]
 
 #: Faults of a statement: its uncertainty is several times larger than stated; or it is as if nobody had stated it.
 MISJUDGED, WRONG = "misjudged", "wrong"

@@ -13,11 +13,11 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.fields import COEFFICIENTS, DEGREE, DEGREES, FieldBasis, both
 from calib.model import result_parts as rows
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 CENTRE = ("x", "y", "r")

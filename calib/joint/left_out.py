@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State
 from calib.joint.marginal import Problem
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
 from calib.model.result_parts import RotationErrors
-
-Array = NDArray[np.float64]
 
 #: Fewest poses of which one can be left out.
 MIN_POSES = 3

@@ -13,6 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, Equations, State
 from calib.joint.fields import DEGREES
@@ -20,8 +21,6 @@ from calib.joint.knowledge import Knowledge
 from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RIM_OWN, RandomBlock
 from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_root
 from calib.joint.pupils import Pupils
-
-Array = NDArray[np.float64]
 
 _POSE_DEGREE = np.tile(DEGREES, 2)[POSE_PLACES]
 

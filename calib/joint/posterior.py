@@ -10,13 +10,13 @@ both.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, WRONG, Statement
@@ -26,8 +26,6 @@ from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step
 from calib.model.result_parts import GIMBAL_SCALE
-
-Array = NDArray[np.float64]
 
 #: Share of the posterior that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
 COVERAGE = 0.9545
@@ -143,13 +141,17 @@ class Posterior:
 
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode, in closed form."""
-        solution, faults = self.largest.solution, dict(self.largest.faults)
-        knowledge = self.optimum.marginal.problem.knowledge
-        b = self.optimum.state.shared + solution.step
-        return [
-            _innovation(one, b, solution.covariance, faults.get(name, ""), self.faults.get(name, 0.0))
-            for name, one in knowledge.witnesses.items()
-        ]
+        return _innovations(self.optimum, self.largest.faults, self.largest.solution, self.faults)
+
+
+def _innovations(
+    optimum: Optimum, faults: Faults, solution: Solution, probabilities: Mapping[str, float]
+) -> list[Innovation]:
+    wrong, b = dict(faults), optimum.state.shared + solution.step
+    return [
+        _innovation(one, b, solution.covariance, wrong.get(name, ""), probabilities.get(name, 0.0))
+        for name, one in optimum.marginal.problem.knowledge.witnesses.items()
+    ]
 
 
 def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
@@ -346,9 +348,7 @@ def _possible(optimum: Optimum, starts: Sequence[Solution], base: Mode) -> list[
     doubted: dict[str, None] = {}
     scales: tuple[str, ...] = ()
     for solution in starts:
-        said = Posterior(
-            optimum, (), np.zeros(0), {}, Node(1.0, base.eta, base.faults, solution)
-        ).innovations()
+        said = _innovations(optimum, base.faults, solution, {})
         said = [one for one in said if one.name not in dict(base.faults)]
         doubted |= dict.fromkeys(one.name for one in said if abs(one.normalised) > _AGREES)
         scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)

@@ -8,11 +8,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
+from calib.arrays import Array
 from calib.joint.knowledge import Statement
 from calib.joint.layout import RandomBlock
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 #: Names of statements with their faults (`calib.joint.knowledge.FAULTS`).
@@ -129,10 +130,7 @@ class Stated:
         """Return statements as one; some may be at fault."""
         wrong = dict(faults)
         informations = [one.information(wrong.get(one.name, "")) for one in statements]
-        ends = np.cumsum([len(one) for one in informations])
-        inside = np.zeros((ends[-1], ends[-1]))
-        for end, own in zip(ends, informations, strict=True):
-            inside[end - len(own) : end, end - len(own) : end] = own
+        inside = linalg.block_diag(*informations)
         return cls(
             np.concatenate([one.rows for one in statements]),
             np.concatenate([one.values for one in statements]),

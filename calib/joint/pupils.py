@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: A pupil that wanders by this share of the radius is moved by hand; on a gimbal, by less than a quarter of it.
 _WANDERS = 0.01

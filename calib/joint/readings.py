@@ -14,12 +14,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint.layout import ECCENTRICITY, ENCODER
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import AXES, GimbalReadings
 from calib.model.rotation import log_map
-
-Array = NDArray[np.float64]
 
 _TURNS = (*MOUNTING, *STANDING)
 #: Readings of an axis that differ by less are those of one angle: the encoder is off by the same.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
@@ -29,8 +30,6 @@ from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
 from calib.model.result_parts import WORST_CORNER, Amplitude, GimbalEstimate, Witness
 from calib.view import View
-
-Array = NDArray[np.float64]
 
 #: Amplitudes that are factors or coefficients, not directions.
 _PLAIN = (
@@ -157,12 +156,7 @@ def _calibration(
         gimbal=_gimbal(found, parameters, options),
         boresight=boresight(found, parameters.camera, parameters.gimbal),
         poses=tuple(int(pose) for pose in bench.poses),
-        budget_rows=tuple(
-            replace(row, source=options.passport_source)
-            if row.name == "passport of the collimator" and options.passport_source
-            else row
-            for row in rows
-        ),
+        budget_rows=rows,
         witnesses=_witnesses(found),
         amplitudes=_amplitudes(found),
         coverage_factors={

@@ -13,14 +13,12 @@ from functools import cache
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.prior import Faults
 from calib.joint.solve import relative_step
-
-Array = NDArray[np.float64]
 
 #: Quantities whose variances say which directions of the logarithms matter.
 _QUANTITIES = ("fx", "cx", "cy")

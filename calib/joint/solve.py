@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import FINE, ROUGH, best_amplitudes
@@ -19,8 +19,6 @@ from calib.joint.equations import Equations, State, robust_sigma
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.places import places_of
 from calib.joint.prior import Faults
-
-Array = NDArray[np.float64]
 
 #: Rounds with large robust limits, before the first search of amplitudes.
 _FIRST_ROUNDS = 1

@@ -18,7 +18,8 @@ from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
 from drivers.errors import CameraLost, CameraNotFound, RecordingFailed
 from sequences.script import Gates
-from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS, SimulatedFrameCamera, mean_brightness
+from simulators.cameras.frame_camera import SimulatedFrameCamera, mean_brightness
+from simulators.cameras.streaming import FRAME_CAMERA_FAULTS
 from simulators.world.world import AxisMotion, LightState, World
 
 SEED = 7
