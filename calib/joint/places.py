@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.marginal import Marginal, Solution
+from calib.joint.prior import block_diagonal
 
 #: Share of what the stars say of the places that counts in the uncertainty. Glass that does not follow the pupil alone
 #: moves the places: with all of it, 25 poses before such a glass were up to 2.8 U wrong. With none of it, U of nine
@@ -54,12 +54,12 @@ def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
     alone = alone - with_own.swapaxes(1, 2) @ found.own @ with_own
     shared = np.concatenate(list(across - found.follow.swapaxes(1, 2) @ with_own), axis=1)
     follow = found.covariance @ shared
-    information = problem.pupils.information + linalg.block_diag(*alone) - shared.T @ follow
+    information = problem.pupils.information + block_diagonal(alone) - shared.T @ follow
     discs = problem.pupils.information
     spread = follow @ np.linalg.solve(discs + _COUNTED * (information - discs), follow.T)
     away = problem.pupils.information @ (bench.pupils - problem.pupils.shown).reshape(-1)
     gradient, curvature = _of_determinant(marginal, found, equations.squares / star)
-    step = np.linalg.solve(information + linalg.block_diag(*curvature), (pull - gradient).reshape(-1) - away)
+    step = np.linalg.solve(information + block_diagonal(curvature), (pull - gradient).reshape(-1) - away)
     return Places(step.reshape(-1, 2), np.asarray(spread))
 
 
