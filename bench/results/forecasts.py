@@ -121,7 +121,7 @@ def forecast_if_enough(bench: ExpectedBench, poses: Sequence[Angles]) -> Forecas
 
 
 def poses_deg(poses: Iterable[Pose]) -> list[dict[str, float]]:
-    """Return poses with the names of the engine, degrees (``pan_deg``)."""
+    """Return the angles of poses by the names that the engine knows, such as ``pan_deg``."""
     return [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in poses]
 
 

@@ -219,7 +219,7 @@ class RunPlan:
         )
 
     def count_poses(self, history: History) -> PoseCount:
-        """Return how many poses a run has; the most are those that it has once every ``until`` has ended."""
+        """Return how many poses a run has. No more can follow once every ``until`` has ended."""
         known = len(self.poses.keys() | history.chosen.keys())
         ended = {decided["until"] for decided in history.decisions if "ended" in decided}
         is_open = any(until["first"] not in ended for until in self.untils)

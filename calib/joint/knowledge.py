@@ -43,12 +43,12 @@ MISJUDGED_TIMES = 5.0
 FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
 #: Names of witnesses.
 CERTIFICATE = "certificate of the collimator"
-SAME_AXIS, SAME_RADIUS, SAME_RADIAL = (
-    "axis as in the passport",
-    "radius as in the passport",
-    "radial errors as in the passport",
+CHANGED_AXIS, CHANGED_RADIUS = (
+    "change of the axis since the passport",
+    "change of the radius since the passport",
 )
-SAME_FIELD = "irregular errors as in the passport"
+CHANGED_RADIAL = "change of the radial errors since the passport"
+CHANGED_FIELD = "size of irregular changes since the passport"
 SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a right angle"
 ASPECT, READINGS = "square pixels", "readings of the gimbal"
 STEADY = "steady focal length"
@@ -89,7 +89,7 @@ class Statement:
     covariance: Array  # (k, k)
     # (k, k) covariance if nobody had stated it; None if this is no statement that could be wrong.
     free: Array | None = None
-    # (k, k) covariance if its uncertainty is misjudged; None if that is so many times as large.
+    # (k, k) covariance if the stated one is misjudged; None: `MISJUDGED_TIMES` squared times the stated one.
     misjudged: Array | None = None
     unit: str = ""
     term: TypeBTerm | None = None  # The type B term of the budget that it is
@@ -291,13 +291,16 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
     covariance = known.covariance + floor + _elsewhere(layout, known)
     found = [Statement(rows.PASSPORT, rows.PASSPORT, source, then, known.values, covariance)]
     free = dict.fromkeys(CENTRE, _FREE_RADIUS * known.values_by_name["r"]) | _FREE_RADIAL
-    for witness, names in ((SAME_AXIS, CENTRE[:2]), (SAME_RADIUS, CENTRE[2:]), (SAME_RADIAL, RADIAL)):
+    for witness, names in (
+        (CHANGED_AXIS, CENTRE[:2]),
+        (CHANGED_RADIUS, CENTRE[2:]),
+        (CHANGED_RADIAL, RADIAL),
+    ):
         at = [known.names.index(name) for name in names if name in known.names]
         if not at:
             continue
-        own = covariance[np.ix_(at, at)]
+        own, wide = covariance[np.ix_(at, at)], np.diag([free[known.names[k]] ** 2 for k in at])
         stated = _UNCHANGED * own
-        wide = np.diag([free[known.names[k]] ** 2 for k in at])
         found.append(
             Statement(
                 witness,
@@ -308,7 +311,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
                 stated,
                 stated + wide,
                 stated + (MISJUDGED_TIMES**2 - 1.0) * own,
-                "mm" if witness != SAME_RADIAL else "",
+                "mm" if witness != CHANGED_RADIAL else "",
             )
         )
     return found

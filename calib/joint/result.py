@@ -18,7 +18,7 @@ from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
-from calib.joint.knowledge import FREE_SCALE, READINGS, SAME_FIELD
+from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
 from calib.joint.marginal import Solution
@@ -219,12 +219,12 @@ def _witnesses(found: Posterior) -> tuple[Witness, ...]:
     if marginal.uses_readings:
         witnesses.append(_size(found, READINGS, "station: reading_sigma_deg", amp.READING))
     if amp.CHANGE in marginal.problem.hyper.names:
-        witnesses.append(_size(found, SAME_FIELD, "expected of another pupil", amp.CHANGE))
+        witnesses.append(_size(found, CHANGED_FIELD, "expected of another pupil", amp.CHANGE))
     return tuple(witnesses)
 
 
 def _size(found: Posterior, name: str, source: str, amplitude: str) -> Witness:
-    """Return the witness of an amplitude that is expected: errors that are so many times as large."""
+    """Return the witness of errors whose size is expected: how many times as large they are."""
     hyper = found.optimum.marginal.problem.hyper
     at = hyper.at(amplitude)
     away, width = float(found.optimum.eta[at] - hyper.mean[at]), float(np.sqrt(hyper.covariance[at, at]))

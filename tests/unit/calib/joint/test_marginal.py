@@ -224,7 +224,7 @@ def test_passport_of_another_glass_is_named_and_its_uncertainty_covers_the_camer
     other = replace(other, glass=replace(other.glass, r=polynomial.draw_world(2).glass.r))
     before = polynomial.record(polynomial.draw_world(2), 2, NINE), "cr"
     line = judged(polynomial.record(other, 2, THREE, 1, 1), "passport", "shipped", before)
-    assert any("'radial errors as in the passport'" in note for note in line["notes"])
+    assert any("'change of the radial errors since the passport'" in note for note in line["notes"])
     over = [line["error"][name] / line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner")]
     assert max(map(abs, [*over, line["lens_over"]["k1"]])) < 1.3
 
