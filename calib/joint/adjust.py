@@ -68,7 +68,10 @@ def posed(
     lens: Sequence[str],
     discs: Discs | None = None,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state; with the discs of the poses if their rim counts."""
+    """Return the problem and its first state, with the visible discs of the poses.
+
+    A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
+    """
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -78,8 +81,10 @@ def posed(
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
     readings = Readings.of(options.gimbal) if options.gimbal else None
     names = (*PINHOLE, *lens)
-    pupils = pupils_of(discs, centre.r) if discs else None
-    pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if discs else amp.Pupil.HELD
+    bounded = options.gimbal is not None and options.gimbal.parallax is not None
+    pupils = pupils_of(discs, centre.r) if discs and not bounded else None
+    walks = discs is not None and not bounded
+    pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if walks else amp.Pupil.HELD
     layout = Layout(
         names,
         basis,
@@ -190,17 +195,10 @@ def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOpt
         )
 
 
-def _discs(views: Sequence[View], options: CalibrationOptions, start: AdjustmentParameters) -> Discs | None:
-    """Return the visible discs; None on a gimbal: a bound of the parallax says that the pupil is on one."""
-    if options.gimbal is not None and options.gimbal.parallax is not None:
-        return None
-    return discs_of_poses(views, np.array(poses_of(start.rotations), np.int64))
-
-
 def _searched(
     views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], start: AdjustmentParameters
 ) -> Optimum:
-    discs = _discs(views, options, start)
+    discs = discs_of_poses(views, np.array(poses_of(start.rotations), np.int64))
     problem, state = posed(views, options, start, lens, discs)
     near = _approached(problem, state, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
