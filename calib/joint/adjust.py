@@ -79,7 +79,8 @@ def posed(
         reference = passport.reference
     radius = passport.conditions.get(FIELD_RADIUS) if passport is not None else None
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
-    readings = Readings.of(options.gimbal) if options.gimbal else None
+    poses = np.array(poses_of(start.rotations), np.int64)
+    readings = Readings.of(options.gimbal, poses) if options.gimbal else None
     names = (*PINHOLE, *lens)
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
     pupils = pupils_of(discs, centre.r) if discs and not bounded else None
@@ -92,7 +93,7 @@ def posed(
         readings.names if readings else (),
         wavefront(options.budget),
         pupil,
-        len(set(poses_of(start.rotations))),
+        len(set(poses.tolist())),
     )
     if passport is not None:
         layout = replace(layout, passport=stated_names(passport, layout))
@@ -106,7 +107,6 @@ def posed(
     knowledge = gather(options, layout, views[0].image_size, values)
     hyper = amp.hyperprior(options.parallax_sigma, pupil, passport=bool(layout.passport))
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
-    poses = np.array(poses_of(start.rotations), np.int64)
     turns, axes = turns_of(start.rotations, poses)
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
     blocks = layout.random_blocks(

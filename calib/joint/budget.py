@@ -72,7 +72,7 @@ def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Arra
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled
         loose = squares[hyper.at(amp.STAR)] * marginal.loose[:, :, None]
         found[names.STARS] = found[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
-        found[names.READINGS] = marginal.reading_variance(squares) * (pulled**2).sum(axis=(0, 1))
+        found[names.READINGS] = (marginal.reading_variance(squares)[:, :, None] * pulled**2).sum(axis=(0, 1))
     stated = marginal.problem.stated(node.faults)
     seen = stated.rows @ x
     _add(found, stated.groups, seen * (stated.inside @ seen))

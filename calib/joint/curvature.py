@@ -90,7 +90,8 @@ def _with_readings(marginal: Marginal, squares: Array, found: Solution, spread: 
     row = 4.0 * np.bincount(problem.random.amplitudes, ((seen @ spread) ** 2).sum(axis=0), len(squares))
     whole[reading] += row
     whole[:, reading] += row
-    whole[reading, reading] += 4.0 * float((parts**2).sum())
+    twice = (1.0 - 1.0 / marginal.repeats) * (scaled**2 / weights) ** 2  # readings of one pose count as one
+    whole[reading, reading] += 4.0 * float((parts**2).sum() - twice.sum())
     return whole
 
 

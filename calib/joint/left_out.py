@@ -113,10 +113,10 @@ def rotation_errors(found: Posterior) -> RotationErrors:
     return RotationErrors(names, found.mean, found.covariance, prior, pull, by_shared, own)
 
 
-def rotation_covariance(optimum: Optimum) -> Array:
+def rotation_covariance(found: Posterior) -> Array:
     """Return the (3 m, 3 m) joint covariance of the rotation vectors on the camera's side, rad^2."""
-    by_shared, own = _follow(optimum, np.exp(2.0 * optimum.eta))
-    flat = by_shared @ optimum.solution.covariance @ by_shared.T + own
+    by_shared, own = _follow(found.optimum, np.exp(2.0 * found.optimum.eta))
+    flat = by_shared @ found.covariance @ by_shared.T + own
     return np.asarray(0.5 * (flat + flat.T))
 
 
@@ -131,7 +131,7 @@ def _follow(optimum: Optimum, squares: Array) -> tuple[Array, Array]:
     by_field = -equations.coupling[:, :, places]
     if marginal.uses_readings:
         weights = marginal.reading_weights(squares)
-        kept = marginal.reading_variance(squares) * (back * weights[:, None]) @ marginal.axes
+        kept = (back * (marginal.reading_variance(squares) * weights)[:, None]) @ marginal.axes
         share = np.eye(3) - kept
         by_shared, by_field = kept @ by_shared, kept @ by_field
         by_shared[:, :, bench.gimbal_places] += share @ equations.gimbal

@@ -151,6 +151,8 @@ class Marginal:
         self.own = equations.squares[:, places[:, None], places]
         self.own_pull = equations.right[:, places]
         self._sigma2 = bench.readings.sigma_rad**2 if bench.readings else 0.0
+        # repeats: (m, 1) number of views of the same pose.
+        self.repeats = np.bincount(bench.poses)[bench.poses][:, None].astype(float)
         self.uses_readings = len(equations.off) > 0
         # loose: (m, 3) variances of the stars' rotations, unit amplitude. axes: (m, 3, 3) their axes, in rows. rows,
         # own_rows, off: (m, 3, S), (m, 3, F), (m, 3) what the readings say in these axes.
@@ -191,9 +193,12 @@ class Marginal:
         total = self.problem.stated().off(state.shared)[1] + float(b @ inside @ b)
         return total + float((self.problem.own_information(squares) * state.fields**2).sum())
 
-    def reading_variance(self, squares: Array) -> float:
-        """Return the variance of a component of a reading's rotation, rad^2."""
-        return float(squares[self.problem.hyper.at(amp.READING)]) * self._sigma2
+    def reading_variance(self, squares: Array) -> Array:
+        """Return the (m, 1) variances of a component of each reading's rotation, rad^2.
+
+        The n readings of one pose together count as one: each has n times the variance.
+        """
+        return np.asarray(float(squares[self.problem.hyper.at(amp.READING)]) * self._sigma2 * self.repeats)
 
     def reading_weights(self, squares: Array) -> Array:
         """Return the (m, 3) weights of the readings relative to the stars' rotations, in the principal axes."""
@@ -274,7 +279,7 @@ class Marginal:
             normal.own_pull + self._by_pose((across @ self.off[:, :, None])[:, :, 0]),
             normal.between + self._by_pose(across @ self.rows),
             normal.inside,
-            normal.constant + float((weights * self.off**2).sum()) - float(np.log(weights).sum()),
+            normal.constant + float((weights * self.off**2).sum()) - float((np.log(weights) / self.repeats).sum()),
         )
 
     # -- gradient
@@ -314,10 +319,10 @@ class Marginal:
             spread = ((direct @ found.covariance) * direct).sum(axis=2)
             spread += ((self.own_rows @ found.own[self._poses]) * self.own_rows).sum(axis=2)
             left = self.off - self.rows @ step - (self.own_rows @ fields[self._poses][:, :, None])[:, :, 0]
-            inside = weights - weights**2 * (spread + left**2)
+            inside = weights / self.repeats - weights**2 * (spread + left**2)
             determined -= float((weights * spread).sum())
             gradient[star] = 2.0 * squares[star] * float((inside * self.loose).sum())
-            gradient[reading] = 2.0 * squares[reading] * self._sigma2 * float(inside.sum())
+            gradient[reading] = 2.0 * float((inside * self.reading_variance(squares)).sum())
         gradient[star] += 2.0 * (self.rows_observed - cost / squares[star] - determined)
         return gradient
 

@@ -2,7 +2,7 @@
 
 A reading predicts the rotation M = A Rz(roll) Rx(tilt) Rz(delta) Ry(pan) B (`calib.model.gimbal`). Each angle is its
 reading times the scale of its axis, plus two errors of the encoder: e_s sin(a) + e_c (cos(a) - 1) of one period, and an
-error that belongs to this angle. Views at the same angle share it, so they do not count as independent readings.
+error that belongs to this angle. Poses at the same angle share it, so they do not count as independent readings.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ class Readings:
     angles_deg: Array  # (m, 3) pan, tilt, roll
     sigma_rad: float  # Standard uncertainty of each rotation component
     moved: tuple[bool, bool, bool]  # Which axes have different readings
+    poses: NDArray[np.int64]  # (m,) pose of each view
 
     @classmethod
-    def of(cls, stated: GimbalReadings) -> Readings:
+    def of(cls, stated: GimbalReadings, poses: NDArray[np.int64]) -> Readings:
         """Return the readings that a station states."""
         angles = stated.angles
         moved = np.ptp(angles, axis=0) > 0.0
-        return cls(angles, float(np.radians(stated.reading_sigma_deg)), tuple(moved.tolist()))
+        return cls(angles, float(np.radians(stated.reading_sigma_deg)), tuple(moved.tolist()), poses)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -51,13 +52,13 @@ class Readings:
 
     @cached_property
     def at_angles(self) -> Mapping[str, tuple[int, NDArray[np.bool_]]]:
-        """By the name of what an encoder is off at an angle: the axis, and (m,) the views that share it."""
+        """By the name of what an encoder is off at an angle of several poses: the axis, and (m,) their views."""
         found = {}
         for k in np.flatnonzero(self.moved).tolist():
             order = np.argsort(self.angles_deg[:, k], kind="stable")
             ends = np.flatnonzero(np.diff(self.angles_deg[order, k]) > _ONE_ANGLE_DEG) + 1
             for views in np.split(order, ends):
-                if len(views) > 1:
+                if len(set(self.poses[views].tolist())) > 1:
                     axis, angle = AXES[k].removesuffix("_deg"), float(self.angles_deg[views[0], k])
                     found[f"{ENCODER}_{axis}_{angle:g}"] = (k, np.isin(range(len(order)), views))
         return found

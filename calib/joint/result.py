@@ -150,7 +150,7 @@ def _calibration(
         birge_ratio=_disagreement(found),
         coverage_factor=factors[0],
         left_out_rms_px=left_out_rms(found.optimum),
-        rotation_covariance=rotation_covariance(found.optimum),
+        rotation_covariance=rotation_covariance(found),
         rotation_errors=rotation_errors(found),
         budget={group: dict(zip(names, part.tolist(), strict=True)) for group, part in budget.items()},
         gimbal=_gimbal(found, parameters, options),

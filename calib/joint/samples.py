@@ -113,7 +113,7 @@ def _by_readings(marginal: Marginal, squares: Array, found: Solution, row: Array
         return 0.0
     direct = marginal.rows - marginal.own_rows @ found.follow[marginal.problem.bench.poses]
     seen = marginal.reading_weights(squares) * (direct @ row)
-    return marginal.reading_variance(squares) * float((seen**2).sum())
+    return float((marginal.reading_variance(squares) * seen**2).sum())
 
 
 @cache

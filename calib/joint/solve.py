@@ -284,5 +284,5 @@ def cost(marginal: Marginal, eta: Array, state: State, lengths: Sequence[Array])
     total += marginal.prior_cost(squares, state)
     if marginal.uses_readings and bench.readings is not None:
         variance = marginal.reading_variance(squares)
-        total += float((bench.readings_off(state) ** 2).sum()) / variance
+        total += float((bench.readings_off(state) ** 2 / variance).sum())
     return total

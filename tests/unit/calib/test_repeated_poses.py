@@ -7,6 +7,7 @@ import pytest
 
 from calib.adjustment.parameters import poses_of
 from calib.engine import CalibrationOptions, calibrate
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy
 from tests.support.drawn_benches import NINE, THREE, draw_bench
@@ -39,6 +40,20 @@ def test_a_recording_that_is_there_twice_changes_nothing(profile, poses, options
     bench = draw_bench(profile, poses, 21)
     once, twice = (expanded(repeated([bench] * n), **options) for n in (1, 2))
     assert twice == pytest.approx(once, rel=1e-6)
+
+
+@pytest.mark.parametrize(("profile", "poses"), [("like-bench", THREE), ("like-bench", NINE), ("like-real", THREE)])
+def test_readings_that_are_there_twice_count_once(profile, poses):
+    bench = draw_bench(profile, poses, 22)
+    bound = ParallaxBound(0.0, 0.01, 0.0, 1.0)
+    once, twice = (
+        expanded(
+            repeated([bench] * n),
+            gimbal=GimbalReadings(tuple(bench.readings_deg) * n, 0.002, 2e-4, 0.001, bound, "drawn"),
+        )
+        for n in (1, 2)
+    )
+    assert twice == pytest.approx(once, rel=0.005)
 
 
 @pytest.mark.parametrize(("profile", "poses", "options"), BENCHES[1:])
