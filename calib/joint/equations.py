@@ -32,8 +32,8 @@ _BEYOND, _BEND = 1.05, 0.02
 #: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
 _RIM_NOISE_POWER = 12
 _RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
-#: The noise at the rim counts so many times: it is alike in neighbouring stars and in other poses, and the smooth fields
-#: take a part of it. Left-out poses of the published recordings are predicted a quarter better than with 1.
+#: The noise at the rim counts so many times: it is alike in neighbouring stars and in other poses, and the smooth
+#: fields take a part of it. Left-out poses of the published recordings are predicted a quarter better than with 1.
 _RIM_ALIKE = 3.0
 #: No residual counts as longer than this when c is looked for, sigmas of its noise: one gross error would decide.
 _LONGEST = 10.0

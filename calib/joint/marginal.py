@@ -279,7 +279,9 @@ class Marginal:
             normal.own_pull + self._by_pose((across @ self.off[:, :, None])[:, :, 0]),
             normal.between + self._by_pose(across @ self.rows),
             normal.inside,
-            normal.constant + float((weights * self.off**2).sum()) - float((np.log(weights) / self.repeats).sum()),
+            normal.constant
+            + float((weights * self.off**2).sum())
+            - float((np.log(weights) / self.repeats).sum()),
         )
 
     # -- gradient

@@ -10,7 +10,7 @@ both.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -140,34 +140,30 @@ class Posterior:
         return 0.5 * (low + high)
 
     def innovations(self) -> list[Innovation]:
-        """Return the innovation of every statement that could be wrong, at the largest mode, in closed form."""
-        return _innovations(self.optimum, self.largest.faults, self.largest.solution, self.faults)
+        """Return the innovation of every statement that could be wrong, at the largest mode."""
+        largest = self.largest
+        return [
+            _innovation(self.optimum.marginal, one, largest.eta, largest.faults, self.faults.get(name, 0.0))
+            for name, one in self.optimum.marginal.problem.knowledge.witnesses.items()
+        ]
 
 
-def _innovations(
-    optimum: Optimum, faults: Faults, solution: Solution, probabilities: Mapping[str, float]
-) -> list[Innovation]:
-    wrong, b = dict(faults), optimum.state.shared + solution.step
-    return [
-        _innovation(one, b, solution.covariance, wrong.get(name, ""), probabilities.get(name, 0.0))
-        for name, one in optimum.marginal.problem.knowledge.witnesses.items()
-    ]
-
-
-def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
-    """Return what a statement says against the posterior as if it were wrong; ``b`` includes it, with the given fault.
+def _innovation(
+    marginal: Marginal, one: Statement, eta: Array, faults: Faults, probability: float = 0.0
+) -> Innovation:
+    """Return what a statement says against the posterior as if it were wrong, for some amplitudes and other faults.
 
     So it is compared with the others, and with what would be known if nobody had stated it.
     """
-    removed = one.information(fault) - one.information(WRONG)
-    estimated = one.rows @ covariance @ one.rows.T
-    kept = np.eye(len(estimated)) - estimated @ removed
-    away = np.linalg.solve(kept, one.values - one.rows @ b)
-    spread = np.linalg.solve(kept, estimated)
+    beside = tuple((name, fault) for name, fault in faults if name != one.name)
+    others = marginal.solve(eta, (*beside, (one.name, WRONG)))
+    estimated = one.rows @ (marginal.state.shared + others.step)
+    root = others.root @ one.rows.T
+    spread = root.T @ root
+    away = one.values - estimated
     z = float(np.sqrt(away @ np.linalg.solve(one.covariance + spread, away) / len(away)))
     z *= float(np.sign(away[0])) if len(away) == 1 else 1.0
-    sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    return Innovation(one.name, one, one.values - away, sigma, z, probability)
+    return Innovation(one.name, one, estimated, np.sqrt(np.diag(spread)), z, probability)
 
 
 def posterior(optimum: Optimum, rounds: int) -> Posterior:
@@ -276,7 +272,7 @@ def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
     """
     marginal, found = optimum.marginal, []
     starts = _starts(optimum, base)
-    possible = _possible(optimum, [solution for _, solution in starts], base)
+    possible = _possible(marginal, [eta for eta, _ in starts], base)
     # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
     behind, known = base.solution, 2.0 * curvature if base.eta is optimum.eta else None
     if possible:
@@ -340,17 +336,18 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(optimum: Optimum, starts: Sequence[Solution], base: Mode) -> list[tuple[str, ...]]:
-    """Return the statements that contradict the others in one of the starts, so that a fault can be likelier.
+def _possible(marginal: Marginal, starts: Sequence[Array], base: Mode) -> list[tuple[str, ...]]:
+    """Return the statements that contradict the others at one of some amplitudes, so that a fault can be likelier.
 
     One source states the scales of all axes, so they can be wrong together.
     """
-    doubted: dict[str, None] = {}
-    scales: tuple[str, ...] = ()
-    for solution in starts:
-        said = _innovations(optimum, base.faults, solution, {})
-        said = [one for one in said if one.name not in dict(base.faults)]
-        doubted |= dict.fromkeys(one.name for one in said if abs(one.normalised) > _AGREES)
-        scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)
+    at_fault, witnesses = dict(base.faults), marginal.problem.knowledge.witnesses
+    undoubted = [one for name, one in witnesses.items() if name not in at_fault]
+    doubted = [
+        one.name
+        for one in undoubted
+        if any(abs(_innovation(marginal, one, eta, base.faults).normalised) > _AGREES for eta in starts)
+    ]
+    scales = tuple(one.name for one in undoubted if one.group == GIMBAL_SCALE)
     together = [scales] if len(scales) > 1 and doubted else []
     return [*((name,) for name in doubted), *together]

@@ -42,7 +42,9 @@ def test_a_recording_that_is_there_twice_changes_nothing(profile, poses, options
     assert twice == pytest.approx(once, rel=1e-6)
 
 
-@pytest.mark.parametrize(("profile", "poses"), [("like-bench", THREE), ("like-bench", NINE), ("like-real", THREE)])
+@pytest.mark.parametrize(
+    ("profile", "poses"), [("like-bench", THREE), ("like-bench", NINE), ("like-real", THREE)]
+)
 def test_readings_that_are_there_twice_count_once(profile, poses):
     bench = draw_bench(profile, poses, 22)
     bound = ParallaxBound(0.0, 0.01, 0.0, 1.0)

@@ -11,7 +11,7 @@ from calib.errors import InputMismatch
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
-from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
+from calib.joint.knowledge import CERTIFICATE, FAULTS, PARALLAX, WRONG
 from calib.joint.posterior import posterior
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.samples import log_odds
@@ -149,7 +149,9 @@ def test_stars_near_the_rim_count_as_much_as_they_scatter(bench, gimbal):
         clean.append(seen)
         bent.append(replace(seen, points_px=seen.points_px + noise))
         rims.append(rho[rho < 1.0])
-    as_found = [calibrate(views, CalibrationOptions("joint", gimbal=gimbal)).weights for views in (clean, bent)]
+    as_found = [
+        calibrate(views, CalibrationOptions("joint", gimbal=gimbal)).weights for views in (clean, bent)
+    ]
     rho = np.concatenate(rims)
     flat, falling = (np.concatenate(list(weights)) for weights in as_found)
     assert np.median(flat[rho > 0.95]) > 0.9
@@ -183,6 +185,14 @@ def test_ideal_stars_give_the_truth(bench):
         error = abs(getattr(result.camera, name) - bench.truth[name])
         assert error < 0.2 * result.coverage_factors[name] * result.sigma[name]
         assert error < 0.5
+
+
+@pytest.mark.parametrize("exactly", [1e-4, 1e-6, 1e-9])
+def test_a_statement_of_which_nobody_else_knows_is_not_contradicted(views, exactly):
+    exact = replace(READINGS, parallax=ParallaxBound(0.0, exactly, 0.0, 0.5))
+    witnesses = calibrate(views, CalibrationOptions("joint", gimbal=exact)).witnesses
+    (pupil,) = (one for one in witnesses if one.name == PARALLAX)
+    assert abs(pupil.innovation) < 1.5
 
 
 def test_statements_that_agree_are_not_doubted(views):
