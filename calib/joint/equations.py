@@ -33,8 +33,8 @@ _BEYOND, _BEND = 1.05, 0.02
 _RIM_NOISE_POWER = 12
 _RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
 #: The noise at the rim counts so many times: it is alike in neighbouring stars and in other poses, and the smooth
-#: fields take a part of it. Left-out poses of the published recordings are predicted a quarter better than with 1.
-_RIM_ALIKE = 3.0
+#: fields take a part of it. Left-out poses of the published recordings are predicted a seventh better than with 1.
+_RIM_ALIKE = 2.0
 #: No residual counts as longer than this when c is looked for, sigmas of its noise: one gross error would decide.
 _LONGEST = 10.0
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
