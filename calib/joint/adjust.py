@@ -80,7 +80,7 @@ def posed(
     radius = passport.conditions.get(FIELD_RADIUS) if passport is not None else None
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
     poses = np.array(poses_of(start.rotations), np.int64)
-    readings = Readings.of(options.gimbal, poses) if options.gimbal else None
+    readings = Readings.of(options.gimbal) if options.gimbal else None
     names = (*PINHOLE, *lens)
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
     pupils = pupils_of(discs, centre.r) if discs and not bounded else None

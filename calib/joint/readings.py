@@ -32,14 +32,13 @@ class Readings:
     angles_deg: Array  # (m, 3) pan, tilt, roll
     sigma_rad: float  # Standard uncertainty of each rotation component
     moved: tuple[bool, bool, bool]  # Which axes have different readings
-    poses: NDArray[np.int64]  # (m,) pose of each view
 
     @classmethod
-    def of(cls, stated: GimbalReadings, poses: NDArray[np.int64]) -> Readings:
+    def of(cls, stated: GimbalReadings) -> Readings:
         """Return the readings that a station states."""
         angles = stated.angles
         moved = np.ptp(angles, axis=0) > 0.0
-        return cls(angles, float(np.radians(stated.reading_sigma_deg)), tuple(moved.tolist()), poses)
+        return cls(angles, float(np.radians(stated.reading_sigma_deg)), tuple(moved.tolist()))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -58,7 +57,7 @@ class Readings:
             order = np.argsort(self.angles_deg[:, k], kind="stable")
             ends = np.flatnonzero(np.diff(self.angles_deg[order, k]) > _ONE_ANGLE_DEG) + 1
             for views in np.split(order, ends):
-                if len(set(self.poses[views].tolist())) > 1:
+                if np.ptp(self.angles_deg[views], axis=0).max() > _ONE_ANGLE_DEG:
                     axis, angle = AXES[k].removesuffix("_deg"), float(self.angles_deg[views[0], k])
                     found[f"{ENCODER}_{axis}_{angle:g}"] = (k, np.isin(range(len(order)), views))
         return found
