@@ -83,9 +83,9 @@ def posed(
     readings = Readings.of(options.gimbal) if options.gimbal else None
     names = (*PINHOLE, *lens)
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
-    pupils = pupils_of(discs, centre.r) if discs and not bounded else None
-    walks = discs is not None and not bounded
-    pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if walks else amp.Pupil.HELD
+    moving = None if bounded else discs
+    pupils = pupils_of(moving, centre.r) if moving else None
+    pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if moving else amp.Pupil.HELD
     layout = Layout(
         names,
         basis,
@@ -93,7 +93,7 @@ def posed(
         readings.names if readings else (),
         wavefront(options.budget),
         pupil,
-        len(set(poses.tolist())),
+        int(poses.max()) + 1,
     )
     if passport is not None:
         layout = replace(layout, passport=stated_names(passport, layout))

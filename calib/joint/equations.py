@@ -317,10 +317,7 @@ class Bench:
         )
 
     def _rim_px(self, lengths: Sequence[Array]) -> float:
-        """Return the noise, px, that counts at the rims of the visible discs; 0 without discs.
-
-        `_RIM_ALIKE` times the most probable one.
-        """
+        """Return `_RIM_ALIKE` times the most probable noise at the rim of the visible discs, px; 0 without discs."""
         if not self.discs:
             return 0.0
         scaled = (np.concatenate(lengths) / robust_sigma(lengths)) ** 2

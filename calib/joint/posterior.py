@@ -151,9 +151,9 @@ class Posterior:
 def _innovation(
     marginal: Marginal, one: Statement, eta: Array, faults: Faults, probability: float = 0.0
 ) -> Innovation:
-    """Return what a statement says against the posterior as if it were wrong, for some amplitudes and other faults.
+    """Compare a statement with the posterior in which it counts as wrong.
 
-    So it is compared with the others, and with what would be known if nobody had stated it.
+    That is what all others say, and what would be known if nobody had stated it.
     """
     beside = tuple((name, fault) for name, fault in faults if name != one.name)
     others = marginal.solve(eta, (*beside, (one.name, WRONG)))
@@ -337,7 +337,7 @@ def _usual(optimum: Optimum) -> Array:
 
 
 def _possible(marginal: Marginal, starts: Sequence[Array], base: Mode) -> list[tuple[str, ...]]:
-    """Return the statements that contradict the others at one of some amplitudes, so that a fault can be likelier.
+    """Return the statements that contradict all others, for at least one of the given amplitudes.
 
     One source states the scales of all axes, so they can be wrong together.
     """
