@@ -31,6 +31,9 @@ _BEYOND, _BEND = 1.05, 0.02
 #: Near the rim the noise of the stars is sqrt(1 + (c rho^12)^2) times larger, rho in radii of the disc. In the
 #: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
 _RIM_NOISE_POWER = 12
+#: And by so many px rho^24 at least. The fields could take the displacement of a few stars that are seen at the rim in
+#: all poses, and then no noise would be left to see: the principal point was wrong by up to 3 sigma.
+_RIM_EDGE_PX = 1.0
 _RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
 #: The noise at the rim counts so many times: it is alike in neighbouring stars and in other poses, and the smooth
 #: fields take a part of it. Left-out poses of the published recordings are predicted a seventh better than with 1.
@@ -71,18 +74,20 @@ class ViewStars:
     disc: Disc | None
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
     rim_noise: Array  # (N,) what 1 px of noise at the rim adds, over the stated noise; 0 without a disc
+    edge_noise: Array  # (N,) the least noise that the rim adds, over the stated noise
 
     @classmethod
     def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
         """Return the fixed part of a view."""
         whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2))
         sigma_px = np.linalg.det(whitening) ** -0.5
-        rim_noise = np.zeros(len(view))
+        at_rim = np.zeros(len(view))
         if disc is not None:
             rho = np.hypot(*(view.target_mm - disc.centre_mm).T) / disc.radius_mm
-            rim_noise = np.minimum(rho, _BEYOND) ** _RIM_NOISE_POWER / sigma_px
+            at_rim = np.minimum(rho, _BEYOND) ** _RIM_NOISE_POWER
         polynomials = layout.basis.polynomials(view.target_mm)
-        return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, rim_noise)
+        noises = at_rim / sigma_px, _RIM_EDGE_PX * at_rim**2 / sigma_px
+        return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, *noises)
 
     def about_disc(self, middle: Array) -> tuple[Array, Array]:
         """Return (N, 2, R) displacements about the disc, mm, and (N, 2, R, 2) their derivatives by its middle.
@@ -104,7 +109,7 @@ class ViewStars:
 
     def precision(self, rim_px: float) -> Array:
         """Return (N,) how precise stars are, 1 in the disc's middle; ``rim_px`` is the noise that its rim adds."""
-        return np.asarray(1.0 / (1.0 + (rim_px * self.rim_noise) ** 2))
+        return np.asarray(1.0 / (1.0 + (rim_px * self.rim_noise) ** 2 + self.edge_noise**2))
 
 
 @dataclass(frozen=True)
