@@ -22,7 +22,7 @@ from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, WRONG, Statement
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.places import places_of
-from calib.joint.prior import NO_FAULT, Faults
+from calib.joint.prior import NO_FAULT, Faults, block_diagonal
 from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step
 from calib.model.result_parts import GIMBAL_SCALE
@@ -62,7 +62,7 @@ class Innovation:
     expected: Array  # (k,) by all others
     sigma: Array  # (k,) of that
     normalised: float  # Stated minus expected over its sigma; root mean square for a joint statement
-    probability: float  # That the statement is at fault
+    probability: float = 0.0  # That the statement is at fault
 
 
 @dataclass(frozen=True)
@@ -142,28 +142,34 @@ class Posterior:
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode."""
         largest = self.largest
-        return [
-            _innovation(self.optimum.marginal, one, largest.eta, largest.faults, self.faults.get(name, 0.0))
-            for name, one in self.optimum.marginal.problem.knowledge.witnesses.items()
-        ]
+        found = _innovations(self.optimum.marginal, largest.eta, largest.faults)
+        return [replace(one, probability=self.faults.get(one.name, 0.0)) for one in found]
 
 
-def _innovation(
-    marginal: Marginal, one: Statement, eta: Array, faults: Faults, probability: float = 0.0
-) -> Innovation:
-    """Compare a statement with the posterior in which it counts as wrong.
+def _innovations(marginal: Marginal, eta: Array, faults: Faults) -> list[Innovation]:
+    """Compare each statement with the posterior in which it counts as wrong.
 
-    That is what all others say, and what would be known if nobody had stated it.
+    That is what all others say, and what would be known if nobody had stated it. The posterior in which all count as
+    wrong is solved; what the others say is then added, which needs no difference of nearly equal numbers.
     """
-    beside = tuple((name, fault) for name, fault in faults if name != one.name)
-    others = marginal.solve(eta, (*beside, (one.name, WRONG)))
-    estimated = one.rows @ (marginal.state.shared + others.step)
-    root = others.root @ one.rows.T
-    spread = root.T @ root
-    away = one.values - estimated
-    z = float(np.sqrt(away @ np.linalg.solve(one.covariance + spread, away) / len(away)))
-    z *= float(np.sign(away[0])) if len(away) == 1 else 1.0
-    return Innovation(one.name, one, estimated, np.sqrt(np.diag(spread)), z, probability)
+    witnesses, at_fault = marginal.problem.knowledge.witnesses, dict(faults)
+    found = marginal.solve(eta, tuple((name, WRONG) for name in witnesses))
+    statements = list(witnesses.values())
+    rows = np.concatenate([one.rows for one in statements])
+    values = np.concatenate([one.values for one in statements])
+    root = found.root @ rows.T
+    covariance, away = root.T @ root, values - rows @ (marginal.state.shared + found.step)
+    more = [one.information(at_fault.get(one.name, "")) - one.information(WRONG) for one in statements]
+    answer, end = [], 0
+    for k, one in enumerate(statements):
+        own = slice(end, end := end + len(one.values))
+        others = block_diagonal([*more[:k], np.zeros_like(more[k]), *more[k + 1 :]])
+        follow = np.linalg.solve(np.eye(len(rows)) + covariance @ others, np.column_stack([covariance, away]))
+        spread, off = follow[own, own], follow[own, -1]
+        z = float(np.sqrt(off @ np.linalg.solve(one.covariance + spread, off) / len(off)))
+        z *= float(np.sign(off[0])) if len(off) == 1 else 1.0
+        answer.append(Innovation(one.name, one, one.values - off, np.sqrt(np.diag(spread)), z))
+    return answer
 
 
 def posterior(optimum: Optimum, rounds: int) -> Posterior:
@@ -341,13 +347,11 @@ def _possible(marginal: Marginal, starts: Sequence[Array], base: Mode) -> list[t
 
     One source states the scales of all axes, so they can be wrong together.
     """
-    at_fault, witnesses = dict(base.faults), marginal.problem.knowledge.witnesses
-    undoubted = [one for name, one in witnesses.items() if name not in at_fault]
-    doubted = [
-        one.name
-        for one in undoubted
-        if any(abs(_innovation(marginal, one, eta, base.faults).normalised) > _AGREES for eta in starts)
-    ]
+    at_fault = dict(base.faults)
+    found = [one for eta in starts for one in _innovations(marginal, eta, base.faults)]
+    away = {one.name for one in found if abs(one.normalised) > _AGREES}
+    undoubted = [one for name, one in marginal.problem.knowledge.witnesses.items() if name not in at_fault]
+    doubted = [one.name for one in undoubted if one.name in away]
     scales = tuple(one.name for one in undoubted if one.group == GIMBAL_SCALE)
     together = [scales] if len(scales) > 1 and doubted else []
     return [*((name,) for name in doubted), *together]
