@@ -20,7 +20,7 @@ from bench.results.forecasts import (
     last_solve,
     poses_deg,
 )
-from bench.results.next_pose import Choice, Wish, cannot_reach, choose_pose
+from bench.results.next_pose import Choice, Wish, choose_pose, would_leave
 from calib.errors import DegenerateViews, TooFewStars
 from calib.studies.planning import Forecast
 from calib.studies.predicted_views import ExpectedBench
@@ -119,13 +119,17 @@ def _course(planned: Plan, bench: ExpectedBench, until: Until, poses: Poses) -> 
             why = choice
             break
         if missed := choice.hopeless(until.goals, reached):
-            why = cannot_reach(missed, until.goals[missed], choice.at_end[missed], until.at_most)
+            goal = until.goals[missed]
+            why = f"{meaning_of_goal(missed)} cannot reach the goal of {goal:g} px."
+            why += f" {would_leave(missed, goal, choice.at_end[missed], until.at_most)}"
             break
         poses.append(dict(choice.angles_deg))
     if found is not None:
         worst = max(reached, key=lambda name: reached[name] / until.goals[name])
         left = beside_goal(reached[worst], until.goals[worst], 2)
-        why += f" It ends after about {recorded} poses; {meaning_of_goal(worst)} is then about {left} px."
+        why += (
+            f" The step ends after about {recorded} poses; {meaning_of_goal(worst)} is then about {left} px."
+        )
         why += f" {largest_part(found, QUANTITIES[worst])}."
     return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
 

@@ -16,7 +16,7 @@ from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import History
 from bench.report.text import meaning_of_goal, missed_text
 from bench.results.forecasts import QUANTITIES
-from bench.results.next_pose import Choice, Wish, cannot_reach, choose_pose
+from bench.results.next_pose import Choice, Wish, choose_pose, would_leave
 from bench.results.solution import accepted_measurements, views_in
 from bench.results.solve_options import limited_numbers, solve_options
 from bench.views.expected_grid import engine_angles_deg
@@ -95,7 +95,7 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
             decided["at_end"] = {goal: value for goal, value in choice.at_end.items() if np.isfinite(value)}
             missed = choice.hopeless(until.goals, decided["now"])
             if missed:
-                why = cannot_reach(missed, until.goals[missed], choice.at_end[missed], until.at_most)
+                why = would_leave(missed, until.goals[missed], choice.at_end[missed], until.at_most)
                 return {
                     **decided,
                     "ended": "unreachable",

@@ -282,9 +282,6 @@ def _reason(wish: Wish, lacks: str) -> str:
     return f"it lowers {meaning_of_goal(widest)} most"
 
 
-def cannot_reach(name: str, goal: float, at_end: float, poses: int) -> str:
-    """Return that a goal is out of reach, and what all ``poses`` are expected to leave, px."""
-    return (
-        f"{meaning_of_goal(name)} cannot reach the goal of {goal:g} px: with all {poses} poses, about "
-        f"{beside_goal(at_end, goal, 2)} px is expected."
-    )
+def would_leave(name: str, goal: float, at_end: float, poses: int) -> str:
+    """Return what all ``poses`` of an ``until`` are expected to leave of a goal out of reach, px."""
+    return f"With all {poses} poses, {meaning_of_goal(name)} would still be about {beside_goal(at_end, goal, 2)} px."

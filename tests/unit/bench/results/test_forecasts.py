@@ -142,12 +142,14 @@ def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said(
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
     (below,) = expected(expanded_fx_px=0.5).courses
-    assert "U(fx) cannot reach the goal of 0.5 px: with all 25 poses, about 1" in below.text
+    assert (
+        "U(fx) cannot reach the goal of 0.5 px. With all 25 poses, U(fx) would still be about 1" in below.text
+    )
     assert re.search("Its largest part is: (parallax|scale and eccentricity)", below.text)
     (beyond,) = expected(station="simulated_ideal", expanded_fx_px=0.001, at_most=5).courses
     assert (below.poses, beyond.poses) == (None, None)
     assert beyond.text.startswith("Expected: 5 poses do not suffice until U(fx) is at most 0.001 px")
-    assert "It ends after about 5 poses; U(fx) is then about " in beyond.text
+    assert "The step ends after about 5 poses; U(fx) is then about " in beyond.text
     assert expected("three_pose").courses == ()
 
 
