@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_plan import planned_duration_s
@@ -29,7 +31,7 @@ from bench.history.chart_findings import find_charts
 from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
-from bench.records.history import NO_END
+from bench.records.history import NO_END, replay
 from bench.records.journal import read_journal
 from bench.records.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
@@ -47,6 +49,7 @@ from bench.report.batch_page import render_batch
 from bench.report.text import goals_missed, unit_text, with_uncertainty
 from bench.results.trends import by_camera, hours_after, trends_of
 from bench.run.status import read_plan, read_status
+from bench.terminal.encoding import counted
 from sequences.errors import DocumentFaults
 from sequences.queue import Queue
 from sequences.reader import read_document
@@ -192,14 +195,11 @@ def _point(run: IndexedRun) -> PointData:
 
 
 def _totals(items: Sequence[ItemData]) -> TotalsData:
-    counted: dict[str, int] = {}
-    for item in items:
-        counted[item["how"]] = counted.get(item["how"], 0) + 1
     begun = [item["begun_utc"] for item in items if item["begun_utc"]]
     ended = [item["ended_utc"] for item in items if item["begun_utc"] and item["ended_utc"]]
     return {
         "runs": len(items),
-        "by_end": dict(sorted(counted.items())),
+        "by_end": dict(sorted(Counter(item["how"] for item in items).items())),
         "attempts": sum(item["attempts"] for item in items),
         "poses": sum(item["accepted"] for item in items),
         "recordings": sum(item["recordings"] for item in items),
@@ -235,6 +235,15 @@ _TICK_WAITS = 2
 _MOST_UPCOMING = 12
 
 
+class DoneRun(NamedTuple):
+    """A run of a batch that needs no further attempt."""
+
+    item: str
+    how: str
+    why: str
+    goals_missed: tuple[str, ...] = ()  # Each ``until`` that ended without its goals, as sentences
+
+
 @dataclass(frozen=True)
 class BatchStatus:
     """Status of a batch."""
@@ -251,7 +260,7 @@ class BatchStatus:
     # ended, why: How it ended, and why; empty if it has not ended.
     ended: str
     why: str
-    done: tuple[tuple[str, str, str], ...]
+    done: tuple[DoneRun, ...]
     current_run: str  # The run in progress, in words; empty between runs
     # Runs in progress and to come, in their order; runs without time are last.
     upcoming: tuple[UpcomingRun, ...]
@@ -274,7 +283,7 @@ class BatchStatus:
             "simulated": self.simulated,
             "ended": self.ended,
             "why": self.why,
-            "done": [{"item": item, "how": how, "why": why} for item, how, why in self.done],
+            "done": [run._asdict() for run in self.done],
             "at_work": self.current_run,
             "coming": [run.to_dict() for run in self.upcoming],
             "withdrawn": list(self.withdrawn),
@@ -289,7 +298,12 @@ def read_batch_status(
     running = is_locked(folder)  # before the journal: a batch that ends meanwhile does not appear as killed
     record = read_batch(folder)
     done = tuple(
-        (run.item.key, run.ended[-1].how, run.ended[-1].why)
+        DoneRun(
+            run.item.key,
+            run.ended[-1].how,
+            run.ended[-1].why,
+            _goals_missed(folder / RUNS / run.item.key, len(run.ended)),
+        )
         for run in record.with_end
         if run.is_done and run.item.key != record.current_run
     )
@@ -310,6 +324,15 @@ def read_batch_status(
         withdrawn=tuple(sorted(key for key, run in record.runs.items() if run.withdrawn)),
         last_end=record.last_end,
     )
+
+
+@cache  # a journal may be long, and a follower asks again and again
+def _goals_missed(run: Path, _attempts: int) -> tuple[str, ...]:
+    """Return the goals that a run missed, as sentences; none if its journal cannot be read."""
+    try:
+        return tuple(goals_missed(replay(read_journal(run / JOURNAL)[0]).decisions))
+    except BenchError:
+        return ()
 
 
 def follow_batch(
@@ -367,9 +390,13 @@ def batch_status_text(status: BatchStatus) -> str:
     state += f": {status.why}" if status.why else ""
     mark = "  REHEARSAL" if status.rehearsal else "  SIMULATED" if status.simulated else ""
     lines = [f"Batch {status.queue}{mark}: {state}"]
-    failed = [one for one in status.done if one[1] != "finished"]
-    lines.append(f"{len(status.done) - len(failed)} runs with a result, {len(failed)} runs without")
-    lines += [f"  {item}: {how}{': ' if why else ''}{why}" for item, how, why in failed]
+    finished = sum(run.how == "finished" for run in status.done)
+    lines.append(f"{counted(finished, 'run')} with a result, {len(status.done) - finished} without")
+    lines += [
+        "  " + ": ".join(filter(None, (run.item, run.how, run.why, " ".join(run.goals_missed))))
+        for run in status.done
+        if run.how != "finished" or run.goals_missed
+    ]
     if status.withdrawn:
         lines.append(f"Withdrawn: {', '.join(status.withdrawn)}")
     if status.current_run:

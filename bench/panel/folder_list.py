@@ -159,7 +159,7 @@ class FolderList:
         if kept is not None and kept[0] == stamp:
             return kept[1]
         status = read_batch_status(folder)
-        failed = [item for item, how, _ in status.done if how != "finished"]
+        failed = [run.item for run in status.done if run.how != "finished"]
         ended = status.ended or "interrupted"
         bad = "bad" if failed or ended == "interrupted" else "good" if ended == "finished" else "warn"
         row: ListedBatch = {

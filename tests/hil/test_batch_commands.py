@@ -80,7 +80,7 @@ def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
     folder, _ = night
     status = called("status", folder / "out", home=folder / "home")
     assert "Batch Night  REHEARSAL: stopped" in status.stdout
-    assert "2 runs with a result, 0 runs without" in status.stdout
+    assert "2 runs with a result, 0 without" in status.stdout
     before = (folder / "out" / "summary.json").read_bytes()
     again = called("status", folder / "out", "--summary", home=folder / "home")
     assert "Camera 00050423, joint model, 2 results" in again.stdout

@@ -13,7 +13,13 @@ from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
 from bench.batch.batch_record import by_priority, items_of
-from bench.batch.batch_summary import read_batch, summary_lines, write_summary
+from bench.batch.batch_summary import (
+    batch_status_text,
+    read_batch,
+    read_batch_status,
+    summary_lines,
+    write_summary,
+)
 from bench.batch.supervisor import WorkerEnd
 from bench.records.events import Event
 from bench.records.journal import Journal, read_journal
@@ -250,7 +256,7 @@ def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
         queue(("cam7", ""), ("Cam7", ""))
 
 
-def test_the_summary_names_a_run_whose_goal_was_missed(tmp_path):
+def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
     batch, _ = night(tmp_path, queue(("a", ""), ("b", "")))
     batch.run()
     decided = {
@@ -269,3 +275,9 @@ def test_the_summary_names_a_run_whose_goal_was_missed(tmp_path):
     _, first, below, second = list(summary_lines(summary))[:4]
     assert ("a-001" in first, below.strip(), "b-001" in second) == (True, told, True)
     assert f"<b>a-001:</b> {told}" in (tmp_path / "summary.html").read_text()
+    status = read_batch_status(tmp_path)
+    assert [run["goals_missed"] for run in status.to_dict()["done"]] == [(told,), ()]
+    assert batch_status_text(status).splitlines()[1:] == [
+        "2 runs with a result, 0 without",
+        f"  a-001: finished: {told}",
+    ]

@@ -177,7 +177,7 @@ def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
     assert first.running
     assert [run.item for run in first.upcoming] == ["a-001", "a-002", "a-003"]
     assert first.upcoming[2].begin is None
-    assert [how for _, how, _ in second.done] == ["finished"]
+    assert [run.how for run in second.done] == ["finished"]
     assert second.upcoming[0].begin == datetime(2026, 3, 1, 20, 30, tzinfo=UTC)
     took = second.upcoming[0].end - second.upcoming[0].begin
     assert took.total_seconds() == pytest.approx(600, abs=0.1)  # as the first took, not as planned

@@ -212,7 +212,7 @@ def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, 
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [
         "Batch night: running",
-        "0 runs with a result, 0 runs without",
+        "0 runs with a result, 0 without",
         "In progress: a-001: slewing",
         "In progress: a-001: recording",
     ]
