@@ -347,7 +347,7 @@ def make_plan(
 
         checked_copy = passport_copy.with_name(CHECKED_COPY)
     checked = choose_stated_camera(sequence, script, station.value.expected, copy=checked_copy)
-    findings = check_script(sequence, script, station.value, passport.steps_for_one_pose)
+    findings = check_script(sequence, script, station.value, passport.steps_for_one_pose, whole=not faults)
     missing = find_placeholders(station.tree)
     is_new = passport_copy is None  # a run that has begun holds its files already
     secrets = [*find_url_secrets(sequence), *find_url_secrets(station)] if is_new else []

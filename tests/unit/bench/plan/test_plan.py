@@ -186,6 +186,25 @@ def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(befor
     assert any(fault in line for line in said), said
 
 
+@pytest.mark.parametrize(
+    ("recorded", "fault"),
+    [
+        (
+            "{until: {expanded_fx_px: 2, at_most: 2, start: {pan_deg: [1, 2, 3]}}}",
+            "start has 3 poses, more than at_most (2).",
+        ),
+        (
+            "{repeat: {poses: these, steps: [move, settle, record]}}",
+            "no set of poses has this name (got 'these').",
+        ),
+        ("record", "a record before any move: add a move before it (before a board: place)."),
+    ],
+)
+def test_steps_left_out_because_of_a_fault_give_no_second_fault(recorded, fault):
+    (said,) = faults(f"steps: [light, {recorded}, {{light: off}}, solve, report]\n")
+    assert said.endswith(fault)
+
+
 def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
     text = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: PAN}}, settle, record, solve, report]\n"
     assert faults(text.replace("PAN", "2")) == []
