@@ -16,7 +16,19 @@ from pydantic import BeforeValidator
 
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder, fault_order
-from simulators.reading import Number, Section, Switch, Text, Whole, one_of, read, read_section, refused, text
+from simulators.reading import (
+    NotNegative,
+    Number,
+    Section,
+    Switch,
+    Text,
+    Whole,
+    one_of,
+    read,
+    read_section,
+    refused,
+    text,
+)
 from simulators.world.gimbal import AXES, GimbalTruth
 from simulators.world.truth import Truth
 from simulators.world.truth_config import truth_from_config
@@ -78,6 +90,22 @@ class LightConfig(Section):
 
 
 @dataclass(frozen=True)
+class Night(Section):
+    """Conditions of a night: section ``rehearsal``."""
+
+    covered_share: NotNegative = 0.0  # Share of the recordings in which something covers the camera's view
+    # Relative change of the focal length with the camera's temperature, 1e-6 per degree.
+    focal_ppm_per_c: Number = 0.0
+    lost_share: NotNegative = 0.0  # Share of the recordings that the camera does not complete
+    room_c: Number = 22.0
+    room_c_per_h: Number = 0.0
+    # Final temperature of the camera above the room, and the time constant of its rise after switching on.
+    self_heating_c: Number = 18.0
+    star_sigma_px: NotNegative = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
+    warm_up_min: NotNegative = 20.0
+
+
+@dataclass(frozen=True)
 class BenchConfig:
     """A whole simulated bench."""
 
@@ -91,6 +119,7 @@ class BenchConfig:
         }
     )
     light: LightConfig = field(default_factory=LightConfig)
+    night: Night = field(default_factory=Night)  # Of rehearsals alone
     faults: tuple[FaultOrder, ...] = ()
     camera_serial: str = "00050423"
     # Seed of the camera's fixed pattern (thresholds, hot pixels); None: drawn from the bench's seed.
@@ -125,10 +154,9 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     """Read a configuration; `ConfigError` names a key that is unknown or whose value is not valid.
 
     All sections are optional: those of `truth`; ``stage``, a mapping of the axes pan, tilt and roll in the order of
-    their addresses (pan and tilt are always there), with an optional ``kind``; ``light``; ``faults``, a list of fault
-    orders (see `faults`) that are carried out from the start; and the values ``camera_serial``, ``camera_seed``,
-    ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by the line's baud rate). ``rehearsal`` is
-    read by `rehearsed_world` and ignored here.
+    their addresses (pan and tilt are always there), with an optional ``kind``; ``light``; ``rehearsal``; ``faults``, a
+    list of fault orders (see `faults`) that are carried out from the start; and the values ``camera_serial``,
+    ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by the line's baud rate).
 
     >>> bench_config({"stage": {"pan": {"limit_deg": 170}}}).axes["pan"].limit_deg
     170.0
@@ -155,6 +183,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         stage_kind=stage_kind,
         axes=_with_backlash(given.get("stage", {}), axes, truth.gimbal),
         light=light,
+        night=_night(given.get("rehearsal", {})),
         faults=tuple(_order(index, one) for index, one in enumerate(orders)),
         camera_serial=camera_serial,
         camera_seed=seed,
@@ -179,6 +208,16 @@ def _with_backlash(
                 remedy="Remove this key, and give gimbal.backlash_deg by axis.",
             )
     return {name: replace(axis, backlash_deg=play[name]) for name, axis in axes.items()}
+
+
+def _night(given: object) -> Night:
+    """Read the conditions of a rehearsed night."""
+    night = read_section(Night, given, "rehearsal")
+    if night.covered_share + night.lost_share > 1:
+        raise ConfigError(
+            "covered_share and lost_share add up to more than 1.", where="rehearsal.covered_share"
+        )
+    return night
 
 
 def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError
 from simulators.optics.lens_focus import truth_record
 from simulators.optics.picture import star_centres, true_rotation
-from simulators.reading import Number, Section, read_section, refused_as_given
 from simulators.world.gimbal import Gears
 from simulators.world.truth import Truth
 
@@ -32,25 +31,6 @@ _COVERED_STARS = 20
 """Stars that remain visible if something covers the camera's view."""
 _REFERENCE_C = 40.0
 """Camera temperature at which the focal lengths are those of section ``camera``."""
-
-
-_NotNegative = Annotated[float, refused_as_given(lambda value: value < 0, "{!r} is negative.")]
-
-
-@dataclass(frozen=True)
-class Night(Section):
-    """Conditions of a night: section ``rehearsal`` of the simulation's configuration."""
-
-    covered_share: _NotNegative = 0.0  # Share of the recordings in which something covers the camera's view
-    # Relative change of the focal length with the camera's temperature, 1e-6 per degree.
-    focal_ppm_per_c: Number = 0.0
-    lost_share: _NotNegative = 0.0  # Share of the recordings that the camera does not complete
-    room_c: Number = 22.0
-    room_c_per_h: Number = 0.0
-    # Final temperature of the camera above the room, and the time constant of its rise after switching on.
-    self_heating_c: Number = 18.0
-    star_sigma_px: _NotNegative = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
-    warm_up_min: _NotNegative = 20.0
 
 
 @dataclass(frozen=True)
@@ -68,8 +48,8 @@ class RehearsedWorld:
     """A simulated bench without its devices (only serial numbers are used), and without a board."""
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
-        self.night = _night(config.get("rehearsal", {}))
         self.bench: BenchConfig = bench_config(config)
+        self.night = self.bench.night
         if self.bench.truth.board.present:
             raise ConfigError(
                 "A rehearsal knows the star target behind the collimator only.",
@@ -119,13 +99,3 @@ class RehearsedWorld:
 def _words(angles_deg: Mapping[str, float]) -> list[int]:
     """Convert angles to non-negative whole numbers, as seeds must be."""
     return [round((angles_deg[name] + 360.0) * 1e6) for name in sorted(angles_deg)]
-
-
-def _night(given: object) -> Night:
-    """Read the section."""
-    night = read_section(Night, given, "rehearsal")
-    if night.covered_share + night.lost_share > 1:
-        raise ConfigError(
-            "covered_share and lost_share add up to more than 1.", where="rehearsal.covered_share"
-        )
-    return night

@@ -440,6 +440,8 @@ def test_a_limit_of_the_station_counts_too_and_needs_a_result():
             "simulation.stage.tilt.limits: Unknown key. Known are: serial, limit_deg",
         ),
         ("{faults: [{device: pan, fault: no}]}", "simulation.faults[0].fault: "),
+        ("{rehearsal: {room: 20}}", "simulation.rehearsal.room: Unknown key. Known are: "),
+        ("{rehearsal: {lost_share: -1}}", "simulation.rehearsal.lost_share: -1 is negative."),
         ("{stage: {pan: {limit_deg: 20}}}", ""),
     ],
 )
