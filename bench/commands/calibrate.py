@@ -235,29 +235,18 @@ def calibrate(
     from bench.results.offline_options import OfflineOptions
 
     chosen = OfflineOptions.from_command_line(**options)
+    if each and compare:
+        raise UsageError("--compare and --each cannot be used together.", remedy="Leave out one of them.")
     if each:
-        if compare:
-            raise UsageError("--compare and --each cannot be used together.", remedy="Leave out one of them.")
-
         return calibrate_each(
-            paths,
-            chosen,
-            workers,
-            output,
-            table_only=table_only,
-            no_seal=no_seal,
-            find_again=find_again,
+            paths, chosen, workers, output, table_only=table_only, no_seal=no_seal, find_again=find_again
         )
     if table_only or workers is not None:
         what = "--table-only" if table_only else "--workers"
         raise UsageError(f"{what} needs --each.", remedy=f"Add --each, or leave {what} out.")
+    places = [ExistingPath().convert(path, None, None) for path in paths]
     return _calibrate_together(
-        [ExistingPath().convert(path, None, None) for path in paths],
-        chosen,
-        output,
-        compare=compare,
-        no_seal=no_seal,
-        find_again=find_again,
+        places, chosen, output, compare=compare, no_seal=no_seal, find_again=find_again
     )
 
 

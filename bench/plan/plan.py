@@ -339,20 +339,42 @@ def make_plan(
     if station.value.board is not None:
         script = tuple(_planar(step) for step in script)
     today = today or datetime.now(UTC).date()
-    solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
-    passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
-    checked_copy = None
-    if passport_copy is not None:
-        from bench.records.run_folder import CHECKED_COPY  # a new plan needs no journal
-
-        checked_copy = passport_copy.with_name(CHECKED_COPY)
-    checked = choose_stated_camera(sequence, script, station.value.expected, copy=checked_copy)
+    solving = tuple(step.solve if isinstance(step, ChooseStep) else step for step in script)
+    passport = choose_passport(sequence, station, solving, copy=passport_copy, today=today)
+    checked = choose_stated_camera(
+        sequence, script, station.value.expected, copy=_checked_beside(passport_copy)
+    )
     findings = check_script(sequence, script, station.value, passport.steps_for_one_pose, whole=not faults)
-    missing = find_placeholders(station.tree)
-    is_new = passport_copy is None  # a run that has begun holds its files already
-    secrets = [*find_url_secrets(sequence), *find_url_secrets(station)] if is_new else []
-    simulated = find_simulation_faults(station) if is_new else []
+    faults += [*findings.faults, *passport.faults, *checked.faults, *find_placeholders(station.tree)]
+    if passport_copy is None:  # a run that has begun holds its files already
+        faults += [*find_url_secrets(sequence), *find_url_secrets(station), *find_simulation_faults(station)]
     estimate = Estimate(station.value)
+    steps, duration_s = _timed(script, estimate)
+    return Plan(
+        sequence=sequence,
+        station=station,
+        steps=steps,
+        faults=tuple(sorted(set(faults))),
+        remarks=tuple(sorted({*findings.remarks, *passport.remarks})),
+        duration_s=duration_s,
+        size_bytes=estimate.size_bytes,
+        most_bytes=estimate.most_bytes,
+        passport=passport,
+        checked=checked,
+    )
+
+
+def _checked_beside(passport_copy: Path | None) -> Path | None:
+    """Return where the folder of a run that has begun keeps the calibration to check; None for a new run."""
+    if passport_copy is None:
+        return None
+    from bench.records.run_folder import CHECKED_COPY  # a new plan needs no journal
+
+    return passport_copy.with_name(CHECKED_COPY)
+
+
+def _timed(script: tuple[Step, ...], estimate: Estimate) -> tuple[tuple[PlannedStep, ...], float]:
+    """Return the steps with their times, and the time of the whole run with homing and parking, s."""
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0
     steps: list[PlannedStep] = []
@@ -362,22 +384,7 @@ def make_plan(
         steps.append(PlannedStep(step, duration_s, elapsed_s))
         if step is last:
             elapsed_s += estimate.parking_s()
-    return Plan(
-        sequence=sequence,
-        station=station,
-        steps=tuple(steps),
-        faults=tuple(
-            sorted(
-                {*faults, *findings.faults, *passport.faults, *checked.faults, *missing, *secrets, *simulated}
-            )
-        ),
-        remarks=tuple(sorted({*findings.remarks, *passport.remarks})),
-        duration_s=elapsed_s,
-        size_bytes=estimate.size_bytes,
-        most_bytes=estimate.most_bytes,
-        passport=passport,
-        checked=checked,
-    )
+    return tuple(steps), elapsed_s
 
 
 def _planar(step: Step) -> Step:

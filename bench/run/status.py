@@ -225,6 +225,13 @@ class RunPlan:
         is_open = any(until["first"] not in ended for until in self.untils)
         return PoseCount(known, max(known, self.most_poses) if is_open else known)
 
+    def name_of(self, pose: int | None, history: History) -> str:
+        """Return the name of a pose, also of one that the run chose; empty for None."""
+        chosen = (one["chosen"] for one in history.decisions if "chosen" in one)
+        names = {one["pose"]: one["pose_name"] for one in chosen}
+        names |= {number: planned["name"] for number, planned in self.poses.items()}
+        return names.get(pose, "") if pose is not None else ""
+
 
 class PoseCount(NamedTuple):
     """How many poses a run has: those whose angles are known, and the most, with those that it may still choose."""
@@ -267,16 +274,8 @@ def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Ent
 
 
 def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: bool, sealed: bool) -> Status:
-    history, plan = replay(entries), read_plan(folder)
-    if plan.fault:
-        raise RunFolderError(
-            f"{PLAN} cannot be read.",
-            where=str(folder),
-            remedy="The file is damaged or was written by another program.",
-        )
-    names = {number: pose["name"] for number, pose in plan.poses.items()}
-    names |= {d["chosen"]["pose"]: d["chosen"]["pose_name"] for d in history.decisions if "chosen" in d}
-    held_by, poses = _held_by(history) if running else "", plan.count_poses(history)
+    history, plan = replay(entries), _plan_of(folder)
+    poses = plan.count_poses(history)
     going_on = running and not _is_over(history)
     return Status(
         run_id=str(history.started.get("id", folder.name)),
@@ -284,14 +283,12 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         simulated=bool(history.started.get("simulated", plan.simulated)),
         running=running,
         sealed=sealed,
-        evidence=shown_state(
-            folder, home_trust(home_folder()), now, known_authorisations(home_folder())
-        ).text,
+        evidence=_evidence_text(folder, now),
         state=history.states[-1]["state"] if history.states else "idle",
         ended=history.ended,
         why=history.why,
         pose=history.at_pose,
-        pose_name=names.get(history.at_pose or 0, ""),
+        pose_name=plan.name_of(history.at_pose, history),
         poses=poses.known,
         most_poses=poses.most,
         accepted=len(history.accepted()),
@@ -301,7 +298,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         goals_missed=goals_missed(history.decisions),
         result=_result_text(history),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
-        held_by=held_by,
+        held_by=_held_by(history) if running else "",
         question=history.question if running else "",
         resumed=history.resumed,
         deviations=tuple(history.deviations),
@@ -313,6 +310,23 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         ledger_number=history.ledger.get("number"),
         ledger_head=history.ledger.get("head"),
     )
+
+
+def _plan_of(folder: Path) -> RunPlan:
+    """Read the plan of a run. Raises RunFolderError if that is not possible."""
+    plan = read_plan(folder)
+    if plan.fault:
+        raise RunFolderError(
+            f"{PLAN} cannot be read.",
+            where=str(folder),
+            remedy="The file is damaged or was written by another program.",
+        )
+    return plan
+
+
+def _evidence_text(folder: Path, now: datetime) -> str:
+    home = home_folder()
+    return shown_state(folder, home_trust(home), now, known_authorisations(home)).text
 
 
 def _devices_left(history: History) -> tuple[Mapping[str, str], ...]:
