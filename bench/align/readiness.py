@@ -28,7 +28,7 @@ Verdict = Literal["good", "bad", "open"]
 """``good`` and ``bad`` as checked; ``open`` if it could not be checked yet."""
 Found = tuple[Verdict, str, str]
 """Verdict of a check, what it found, and what to do."""
-_NO_REMEDY = "Correct this; nothing has moved."
+_NO_REMEDY = "Correct this, then check again."
 _SILENT = ("It did not answer in time.", "Check again. If this stays, press Try again.")
 
 

@@ -59,7 +59,7 @@ def preflight(devices: Devices, job: Job) -> events.Devices:
     if reasons:
         raise PreflightFailed(
             f"The bench is not ready: {'; '.join(reasons)}.",
-            remedy="Correct this and run again; nothing has moved.",
+            remedy="Correct this and run again.",
         )
     stated = {name: value for name, value in asdict(camera).items() if name not in OPTIONAL or value}
     found: events.Devices = {

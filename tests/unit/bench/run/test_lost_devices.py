@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from rehearsed import TWO, Scene
 
+from bench.commands.run import show_run
 from bench.records.events import Event
 from bench.records.history import DEVICES, NOT_ASKED, replay
 from bench.records.journal import Journal, read_journal
@@ -54,6 +55,23 @@ def test_firmware_and_polarity_are_told_and_printed():
     assert rows["sync polarity"] == "normal"
     assert rows["trigger input"] == "on"
     assert run_tables.connections({}) == []
+
+
+def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_have_stood_still(
+    tmp_path, capsys
+):
+    scene = Scene(tmp_path)
+
+    def hook(name):
+        if name == "stage.stop":
+            raise ReplyTimeout("silent")
+        return (lambda _: ["the lamp is hot"]) if name == "light.faults" else None
+
+    scene.hook = hook
+    show_run(scene.run())
+    said = "".join(capsys.readouterr())
+    assert "The bench is not ready: light: the lamp is hot. Correct this and run again.\n" in said
+    assert "The stage may be moving." in said
 
 
 # ---------------------------------------------------------------- lost
