@@ -40,15 +40,16 @@ def beside_goal(value: float, goal: float, digits: int = 3) -> str:
     """Return a value with so many digits, and with more if only these show on which side of its goal it lies.
 
     >>> beside_goal(3.1416, 1.45), beside_goal(1.4523, 1.45), beside_goal(1.4499, 1.45)
-    ('3.14', '1.452', '1.45')
+    ('3.14', '1.452', '1.4499')
     """
     return f"{value:.{digits_beside(value, goal, digits)}g}"
 
 
 def digits_beside(value: float, goal: float, digits: int = 3) -> int:
     """Return how many digits, at least ``digits``, show on which side of its goal a value lies."""
+    side = value > goal, value < goal
     enough = range(digits, 18)  # 17 digits are the number itself
-    return next(n for n in enough if (float(f"{value:.{n}g}") > goal) == (value > goal))
+    return next(n for n in enough if ((shown := float(f"{value:.{n}g}")) > goal, shown < goal) == side)
 
 
 def missed_text(now: Mapping[str, float], wanted: Mapping[str, float]) -> str:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
 from bench.records.storage import storage_errors
+from bench.report.text import beside_goal
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:  # the model of the station file loads NumPy, which `status` does not need
@@ -220,7 +221,9 @@ class DiskSpace(Interlock):
             free_gb = shutil.disk_usage(self.folder).free / 1e9
         wanted_gb = self.config.release_gb if held else self.config.min_free_gb
         return (
-            f"{free_gb:.3g} GB are free, at least {wanted_gb:g} GB are needed" if free_gb < wanted_gb else ""
+            f"{beside_goal(free_gb, wanted_gb)} GB are free, at least {wanted_gb:g} GB are needed"
+            if free_gb < wanted_gb
+            else ""
         )
 
 
@@ -239,7 +242,7 @@ class CameraTemperature(Interlock):
         most_c = self.config.release_c if held else self.config.max_c
         if found_c is None or found_c <= most_c:
             return ""
-        return f"the sensor has {found_c:.1f} C, at most {most_c:g} C are allowed"
+        return f"the sensor has {beside_goal(found_c, most_c)} C, at most {most_c:g} C are allowed"
 
 
 @dataclass(frozen=True)
@@ -256,10 +259,16 @@ class EventRate(Interlock):
         """See `Interlock.why`."""
         if held:
             found, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
-            return f"{found:.3g} Mev/s in the dark, at most {most:g} are allowed" if found > most else ""
+            return (
+                f"{beside_goal(found, most)} Mev/s in the dark, at most {most:g} are allowed"
+                if found > most
+                else ""
+            )
         found, most = self.last_mev_s(), self.config.max_mev_s
         return (
-            f"{found:.3g} Mev/s in the last recording, at most {most:g} are allowed" if found > most else ""
+            f"{beside_goal(found, most)} Mev/s in the last recording, at most {most:g} are allowed"
+            if found > most
+            else ""
         )
 
 

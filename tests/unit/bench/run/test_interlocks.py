@@ -65,7 +65,7 @@ def test_each_interlock_clears_at_a_stricter_limit(tmp_path):
     warm = CameraTemperature(CameraTemperatureConfig(max_c=55, release_c=50), lambda: celsius[0])
     assert [warm.why(held=held) != "" for held in (False, True)] == [False, True]
     celsius[0] = 56.0
-    assert "56.0 C" in warm.why(held=False)
+    assert "56 C" in warm.why(held=False)
     celsius[0] = 49.0
     assert warm.why(held=True) == ""
     assert CameraTemperature(warm.config, lambda: None).why(held=False) == ""
@@ -75,6 +75,8 @@ def test_each_interlock_clears_at_a_stricter_limit(tmp_path):
     assert "6 Mev/s in the dark" in rate.why(held=True)
     at_the_limits = EventRate(limits, lambda: 50.0, lambda probe_s: 25.0 * probe_s)
     assert [at_the_limits.why(held=held) for held in (False, True)] == ["", ""]
+    just_above = EventRate(limits, lambda: 50.004, lambda probe_s: 25.0 * probe_s)
+    assert just_above.why(held=False) == "50.004 Mev/s in the last recording, at most 50 are allowed"
     huge = DiskSpace(DiskSpaceConfig(min_free_gb=1e-6, release_gb=1e9), tmp_path)
     assert [huge.why(held=held) != "" for held in (False, True)] == [False, True]
 
