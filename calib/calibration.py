@@ -52,7 +52,7 @@ class CalibrationOptions:
         Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`. The joint
         adjustment always estimates k1 to k3, p1 and p2, or all kb. ``auto``: it chooses between these two families.
     loss
-        ``l2``, ``huber`` or ``cauchy``; it acts on the length of each residual vector.
+        ``l2``, ``huber`` or ``cauchy``; it acts on the length of each residual vector. None for ``huber``.
     huber_px
         Length at which the robust loss leaves the parabola, px; None for 2.5 times the robust standard deviation per
         axis of the residuals.
@@ -84,7 +84,7 @@ class CalibrationOptions:
 
     model: ModelName = "auto"
     distortion: str | Sequence[str] = ("k1", "k2")
-    loss: LossName = "huber"
+    loss: LossName | None = None
     huber_px: float | None = None
     max_iterations: int = 100
     passport: Passport | None = None
@@ -102,10 +102,12 @@ class CalibrationOptions:
             object.__setattr__(self, "compares_lenses", True)
         for what, value, known in (
             ("model", self.model, get_args(ModelName)),
-            ("loss", self.loss, get_args(LossName)),
+            ("loss", self.loss, (*get_args(LossName), None)),
         ):
             if value not in known:
-                raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(known)}.")
+                raise InputMismatch(
+                    f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(filter(None, known))}."
+                )
         object.__setattr__(self, "distortion", distortion_names(self.distortion))
         if not self.max_iterations >= 1:
             raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")

@@ -135,17 +135,18 @@ def refine_robustly(
     each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
     median length of the residuals over 1.1774 = sqrt(2 ln 2), that of a two-dimensional standard normal vector.
     """
+    name = options.loss or "huber"
     given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
-    loss = Loss("l2") if given is None else Loss(options.loss, given)
+    loss = Loss("l2") if given is None else Loss(name, given)
     refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
-    robust = options.loss != "l2" and given is None
+    robust = name != "l2" and given is None
     for _ in range(_LIMIT_ROUNDS if robust else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
         spread = median(lengths(residuals)) / RAYLEIGH_MEDIAN
         if not spread > 0:
             break
-        loss = Loss(options.loss, _LIMIT_SIGMAS * spread)
+        loss = Loss(name, _LIMIT_SIGMAS * spread)
         refined = refine(bundle, refined.parameters, loss, options.max_iterations)
         iterations += refined.iterations
     return replace(refined, iterations=iterations), loss

@@ -158,16 +158,15 @@ class PromptStep(_NumberedStep):
 class SolveStep(_NumberedStep):
     """Calibrate from the poses recorded so far.
 
-    With ``model`` None the bench chooses: ``auto`` with a passport or the gimbal's readings, else ``spherical``.
-    ``distortion`` holds coefficients in the order of their lens model, or ``auto``. With ``huber_px`` None the engine
-    chooses the threshold. ``passport`` is a file as the document names it, ``none`` for no passport, or None for the
-    station's. ``limits`` are the upper limits of the named results. ``checked`` is the calibration that a step
+    What is None, the bench or the engine chooses. ``distortion`` holds coefficients in the order of their lens model,
+    or ``auto``. ``passport`` is a file as the document names it, ``none`` for no passport, or None for the station's.
+    ``limits`` are the upper limits of the named results. ``checked`` is the calibration that a step
     ``check`` compares with the result.
     """
 
     model: CalibrationModel | None
     distortion: tuple[DistortionTerm, ...] | Literal["auto"]
-    loss: Loss
+    loss: Loss | None
     huber_px: float | None
     limits: Mapping[str, float]
     passport: str | None = None

@@ -87,7 +87,7 @@ class SolveConfig(StrictModel):
         Annotated[DistortionSet, Tag("set")] | Annotated[tuple[DistortionTerm, ...], Tag("list")],
         Discriminator(_set_or_list),
     ] = ("k1", "k2")
-    loss: Loss = "huber"
+    loss: Annotated[Loss | None, Field(description="Default: huber.")] = None
     huber_px: Annotated[float, Within(0.001, 100, "px")] | None = None
     passport: Annotated[
         str | None,

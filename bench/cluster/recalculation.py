@@ -451,7 +451,7 @@ def plan_study(
     drift_mm: float,
     outliers: float,
     model: str,
-    loss: str,
+    loss: str | None,
 ) -> PlannedStudy:
     """Read the files of a study; without ``noise_px``, the station's value holds."""
     poses, described = sequence_poses_deg(sequence, station)

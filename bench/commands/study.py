@@ -183,7 +183,7 @@ def _show_progress(done: int, total: int, left_s: float | None) -> None:
     help="Share of stars with gross errors, 0 to 1.",
 )
 @click.option("--model", type=click.Choice(MODELS), default="joint", show_default=True, help=MODEL_HELP)
-@click.option("--loss", type=click.Choice(LOSSES), default="huber", show_default=True, help=LOSS_HELP)
+@click.option("--loss", type=click.Choice(LOSSES), help=f"{LOSS_HELP}  [default: huber]")
 @click.option("--plot", type=NewFile(), help="Plot the errors, in units of their sigma, to an SVG file.")
 @WORKERS
 @click.option(

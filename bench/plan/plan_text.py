@@ -107,7 +107,7 @@ def _what(step: Step, plan: Plan) -> str:
             lens = step.distortion if isinstance(step.distortion, str) else " ".join(step.distortion)
             what = f"solve {plan.model_for(step)}, {lens or 'no distortion'}"
             if step.model in REFERENCE_MODELS:
-                what += f", {step.loss}"
+                what += f", {step.loss or 'huber'}"
             if plan.passport.in_use is not None and plan.passport_for(step) is not None:
                 what += f", passport {plan.passport.in_use.name}"
         case _:

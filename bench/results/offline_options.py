@@ -251,7 +251,7 @@ class OfflineOptions:
         return CalibrationOptions(
             self.model or DEFAULT_MODEL,
             self.distortion or ("k1", "k2"),
-            self.loss or "huber",
+            self.loss,
             passport=used.passport if used else None,
             guard_band=self.guard_band or 1.0,
         )

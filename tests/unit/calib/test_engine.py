@@ -128,7 +128,9 @@ def test_an_option_without_meaning_is_refused(option):
             {"model": "spherical", "radial_sigma": 0.1},
             "The spherical model does not use: the prior of the radial term.",
         ),
+        ({"loss": "huber"}, "The joint model does not use: the loss."),
         ({"model": "spherical", "loss": "l2"}, ""),
+        ({"model": "joint"}, ""),
         ({"model": "joint", "radial_sigma": 0.1}, ""),
     ],
 )

@@ -36,7 +36,7 @@ def test_bare_words_stand_for_steps_with_their_defaults():
     assert (solve.model, solve.distortion, solve.loss, solve.huber_px) == (
         None,
         ("k1", "k2"),
-        "huber",
+        None,
         None,
     )
     assert (solve.passport, solve.readings, solve.guard_band) == (None, "auto", 1.0)
