@@ -171,7 +171,8 @@ class Calibration:
     variance_factor
         Estimated variance of the weighted residuals: 1 if the stars' covariances are right.
     degrees_of_freedom
-        Number of measurements minus number of parameters.
+        Number of measurements minus number of parameters; in the joint adjustment, minus the parameters that the stars
+        determine, each as far as they do.
     views
         Summary of each view.
     converged, iterations

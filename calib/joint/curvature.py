@@ -53,7 +53,7 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
     belongs[range(len(parts)), np.concatenate([problem.pose_amplitudes, random.amplitudes])] = 1.0
     whole = 4.0 * (belongs.T @ parts @ belongs + _of_products(flat, np.tile(belongs[:f], (n, 1))))
     star = problem.hyper.at(amp.STAR)
-    whole[star, star] += 4.0 * marginal.rows_observed
+    whole[star, star] += 4.0 * marginal.freedom(squares, found)
     whole += 2.0 * problem.hyper.information
     return _with_readings(marginal, squares, found, spread, whole) if marginal.uses_readings else whole
 

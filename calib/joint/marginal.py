@@ -92,6 +92,7 @@ class Solution:
     own_root: Array  # (n, F, F) R, covariance R^T R of the own fields, if the shared unknowns were known
     between: Array  # (n, F, S) R times the information between own fields and shared unknowns
     inside: Array  # (K, K) prior information of the shared unknowns with amplitudes
+    faults: Faults  # Of the statements
     slope: Callable[[Solution], Array]  # Finds the gradient
 
     @cached_property
@@ -113,6 +114,11 @@ class Solution:
     def follow(self) -> Array:
         """(n, F, S) how the own fields follow the shared unknowns, with a minus sign."""
         return np.asarray(np.swapaxes(self.own_root, 1, 2) @ self.between)
+
+    @cached_property
+    def own_variances(self) -> Array:
+        """(n, F) of the own fields."""
+        return np.asarray((self.own_root**2).sum(axis=1) + (self.followed**2).sum(axis=2))
 
     @cached_property
     def followed(self) -> Array:
@@ -239,8 +245,8 @@ class Marginal:
         value = normal.constant + logs + last - gain
         value += float(away @ self.problem.hyper.information @ away)
         fields = (np.swapaxes(own_root, 1, 2) @ (alone - (between @ step)[:, :, None]))[:, :, 0]
-        slope = partial(self._gradient, eta, squares, faults)
-        return Solution(value, gain, step, root, fields, own_root, between, normal.inside, slope)
+        slope = partial(self._gradient, eta, squares)
+        return Solution(value, gain, step, root, fields, own_root, between, normal.inside, faults, slope)
 
     def _normal(self, squares: Array, faults: Faults) -> _Normal:
         """Return the normal equations."""
@@ -285,27 +291,44 @@ class Marginal:
         )
 
     # -- gradient
-    def _gradient(self, eta: Array, squares: Array, faults: Faults, found: Solution) -> Array:
+    def _gradient(self, eta: Array, squares: Array, found: Solution) -> Array:
         """Return the gradient of the value: number minus expected square of what each amplitude scales."""
         hyper, random = self.problem.hyper, self.problem.random
-        n, f, size = self.dimensions
+        n = self.problem.bench.n_poses
         gradient = 2.0 * hyper.information @ (eta - hyper.mean)
-        spread = (found.own_root**2).sum(axis=1) + (found.followed**2).sum(axis=2)
         expected = self.problem.own_information(squares)
-        second = spread + (self.state.fields + found.fields) ** 2
+        second = found.own_variances + (self.state.fields + found.fields) ** 2
         own = 2.0 * (n - expected * second.sum(axis=0))
         gradient += np.bincount(self.problem.pose_amplitudes, own, len(eta))
         at = random.places
         b = (self.state.shared + found.step)[at]
-        parts, held = random.gradient(found.inside, found.covariance[at[:, None], at], b)
+        parts = random.gradient(found.inside, found.covariance[at[:, None], at], b)
         gradient += np.bincount(random.amplitudes, 2.0 * squares[random.amplitudes] * parts, len(eta))
-        # Of all unknowns the priors and the readings determine so many, and the stars the rest.
-        taken = held + float((expected * spread).sum())
-        taken += float((self.problem.stated(faults).information * found.covariance).sum())
-        return gradient + self._noise_gradient(squares, found, size + n * f - taken)
+        return gradient + self._noise_gradient(squares, found)
 
-    def _noise_gradient(self, squares: Array, found: Solution, determined: float) -> Array:
-        """Return the gradient by the noise of stars and readings, which determine ``determined`` unknowns."""
+    def freedom(self, squares: Array, found: Solution) -> float:
+        """Return the degrees of freedom of the stars' noise: coordinates, less the unknowns that they determine.
+
+        Priors, statements and readings determine the rest.
+        """
+        n, f, size = self.dimensions
+        at = self.problem.random.places
+        taken = float((found.inside * found.covariance[at[:, None], at]).sum())
+        taken += float((self.problem.own_information(squares) * found.own_variances).sum())
+        taken += float((self.problem.stated(found.faults).information * found.covariance).sum())
+        taken += float((self.reading_weights(squares) * self.reading_spread(found)).sum())
+        return self.rows_observed - (size + n * f - taken)
+
+    def reading_spread(self, found: Solution) -> Array:
+        """Return the (m, 3) variances of what the readings predict, in the principal axes; zeros without readings."""
+        if not self.uses_readings:
+            return np.zeros(self.loose.shape)
+        direct = self.rows - self.own_rows @ found.follow[self._poses]
+        spread = ((direct @ found.covariance) * direct).sum(axis=2)
+        return np.asarray(spread + ((self.own_rows @ found.own[self._poses]) * self.own_rows).sum(axis=2))
+
+    def _noise_gradient(self, squares: Array, found: Solution) -> Array:
+        """Return the gradient by the noise of stars and readings."""
         hyper = self.problem.hyper
         gradient = np.zeros(len(squares))
         star, reading = hyper.at(amp.STAR), hyper.at(amp.READING)
@@ -317,15 +340,12 @@ class Marginal:
         cost += float((fields * (self.own @ fields[:, :, None])[:, :, 0]).sum())
         if self.uses_readings:
             weights = self.reading_weights(squares)
-            direct = self.rows - self.own_rows @ found.follow[self._poses]
-            spread = ((direct @ found.covariance) * direct).sum(axis=2)
-            spread += ((self.own_rows @ found.own[self._poses]) * self.own_rows).sum(axis=2)
+            spread = self.reading_spread(found)
             left = self.off - self.rows @ step - (self.own_rows @ fields[self._poses][:, :, None])[:, :, 0]
             inside = weights / self.repeats - weights**2 * (spread + left**2)
-            determined -= float((weights * spread).sum())
             gradient[star] = 2.0 * squares[star] * float((inside * self.loose).sum())
             gradient[reading] = 2.0 * float((inside * self.reading_variance(squares)).sum())
-        gradient[star] += 2.0 * (self.rows_observed - cost / squares[star] - determined)
+        gradient[star] += 2.0 * (self.freedom(squares, found) - cost / squares[star])
         return gradient
 
     def rotation_steps(self, eta: Array, found: Solution) -> Array:

@@ -103,19 +103,18 @@ class RandomPrior:
             found[rows, columns] = inside[rows, rows] @ self.shapes[rows, columns]
         return np.asarray(found * np.sqrt(squares[self.amplitudes]))
 
-    def gradient(self, inside: Array, covariance: Array, mean: Array) -> tuple[Array, float]:
-        """Return (Q,) number minus expected square of what each column scales, at unit amplitude, and a number.
+    def gradient(self, inside: Array, covariance: Array, mean: Array) -> Array:
+        """Return (Q,) number minus expected square of what each column scales, at unit amplitude.
 
-        For the (K, K) prior information, and covariance and mean of the unknowns. The prior determines so many.
+        For the (K, K) prior information, and covariance and mean of the unknowns.
         """
-        found, determined = np.zeros(len(self.amplitudes)), 0.0
+        found = np.zeros(len(self.amplitudes))
         for rows, columns in self.blocks:
             own, shape = inside[rows, rows], self.shapes[rows, columns]
-            held, pulled = own @ covariance[rows, rows], own @ mean[rows]
-            left = own - held @ own - np.outer(pulled, pulled)
+            pulled = own @ mean[rows]
+            left = own - own @ covariance[rows, rows] @ own - np.outer(pulled, pulled)
             found[columns] = ((left @ shape) * shape).sum(axis=0)
-            determined += float(np.trace(held))
-        return found, determined
+        return found
 
     def times_pulled(self, values: Array, pulled: Array) -> Array:
         """Return (..., Q) values (..., K) times `pulled`."""

@@ -140,7 +140,9 @@ def _calibration(
         rms_px=_rms(together),
         mean_px=float(together.mean()),
         variance_factor=star**2,
-        degrees_of_freedom=max(int(2 * len(together)) - 3 * len(views) - len(bench.layout.names), 1),
+        degrees_of_freedom=max(
+            round(marginal.freedom(np.exp(2.0 * found.optimum.eta), found.optimum.solution)), 1
+        ),
         views=tuple(
             ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
             for view, own in zip(views, lengths, strict=True)
