@@ -31,13 +31,13 @@ _BEYOND, _BEND = 1.05, 0.02
 #: Near the rim the noise of the stars is sqrt(1 + (c rho^12)^2) times larger, rho in radii of the disc. In the
 #: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
 _RIM_NOISE_POWER = 12
-#: And by so many px rho^24 at least. The fields could take the displacement of a few stars that are seen at the rim in
-#: all poses, and then no noise would be left to see: the principal point was wrong by up to 3 sigma.
-_RIM_EDGE_PX = 1.0
 _RIM_NOISES = np.concatenate([[0.0], np.geomspace(0.25, 32.0, 15)])
 #: The noise at the rim counts so many times: it is alike in neighbouring stars and in other poses, and the smooth
 #: fields take a part of it. Left-out poses of the published recordings are predicted a seventh better than with 1.
 _RIM_ALIKE = 2.0
+#: So many px rho^24 are added to it always. The fields can take the displacements of a few stars that all poses see at
+#: the rim, and then no noise would be left to see: on the shipped station, cx was wrong by up to 3 sigma.
+_RIM_EDGE_PX = 1.0
 #: No residual counts as longer than this when c is looked for, sigmas of its noise: one gross error would decide.
 _LONGEST = 10.0
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
@@ -64,6 +64,14 @@ class State:
 
 
 @dataclass(frozen=True)
+class RimNoise:
+    """Noise at the rim of the disc, in the px in which the noise of the stars is stated."""
+
+    wide_px: float = 0.0  # Times rho^12
+    edge_px: float = 0.0  # Times rho^24
+
+
+@dataclass(frozen=True)
 class ViewStars:
     """What does not change of a view."""
 
@@ -73,8 +81,7 @@ class ViewStars:
     polynomials: Array  # (N, K)
     disc: Disc | None
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
-    rim_noise: Array  # (N,) what 1 px of noise at the rim adds, over the stated noise; 0 without a disc
-    edge_noise: Array  # (N,) the least noise that the rim adds, over the stated noise
+    at_rim: Array  # (N,) rho^12, rho in radii of the disc; 0 without one
 
     @classmethod
     def of(cls, view: View, layout: Layout, disc: Disc | None = None) -> ViewStars:
@@ -86,8 +93,7 @@ class ViewStars:
             rho = np.hypot(*(view.target_mm - disc.centre_mm).T) / disc.radius_mm
             at_rim = np.minimum(rho, _BEYOND) ** _RIM_NOISE_POWER
         polynomials = layout.basis.polynomials(view.target_mm)
-        noises = at_rim / sigma_px, _RIM_EDGE_PX * at_rim**2 / sigma_px
-        return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, *noises)
+        return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, at_rim)
 
     def about_disc(self, middle: Array) -> tuple[Array, Array]:
         """Return (N, 2, R) displacements about the disc, mm, and (N, 2, R, 2) their derivatives by its middle.
@@ -107,9 +113,10 @@ class ViewStars:
         slopes = outwards + np.eye(2)[:, None] * sizes[:, None, :, None]
         return away[:, :, None] * sizes[:, None], -slopes @ root
 
-    def precision(self, rim_px: float) -> Array:
-        """Return (N,) how precise stars are, 1 in the disc's middle; ``rim_px`` is the noise that its rim adds."""
-        return np.asarray(1.0 / (1.0 + (rim_px * self.rim_noise) ** 2 + self.edge_noise**2))
+    def precision(self, rim: RimNoise) -> Array:
+        """Return (N,) how precise stars are, 1 in the disc's middle."""
+        added = (rim.wide_px * self.at_rim) ** 2 + (rim.edge_px * self.at_rim**2) ** 2
+        return np.asarray(1.0 / (1.0 + added / self.sigma_px**2))
 
 
 @dataclass(frozen=True)
@@ -128,7 +135,7 @@ class Equations:
     lengths: tuple[Array, ...]  # For each view (N,) whitened lengths of the residuals
     weights: tuple[Array, ...]  # For each view (N,) robust weights times its share and the precisions
     precisions: tuple[Array, ...]  # For each view (N,) of `ViewStars.precision`
-    rim_px: float  # Noise that the rim adds, px
+    rim: RimNoise
     shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
 
     @cached_property
@@ -284,8 +291,8 @@ class Bench:
         residuals = mapped(self._factors, (self._points_px - predicted).T)
         lengths = np.where(in_camera[:, 2] > 0.0, np.hypot(*residuals), np.nan)
         of_views = self._of_views(lengths)
-        rim_px = before.rim_px if before else self._rim_px(of_views)
-        precisions = tuple(one.precision(rim_px) for one in self.stars)
+        rim = before.rim if before else self._rim_noise(of_views)
+        precisions = tuple(one.precision(rim) for one in self.stars)
         weights = before.weights if before else _weights(of_views, limit, precisions)
         slopes = mapped(self._factors, np.concatenate([by_camera, by_point], axis=2).transpose(2, 1, 0))
         found = [
@@ -317,21 +324,22 @@ class Bench:
             tuple(one.lengths for one in found),
             tuple(one.weights for one in found),
             precisions,
-            rim_px,
+            rim,
             shares,
         )
 
-    def _rim_px(self, lengths: Sequence[Array]) -> float:
-        """Return `_RIM_ALIKE` times the most probable noise at the rim of the visible discs, px; 0 without discs."""
+    def _rim_noise(self, lengths: Sequence[Array]) -> RimNoise:
+        """Return `_RIM_ALIKE` times the most probable noise at the rim of the visible discs; none without discs."""
         if not self.discs:
-            return 0.0
-        scaled = (np.concatenate(lengths) / robust_sigma(lengths)) ** 2
-        costs = []
+            return RimNoise()
+        spread = robust_sigma(lengths)
+        scaled = (np.concatenate(lengths) / spread) ** 2
+        costs, edge_px = [], _RIM_EDGE_PX / spread
         usual = float(np.median(np.concatenate([one.sigma_px for one in self.stars])))
         for size in usual * _RIM_NOISES:
-            own = np.concatenate([one.precision(size) for one in self.stars])
+            own = np.concatenate([one.precision(RimNoise(size, edge_px)) for one in self.stars])
             costs.append(float(np.minimum(own * scaled, _LONGEST**2).sum()) - 2.0 * float(np.log(own).sum()))
-        return _RIM_ALIKE * usual * float(_RIM_NOISES[np.argmin(costs)])
+        return RimNoise(_RIM_ALIKE * usual * float(_RIM_NOISES[np.argmin(costs)]), edge_px)
 
     def _shares(self, found: Sequence[_ViewEquations]) -> Array:
         """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.

@@ -185,7 +185,7 @@ def _residuals(
     lengths = whole.whitened(state)
     weights = []
     for one, length, own in zip(stars, lengths, used, strict=True):
-        precision = one.precision(optimum.marginal.equations.rim_px)
+        precision = one.precision(optimum.marginal.equations.rim)
         weights.append(own * precision * robust_weights(np.sqrt(precision) * length, star))
     return whole.residuals(state), weights
 

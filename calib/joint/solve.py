@@ -61,6 +61,7 @@ class Optimum:
     solution: Solution
     iterations: int
     converged: bool
+    better_lens: str = ""  # The set of coefficients of the other family, if it explains the views far better
 
     @property
     def state(self) -> State:
@@ -145,7 +146,8 @@ def beside(optimum: Optimum, faults: Faults, rounds: int) -> Optimum:
     there = search(replace(problem, faults=faults), optimum.state, rounds)
     marginal = Marginal(problem, there.marginal.equations, there.state)
     eta, found = searched(marginal, optimum.eta, _LONG, enough=FINE)
-    return Optimum(marginal, eta, found, optimum.iterations + there.iterations, there.converged)
+    iterations = optimum.iterations + there.iterations
+    return Optimum(marginal, eta, found, iterations, there.converged, optimum.better_lens)
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:

@@ -78,7 +78,7 @@ def _free_unknown(found: Posterior, at: int) -> str:
 
 def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
-    sentences = _weakness(result, found)
+    sentences = _lens(found) or _weakness(result, found)
     named = [one for one in result.witnesses if one.name != READINGS and _is_doubted(one)]
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     sentences += [_doubt(one) for one in named]
@@ -87,6 +87,18 @@ def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
             "These statements contradict each other or the stars. What cannot be decided is in the uncertainties."
         )
     return (*sentences, *_readings(result), *_alone(result))
+
+
+def _lens(found: Posterior) -> list[str]:
+    """Return a note if the other family of lenses explains the views far better."""
+    better = found.optimum.better_lens
+    if not better:
+        return []
+    text = (
+        f"The lens is of another model: the distortion {better} explains these views far better, so this camera is "
+        "probably wrong. Calibrate again with that distortion."
+    )
+    return [text]
 
 
 def _is_doubted(one: Witness) -> bool:
