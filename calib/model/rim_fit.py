@@ -36,7 +36,7 @@ import numpy as np
 from calib.arrays import Array, Complexes, median
 from calib.view import RimPoints
 
-#: Places on the plane times this are complex numbers, and powers of their directions the waves of a Fourier series.
+#: Makes complex numbers of places: the powers of a direction are its waves, at a fraction of the time of cosines.
 _PLANE = np.array([1.0, 1.0j])
 #: Fourier orders of the edge's shape; order 1 is the centre.
 _ORDERS = np.arange(2, 6)
@@ -57,9 +57,9 @@ class Evidence(NamedTuple):
 
 
 class _Sites(NamedTuple):
-    """What each point adds, (V, K) precisions, and (V, K) precisions times means of how far the rim lies beyond it.
+    """(V, K) precisions of points, and precisions times means of the gap to the rim: Gaussian sites of bright points.
 
-    For bright points these are Gaussian sites; for points of the rim the mean is zero.
+    The gap at points of the rim itself has mean zero.
     """
 
     precision: Array
@@ -318,7 +318,7 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
         means = means + _STEP * step
         if round_ > 0:
             grid, weights = grid[weights > _LEAST_WEIGHT], weights[weights > _LEAST_WEIGHT]
-    sites.precision[:, sigmas.shape[1] :] = 0.0
+    sites.precision[:, sigmas.shape[1] :] = 0.0  # Bright points do not show the rim
     own = _own_sigmas(evidence_of(design, distance, sites).information, grid[:, 2], weights, reach_mm)
     return _discs(rims, found, share, own, middle_mm, common)
 
@@ -400,31 +400,30 @@ def _posteriors(evidence: Evidence, scatters: Array, common: _Common, own: int) 
 
     Linear Gaussian model of Lindley and Smith (1972): with information J, product z, scatter S and A = J + S^-1, the
     information about the mean of a view's unknowns is S^-1 - S^-1 A^-1 S^-1. It is calculated as S^-1 A^-1 J, which is
-    the same without a difference of large numbers.
+    the same without a difference of large numbers, and with a root of A^-1: products with A^-1 itself err much more.
     """
     loose, designs = scatters[:, None] ** -2.0, common.designs
-    inverse, log_det = _inverses(evidence.information + loose[..., None] * np.eye(UNKNOWNS))
-    right = np.concatenate([evidence.information @ designs, evidence.product[:, :, None]], axis=2)
-    solved = inverse @ right
-    flat = designs.reshape(-1, designs.shape[2])
-    sums = flat.T @ (loose[..., None] * solved).reshape(len(scatters), len(flat), -1)
-    h = sums[:, :, :-1] + np.diag(common.sigmas**-2.0)
+    root, log_det = _roots(evidence.information + loose[..., None] * np.eye(UNKNOWNS))
+    right = root @ np.concatenate([evidence.information @ designs, evidence.product[:, :, None]], axis=2)
+    left = (root * loose[:, :, None]) @ designs
+    flat = left.reshape(len(scatters), -1, designs.shape[2])
+    sums = flat.swapaxes(1, 2) @ right.reshape(*flat.shape[:2], -1)
+    shared_root, shared_log_det = _roots(sums[:, :, :-1] + np.diag(common.sigmas**-2.0))
+    covariance = shared_root.swapaxes(1, 2) @ shared_root
     g = sums[:, :, -1] + common.mean * common.sigmas**-2.0
-    covariance, log_det_shared = _inverses(h)
-    shared = (covariance @ g[:, :, None])[..., 0]
-    toward = evidence.product + loose * (shared @ flat.T).reshape(solved.shape[:3])
-    mean = (inverse @ toward[..., None])[..., 0]
-    spread = (inverse[:, :, :own] * loose[:, :, None]) @ designs
-    fit = np.einsum("vi,gvi->g", evidence.product, solved[..., -1])
-    log_dets = len(designs) * np.log(loose).sum(axis=(1, 2)) - log_det.sum(axis=1) - log_det_shared
+    shared, back = (covariance @ g[:, :, None])[..., 0], root.swapaxes(2, 3)
+    mean = (back @ (right[..., -1:] + (flat @ shared[:, :, None]).reshape(*root.shape[:3], 1)))[..., 0]
+    log_dets = len(designs) * np.log(loose).sum(axis=(1, 2)) - log_det.sum(axis=1) - shared_log_det
+    fit = np.sum(right[..., -1] ** 2, axis=(1, 2))
     likelihood = 0.5 * (log_dets + fit + np.sum(g * shared, axis=1))
-    return _Posterior(mean, inverse[:, :, :own, :own], spread, shared, covariance, likelihood)
+    alone = back[:, :, :own] @ root[..., :own]
+    return _Posterior(mean, alone, back[:, :, :own] @ left, shared, covariance, likelihood)
 
 
-def _inverses(matrices: Array) -> tuple[Array, Array]:
-    """Return the inverses of (..., P, P) positive definite matrices, and the (...) logarithms of their determinants.
+def _roots(matrices: Array) -> tuple[Array, Array]:
+    """Return R with R^T R = A^-1 for (..., P, P) positive definite matrices A, and the (...) logarithms of det A.
 
-    Row by row of the inverse of Cholesky's triangle, for all matrices at once: `numpy.linalg.inv` takes twice as long.
+    R is the inverse of Cholesky's triangle, row by row for all A at once: `numpy.linalg.inv` takes three times as long.
     """
     lower = np.linalg.cholesky(matrices)
     root = np.zeros_like(lower)
@@ -432,8 +431,7 @@ def _inverses(matrices: Array) -> tuple[Array, Array]:
         scale = 1.0 / lower[..., i, i, None]
         root[..., i, :i] = -scale * (lower[..., i, None, :i] @ root[..., :i, :i])[..., 0, :]
         root[..., i, i] = scale[..., 0]
-    logarithms = np.log(np.diagonal(lower, axis1=-2, axis2=-1))
-    return root.swapaxes(-2, -1) @ root, 2.0 * logarithms.sum(axis=-1)
+    return root, 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def _in_pieces(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
