@@ -33,12 +33,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Complexes, median
 from calib.view import RimPoints
 
-#: Highest Fourier order of the edge's shape; order 1 is the centre.
-_ORDERS = 5
-UNKNOWNS = 3 + 2 * (_ORDERS - 1)
+#: Makes complex numbers of places: the powers of a direction are its waves, at a fraction of the time of cosines.
+_PLANE = np.array([1.0, 1.0j])
+#: Fourier orders of the edge's shape; order 1 is the centre.
+_ORDERS = np.arange(2, 6)
+UNKNOWNS = 3 + 2 * len(_ORDERS)
 """Number of unknowns of a view: centre x and y, mean radius, cosine and sine of each order of the shape, all in mm."""
 #: 1-sigma of the border between bright and dark at a bright point of the frame's border, mm.
 _LIT_SIGMA_MM = 0.5
@@ -48,136 +50,116 @@ _HUBER = 2.5
 
 
 class Evidence(NamedTuple):
-    """What the rim points of all views say about their unknowns, linearised."""
+    """What the points of all views say about their unknowns, linearised."""
 
     information: Array  # (V, P, P) Fisher information of the unknowns of each view
     product: Array  # (V, P) normal equations' right sides: information times the best unknowns
 
 
-class Sites(NamedTuple):
-    """Gaussian sites of the bright points of a view, (L,) precisions and (L,) precisions times means, of the gap."""
+class _Sites(NamedTuple):
+    """(V, K) precisions of points, and precisions times means of the gap to the rim: Gaussian sites of bright points.
+
+    The gap at points of the rim itself has mean zero.
+    """
 
     precision: Array
     shift: Array
 
 
-def _linearised(points: Array, about: Array) -> tuple[Array, Array]:
-    """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances, about (P,) unknowns.
+class _Rays(NamedTuple):
+    """The points of all views as seen from the centres of their discs."""
+
+    distance: Array  # (V, K)
+    direction: Complexes  # (V, K), of length 1; the imaginary part is along y
+    waves: Array  # (V, K, P - 3) cosine and sine of each order of the edge's shape
+    slopes: Array  # (V, K, P - 3) derivatives of the waves by the direction
+
+
+def _rays(points: Complexes, about: Array) -> _Rays:
+    """Return the rays to (V, K) points from the centres in (V, P) unknowns."""
+    away = points - (about[:, :2] @ _PLANE)[:, None]
+    distance = np.maximum(np.abs(away), 1e-9)
+    direction = away / distance
+    waves = direction[:, :, None] ** _ORDERS
+    return _Rays(distance, direction, waves.view(np.float64), (1j * _ORDERS * waves).view(np.float64))
+
+
+def _linearised(rays: _Rays, about: Array) -> tuple[Array, Array]:
+    """Return the (V, K, P) derivatives of the distances, and the (V, K) linearised ones, about (V, P) unknowns.
 
     With the direction u of a point from the centre, the direction t across it, and n = u - shape'(phi) t / distance,
     distance + n . centre = n . c + R + shape(phi).
     """
-    rho, u, waves, slopes, _ = _waves(points, about)
-    n = u - (slopes @ about[3:] / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
-    return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
+    slope = (rays.slopes @ about[:, 3:, None])[..., 0]
+    design = np.ones((*slope.shape, UNKNOWNS))
+    design[..., :2] = _along_axes(rays.direction * (1.0 - 1j * slope / rays.distance))
+    design[..., 3:] = rays.waves
+    return design, rays.distance + (design[..., :2] @ about[:, :2, None])[..., 0]
 
 
-def _waves(points: Array, about: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the (K,) distances and (K, 2) directions of points from a centre, and the waves of the edge's shape there.
-
-    The last three are the (K, P - 3) waves, and their first derivatives by the direction and minus the second ones.
-    """
-    away = points - about[:2]
-    rho = np.maximum(np.hypot(*away.T), 1e-9)
-    u = away / rho[:, None]
-    orders = np.arange(2, _ORDERS + 1)
-    phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
-    cosine, sine = np.cos(phi), np.sin(phi)
-    pairs = (cosine, sine), (-orders * sine, orders * cosine), (orders**2 * cosine, orders**2 * sine)
-    waves, slopes, bends = (np.stack(pair, axis=-1).reshape(len(points), UNKNOWNS - 3) for pair in pairs)
-    return rho, u, waves, slopes, bends
+def _along_axes(numbers: Complexes) -> Array:
+    """Return complex numbers as (..., 2) real ones."""
+    return numbers[..., None].view(np.float64)
 
 
-def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> Evidence:
-    """Return what (K, 2) points and (K,) sigmas, mm, of each view say about its unknowns, linearised at (V, P) means.
+def evidence_of(design: Array, distance: Array, sites: _Sites) -> Evidence:
+    """Return what points with (V, K, P) derivatives and (V, K) linearised distances, mm, say about the unknowns.
 
     One step of Gauss-Newton (Björck, 1996, section 9.2), not solved yet.
     """
-    information = np.zeros((len(points), UNKNOWNS, UNKNOWNS))
-    product = np.zeros((len(points), UNKNOWNS))
-    for i, (own, sigma, about) in enumerate(zip(points, sigmas, means, strict=True)):
-        design, distance = _linearised(own, about)
-        weighted = design / sigma[:, None] ** 2
-        information[i], product[i] = weighted.T @ design, weighted.T @ distance
-    return Evidence(information, product)
+    across = design.swapaxes(1, 2)
+    product = across @ (sites.shift + sites.precision * distance)[:, :, None]
+    return Evidence(across * sites.precision[:, None] @ design, product[..., 0])
 
 
-def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Array) -> list[Array]:
-    """Return the (K,) sigmas, mm, for each view, of the terms that the linearised distances leave out.
+def _form(left: Array, matrices: Array, right: Array) -> Array:
+    """Return (V, K) bilinear forms of (V, K, P) vectors, with a (P, P) matrix for each view."""
+    return np.einsum("vki,vki->vk", left @ matrices, right)
+
+
+def second_order_sigmas(rays: _Rays, means: Array, covariances: Array) -> Array:
+    """Return the (V, K) sigmas, mm, of the terms that the linearised distances leave out.
 
     Variance of a product of two Gaussian variables, as in the second-order filter (Bar-Shalom, Li and Kirubarajan,
     2001, section 10.3.2): to second order, a distance changes by s (w + k s / 2). Here s is the turn of the point's
     direction as seen from the centre, w the change of the edge's slope, and k the curvature of the edge. The unknowns
     have (V, P) means, mm, and (V, P, P) covariances.
     """
-    found = []
-    for own, mean, covariance in zip(points, means, covariances, strict=True):
-        rho, u, _, slopes, bends = _waves(own, mean)
-        turn, change = np.zeros((2, len(own), UNKNOWNS))
-        turn[:, :2] = np.column_stack([u[:, 1], -u[:, 0]]) / rho[:, None]
-        change[:, :2] = (slopes @ mean[3:] / rho)[:, None] * u
-        change[:, 3:] = slopes
-        curvature = -bends @ mean[3:] - rho
-        by_turn, by_change, both = (
-            np.einsum("ki,ij,kj->k", a, covariance, b)
-            for a, b in ((turn, turn), (change, change), (turn, change))
-        )
-        variance = (
-            by_turn * by_change
-            + both**2
-            + 0.5 * (curvature * by_turn) ** 2
-            + 2.0 * curvature * by_turn * both
-        )
-        found.append(np.sqrt(np.maximum(variance, 0.0)))
-    return found
+    slope, bend = (rays.slopes @ means[:, 3:, None])[..., 0], _ORDERS.repeat(2) ** 2 * means[:, 3:]
+    turn = _along_axes(-1j * rays.direction / rays.distance)
+    change = np.zeros((*slope.shape, UNKNOWNS))
+    change[..., :2] = _along_axes(slope / rays.distance * rays.direction)
+    change[..., 3:] = rays.slopes
+    curvature = -(rays.waves @ bend[:, :, None])[..., 0] - rays.distance
+    by_turn, by_change = _form(turn, covariances[:, :2, :2], turn), _form(change, covariances, change)
+    both = _form(turn, covariances[:, :2], change)
+    half = curvature * by_turn
+    return np.sqrt(np.maximum(by_turn * by_change + both**2 + 0.5 * half**2 + 2.0 * half * both, 0.0))
 
 
-def reweighted(
-    points: Sequence[Array], sigmas: Sequence[Array], evidence: Evidence, means: Array, covariances: Array
-) -> list[Array]:
-    """Return the (K,) sigmas of each view's points, mm, enlarged to what the residuals show, and for outliers.
+def reweighted(rays: _Rays, means: Array, sigmas: Array, used: float) -> Array:
+    """Return the (V, K) sigmas of the points, mm, enlarged to what residuals at (V, P) means show, and for outliers.
 
     The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
-    sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981). ``evidence`` is
-    what the points said with their last sigmas; the unknowns found have (V, P) means, mm, and (V, P, P) covariances.
+    sigmas do not explain, enlarged for the number of unknowns used. Weights of outliers are Huber's (1981).
     """
-    off = []
-    for own, mean in zip(points, means, strict=True):
-        design, distance = _linearised(own, mean)
-        off.append(distance - design @ mean)
-    every = np.concatenate(off)
-    if not len(every):
-        return list(sigmas)
-    used = float(np.einsum("vij,vji->", evidence.information, covariances))
-    spare = max(1.0 - used / len(every), 0.2)
-    spread = (float(np.median(np.abs(every))) / 0.6745) ** 2 / spare
-    added = max(spread - float(np.median(np.concatenate(sigmas))) ** 2, 0.0)
-    out = []
-    for own, sigma in zip(off, sigmas, strict=True):
-        whole = np.sqrt(sigma**2 + added)
-        out.append(whole * np.sqrt(np.maximum(np.abs(own) / (_HUBER * whole), 1.0)))
-    return out
+    real = np.isfinite(sigmas)
+    if not real.any():
+        return sigmas
+    off = rays.distance - means[:, 2:3] - (rays.waves @ means[:, 3:, None])[..., 0]
+    spare = max(1.0 - used / float(real.sum()), 0.2)
+    spread = (median(np.abs(off[real])) / 0.6745) ** 2 / spare
+    added = max(spread - median(sigmas[real]) ** 2, 0.0)
+    whole = np.sqrt(sigmas**2 + added)
+    return whole * np.sqrt(np.maximum(np.abs(off) / (_HUBER * whole), 1.0))
 
 
-def with_sites(evidence: Evidence, bright: Sequence[Array], sites: Sequence[Sites], means: Array) -> Evidence:
-    """Add what each view's (L, 2) bright points, mm, at the frame's border say: product of Gaussians (Minka, 2001)."""
-    information, product = evidence.information.copy(), evidence.product.copy()
-    for i, (own, site, about) in enumerate(zip(bright, sites, means, strict=True)):
-        design, distance = _linearised(own, about)
-        information[i] += (design.T * site.precision) @ design
-        product[i] += design.T @ (site.shift + site.precision * distance)
-    return Evidence(information, product)
+def bright_sites(sites: _Sites, gap: Array, variance: Array) -> _Sites:
+    """Return better Gaussian sites for the bright points, each a factor Phi((rim - point) / sigma).
 
-
-def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, about: Array) -> Sites:
-    """Return better Gaussian sites for (L, 2) bright points, mm, each a factor Phi((rim - point) / sigma), damped.
-
-    Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
-    and Williams (2006), section 3.6. The (P,) mean is with these sites; distances are linearised at ``about``.
+    Expectation propagation (Minka, 2001) with all sites at once; moments of the probit factor: Rasmussen
+    and Williams (2006), section 3.6. The (V, L) gaps to the rim, mm, and their variances are with these sites.
     """
-    design, distance = _linearised(bright, about)
-    gap = design @ mean - distance
-    variance = np.einsum("ki,ij,kj->k", design, covariance, design)
     alone = 1.0 / np.maximum(1.0 / variance - sites.precision, 1e-3 / variance)
     gap_alone = alone * (gap / variance - sites.shift)
     whole = alone + _LIT_SIGMA_MM**2
@@ -187,12 +169,7 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / np.sqrt(2.0 * np.pi)
     matched = alone - alone**2 * ratio * (z + ratio) / whole
     matched_gap = gap_alone + alone * ratio / np.sqrt(whole)
-    precision = np.maximum(1.0 / matched - 1.0 / alone, 0.0)
-    shift = matched_gap / matched - gap_alone / alone
-    return Sites(
-        sites.precision + _DAMPING * (precision - sites.precision),
-        sites.shift + _DAMPING * (shift - sites.shift),
-    )
+    return _Sites(np.maximum(1.0 / matched - 1.0 / alone, 0.0), matched_gap / matched - gap_alone / alone)
 
 
 #: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
@@ -204,12 +181,14 @@ _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
 #: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
 _SCATTER_POWER = 1.0
 #: So many matrices, one for each view and scatter, are handled at once.
-_MOST_MATRICES = 4000
+_MOST_MATRICES = 1000
 #: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
 #: the nine views of a bench are about five independent ones.
 _LIKELIHOOD_POWER = 0.5
 #: Scatters of a smaller weight no longer take part after two rounds.
 _LEAST_WEIGHT = 1e-6
+#: Scatters of a smaller weight do not enter the average.
+_LEAST_AVERAGED = 1e-4
 #: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
 #: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
 _CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
@@ -226,6 +205,8 @@ _FINAL_ROUNDS, _FINAL_SETTLED_MM = 10, 0.02
 _STEP = 0.5
 #: Scatters, as shares of the radius, with which the fit starts: centre, radius, shape.
 _FIRST_SCATTERS = (0.12, 0.05, 0.03)
+#: Number of the unknowns of a view that have each of the three scatters.
+_ALIKE = (2, 1, UNKNOWNS - 3)
 
 
 @dataclass(frozen=True)
@@ -258,16 +239,32 @@ class DiscMotion:
 
 
 class _Posterior(NamedTuple):
-    """Means and covariances of all unknowns, and the log marginal likelihood; each with an axis more for many."""
+    """Means and covariances of all unknowns, and the log marginal likelihood, for G sets of scatters.
 
-    # mean, covariance: (V, P) and (V, P, P), of the unknowns of the views.
-    mean: Array
-    covariance: Array
-    # shared, shared_covariance: (Q,) and (Q, Q), of the common values.
-    shared: Array
-    shared_covariance: Array
-    centres: Array  # (2 V, 2 V) covariance of the centres of all views
-    log_likelihood: Array  # (), logarithm of the marginal likelihood, without a constant
+    Covariances are those of the first R unknowns of each view.
+    """
+
+    mean: Array  # (G, V, P) of the unknowns of the views
+    alone: Array  # (G, V, R, R) their covariance if the common values were known
+    spread: Array  # (G, V, R, Q) how they follow the common values
+    shared: Array  # (G, Q) common values
+    shared_covariance: Array  # (G, Q, Q)
+    log_likelihood: Array  # (G,), logarithm of the marginal likelihood, without a constant
+
+    @property
+    def covariance(self) -> Array:
+        """(G, V, R, R) covariance of the first unknowns of each view."""
+        return self.alone + self.spread @ self.shared_covariance[:, None] @ self.spread.swapaxes(2, 3)
+
+    @property
+    def joint_covariance(self) -> Array:
+        """(G, V R, V R) covariance of the first unknowns of all views."""
+        count, views, own, _ = self.alone.shape
+        flat = self.spread.reshape(count, views * own, -1)
+        joint = (flat @ self.shared_covariance @ flat.swapaxes(1, 2)).reshape(count, views, own, views, own)
+        each = np.arange(views)
+        joint[:, each, :, each] += self.alone.swapaxes(0, 1)
+        return joint.reshape(count, views * own, views * own)
 
 
 class _Common(NamedTuple):
@@ -302,67 +299,87 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]
     bright = [rim.lit_mm[:: 1 + len(rim.lit_mm) // _MOST_BRIGHT] - middle_mm for rim in rims]
-    sigmas = [np.hypot(rim.sigmas_mm, _POINT_FLOOR_MM) for rim in rims]
-    weights, sites, means = _start(points, bright, sigmas, reach_mm, common)
-    grid = np.array(
-        [
-            _scatters(reach_mm, *shares)
-            for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
-        ]
-    )
+    seen = np.hstack([_padded(points, 0.0), _padded(bright, 0.0)]) @ _PLANE
+    sigmas = _padded([np.hypot(rim.sigmas_mm, _POINT_FLOOR_MM) for rim in rims], np.inf)
+    lit = _padded([np.ones(len(own)) for own in bright], 0.0)
+    shares = [_FIRST_SCATTERS, *product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)]
+    scatters = reach_mm * np.repeat(shares, _ALIKE, axis=1)
+    sites, means = _start(seen, sigmas, lit, scatters[:1], common)
+    grid = scatters[1:]
     for round_ in range(_FINAL_ROUNDS):
-        evidence = evidence_of(points, weights, means)
-        whole = with_sites(evidence, bright, sites, means)
-        found, shares = _averaged(whole, common, grid)
-        step = found.mean - means
-        means = means + _STEP * step
+        design, distance = _linearised(_rays(seen, means), means)
+        every = _in_pieces(evidence_of(design, distance, sites), grid, common)
+        weights = _weights(every.log_likelihood, grid)
+        kept = weights > _LEAST_AVERAGED
+        found, share = _Posterior(*(part[kept] for part in every)), weights[kept] / weights[kept].sum()
+        step = np.tensordot(share, found.mean, axes=1) - means
         if np.abs(step[:, :2]).max() < _FINAL_SETTLED_MM:
             break
+        means = means + _STEP * step
         if round_ > 0:
-            grid, shares = grid[shares > _LEAST_WEIGHT], shares[shares > _LEAST_WEIGHT]
-    own = _own_sigmas(evidence, grid[:, 2], shares, reach_mm)
-    discs, every = [], found.centres.copy()
-    expected = common.designs[:, :2] @ found.shared + middle_mm
-    for i, rim in enumerate(rims):
-        own_places = slice(2 * i, 2 * i + 2)
-        every[own_places, own_places] += rim.level_sigma_mm**2 * np.eye(2)
-        covariance = every[own_places, own_places]
-        centre, radius = found.mean[i, :2] + middle_mm, abs(float(found.mean[i, 2]))
-        discs.append(Disc(centre, radius, covariance, float(own[i]), expected[i]))
-    motion = slice(2, 6)
-    moved = DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
-    return Discs(discs, every, moved)
+            grid, weights = grid[weights > _LEAST_WEIGHT], weights[weights > _LEAST_WEIGHT]
+    sites.precision[:, sigmas.shape[1] :] = 0.0  # Bright points do not show the rim
+    own = _own_sigmas(evidence_of(design, distance, sites).information, grid[:, 2], weights, reach_mm)
+    return _discs(rims, found, share, own, middle_mm, common)
+
+
+def _discs(
+    rims: Sequence[RimPoints], found: _Posterior, share: Array, own: Array, middle_mm: Array, common: _Common
+) -> Discs:
+    """Return the discs from posteriors with (G,) shares, and from the (V,) sigmas of centres by each view alone."""
+    shared, shared_covariance = _mixed(share, found.shared, found.shared_covariance)
+    motion = DiscMotion(shared[2:6].reshape(2, 2), shared_covariance[2:6, 2:6])
+    centres, covariance = _mixed(share, found.mean[..., :2].reshape(len(share), -1), found.joint_covariance)
+    covariance += np.diag(np.repeat([rim.level_sigma_mm**2 for rim in rims], 2))
+    blocks = [covariance[i : i + 2, i : i + 2] for i in range(0, len(covariance), 2)]
+    radii = np.abs(share @ found.mean[..., 2]).tolist()
+    expected = common.designs[:, :2] @ shared + middle_mm
+    columns = (centres.reshape(-1, 2) + middle_mm, radii, blocks, own.tolist(), expected)
+    return Discs([Disc(*one) for one in zip(*columns, strict=True)], covariance, motion)
+
+
+def _padded(parts: Sequence[Array], fill: float) -> Array:
+    """Return (K, ...) arrays, one for each view, as one (V, K, ...) array, filled behind the end of short ones."""
+    whole = np.full((len(parts), max(map(len, parts)), *parts[0].shape[1:]), fill)
+    for own, part in zip(whole, parts, strict=True):
+        own[: len(part)] = part
+    return whole
 
 
 def _start(
-    points: Sequence[Array],
-    bright: Sequence[Array],
-    sigmas: Sequence[Array],
-    reach_mm: float,
-    common: _Common,
-) -> tuple[list[Array], list[Sites], Array]:
-    """Fit with large scatters between views: return sigmas of the points, sites of the bright points, and unknowns.
+    seen: Complexes, sigmas: Array, lit: Array, scatters: Array, common: _Common
+) -> tuple[_Sites, Array]:
+    """Fit with large (1, P) scatters between views: return what each point adds, and the (V, P) unknowns.
 
-    What the linearised distances leave out counts as noise, because the first unknowns may be far off.
+    What the linearised distances leave out counts as noise, because the first unknowns may be far off. Of the points
+    ``seen``, the first have (V, K) sigmas, infinite ones where a view has fewer; ``lit`` is 1 for each of the (V, L)
+    bright ones, which are the others, and 0 where a view has fewer.
     """
-    sites = [Sites(np.zeros(len(own)), np.zeros(len(own))) for own in bright]
-    means = np.zeros((len(points), UNKNOWNS))
-    means[:, 2] = reach_mm
-    weights, scatters = list(sigmas), _scatters(reach_mm, *_FIRST_SCATTERS)
-    neglected = [np.zeros(len(own)) for own in points]
+    edge, bright = slice(sigmas.shape[1]), slice(sigmas.shape[1], None)
+    means = common.designs @ common.mean
+    sites = _Sites(np.zeros(seen.shape), np.zeros(seen.shape))
+    weights, neglected, rays = sigmas, np.zeros_like(sigmas), _rays(seen, means)
     for round_ in range(_ROUNDS):
-        evidence = evidence_of(points, [*map(np.hypot, weights, neglected)], means)
-        found = _posterior(with_sites(evidence, bright, sites, means), scatters, common)
-        views = zip(bright, sites, found.mean, found.covariance, means, strict=True)
-        sites = [bright_sites(*one) for one in views]
-        step = found.mean - means
-        means = means + (_STEP if round_ > 0 else 1.0) * step
+        design, distance = _linearised(rays, means)
+        sites.precision[:, edge] = 1.0 / (weights**2 + neglected**2)
+        found = _posteriors(evidence_of(design, distance, sites), scatters, common, UNKNOWNS)
+        mean, covariance = found.mean[0], found.covariance[0]
+        variance = _form(design, covariance, design)
         if round_ > 0:
-            weights = reweighted(points, sigmas, evidence, found.mean, found.covariance)
-        neglected = second_order_sigmas(points, means, found.covariance)
+            used = float(np.sum(sites.precision[:, edge] * variance[:, edge]))
+            weights = reweighted(_rays(seen[:, edge], mean), mean, sigmas, used)
+        gap = (design @ mean[:, :, None])[..., 0] - distance
+        old = _Sites(*(part[:, bright] for part in sites))
+        for part, new in zip(old, bright_sites(old, gap[:, bright], variance[:, bright]), strict=True):
+            part[:] = (1.0 - _DAMPING) * part + _DAMPING * lit * new
+        step = mean - means
+        means = means + (_STEP if round_ > 0 else 1.0) * step
+        rays = _rays(seen, means)
+        neglected = second_order_sigmas(rays, means, covariance)[:, edge]
         if np.abs(step[:, :2]).max() < _SETTLED_MM and round_ > 1:
             break
-    return weights, sites, means
+    sites.precision[:, edge] = weights**-2.0
+    return sites, means
 
 
 def _common(looks_mm: Array, reach_mm: float) -> _Common:
@@ -372,87 +389,68 @@ def _common(looks_mm: Array, reach_mm: float) -> _Common:
     designs[:, 0, 0] = designs[:, 1, 1] = 1.0
     designs[:, 0, 2:4] = designs[:, 1, 4:6] = looks_mm
     designs[:, 2:, 6:] = np.eye(1 + shapes)
-    sigmas = np.concatenate(
-        [
-            np.full(2, _CENTRE_PRIOR * reach_mm),
-            np.full(4, _WALK_PRIOR),
-            [_RADIUS_PRIOR * reach_mm],
-            np.full(shapes, _SHAPE_PRIOR * reach_mm),
-        ]
-    )
+    priors = [_CENTRE_PRIOR * reach_mm, _WALK_PRIOR, _RADIUS_PRIOR * reach_mm, _SHAPE_PRIOR * reach_mm]
     mean = np.zeros(7 + shapes)
     mean[6] = reach_mm
-    return _Common(designs, mean, sigmas)
+    return _Common(designs, mean, np.repeat(priors, (2, 4, 1, shapes)))
 
 
-def _scatters(reach_mm: float, centre: float, radius: float, shape: float) -> Array:
-    """Return the (P,) 1-sigma scatters of the unknowns between views, mm, from shares of the radius."""
-    return reach_mm * np.array([centre, centre, radius, *[shape] * (UNKNOWNS - 3)])
+def _posteriors(evidence: Evidence, scatters: Array, common: _Common, own: int) -> _Posterior:
+    """Return the posteriors for (G, P) scatters, and the covariances of the first ``own`` unknowns of each view.
 
-
-def _posteriors(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
-    """Return the posteriors of all unknowns for (G, P) scatters, averaged over the common values.
-
-    Every array has an axis for the scatters first. Linear Gaussian model of Lindley and Smith (1972): with information
-    J, product z, scatter S and A = J + S^-1, the information about the mean of a view's unknowns is
-    S^-1 - S^-1 A^-1 S^-1. It is calculated as J A^-1 S^-1, which is the same without a difference of large numbers.
+    Linear Gaussian model of Lindley and Smith (1972): with information J, product z, scatter S and A = J + S^-1, the
+    information about the mean of a view's unknowns is S^-1 - S^-1 A^-1 S^-1. It is calculated as S^-1 A^-1 J, which is
+    the same without a difference of large numbers, and with a root of A^-1: products with A^-1 itself err much more.
     """
-    loose, designs = scatters**-2.0, common.designs
-    views, unknowns, shared_count = designs.shape
-    flat = designs.reshape(views * unknowns, shared_count)
-    diagonal = loose[:, None, :, None] * np.eye(unknowns)
-    inverse = np.linalg.inv(evidence.information + diagonal)
-    gain = inverse * loose[:, None, None, :]
-    spread = gain @ designs
-    about_designs = evidence.information @ spread
-    own = (inverse @ evidence.product[:, :, None])[..., 0]
-    toward = (loose[:, None, :] * own).reshape(len(scatters), -1)
-    h = flat.T @ about_designs.reshape(len(scatters), *flat.shape) + np.diag(common.sigmas**-2.0)
-    g = toward @ flat + common.mean * common.sigmas**-2.0
-    covariance = np.asarray(np.linalg.inv(h), np.float64)
-    shared = (covariance @ g[:, :, None])[..., 0]
-    mean = own + (spread @ shared[:, None, :, None])[..., 0]
-    whole = inverse + spread @ covariance[:, None] @ spread.swapaxes(2, 3)
-    ahead = spread[:, :, :2].reshape(len(scatters), 2 * views, -1)
-    centres = ahead @ covariance @ ahead.swapaxes(1, 2)
-    for view in range(views):
-        centres[:, 2 * view : 2 * view + 2, 2 * view : 2 * view + 2] += inverse[:, view, :2, :2]
-    log_det = np.linalg.slogdet(inverse)[1].sum(axis=1) - 2.0 * views * np.log(scatters).sum(axis=1)
-    fit = np.einsum("vi,gvi->g", evidence.product, own)
-    likelihood = 0.5 * (log_det + fit + np.sum(g * shared, axis=1) - np.linalg.slogdet(h)[1])
-    return _Posterior(mean, whole, shared, covariance, centres, likelihood)
+    loose, designs = scatters[:, None] ** -2.0, common.designs
+    root, log_det = _roots(evidence.information + loose[..., None] * np.eye(UNKNOWNS))
+    right = root @ np.concatenate([evidence.information @ designs, evidence.product[:, :, None]], axis=2)
+    left = (root * loose[:, :, None]) @ designs
+    flat = left.reshape(len(scatters), -1, designs.shape[2])
+    sums = flat.swapaxes(1, 2) @ right.reshape(*flat.shape[:2], -1)
+    shared_root, shared_log_det = _roots(sums[:, :, :-1] + np.diag(common.sigmas**-2.0))
+    covariance = shared_root.swapaxes(1, 2) @ shared_root
+    g = sums[:, :, -1] + common.mean * common.sigmas**-2.0
+    shared, back = (covariance @ g[:, :, None])[..., 0], root.swapaxes(2, 3)
+    mean = (back @ (right[..., -1:] + (flat @ shared[:, :, None]).reshape(*root.shape[:3], 1)))[..., 0]
+    log_dets = len(designs) * np.log(loose).sum(axis=(1, 2)) - log_det.sum(axis=1) - shared_log_det
+    fit = np.sum(right[..., -1] ** 2, axis=(1, 2))
+    likelihood = 0.5 * (log_dets + fit + np.sum(g * shared, axis=1))
+    alone = back[:, :, :own] @ root[..., :own]
+    return _Posterior(mean, alone, back[:, :, :own] @ left, shared, covariance, likelihood)
 
 
-def _posterior(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
-    """Return the posterior for one set of (P,) scatters."""
-    found = _posteriors(evidence, scatters[None], common)
-    return _Posterior(*(part[0] for part in found))
+def _roots(matrices: Array) -> tuple[Array, Array]:
+    """Return R with R^T R = A^-1 for (..., P, P) positive definite matrices A, and the (...) logarithms of det A.
+
+    R is the inverse of Cholesky's triangle, row by row for all A at once: `numpy.linalg.inv` takes three times as long.
+    """
+    lower = np.linalg.cholesky(matrices)
+    root = np.zeros_like(lower)
+    for i in range(lower.shape[-1]):
+        scale = 1.0 / lower[..., i, i, None]
+        root[..., i, :i] = -scale * (lower[..., i, None, :i] @ root[..., :i, :i])[..., 0, :]
+        root[..., i, i] = scale[..., 0]
+    return root, 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def _in_pieces(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
-    """Return `_posteriors`, calculated in pieces that bound the memory for many views."""
+    """Return `_posteriors` with covariances of centres, calculated in pieces that bound the memory for many views."""
     size = max(1, _MOST_MATRICES // len(evidence.product))
-    pieces = [_posteriors(evidence, scatters[at : at + size], common) for at in range(0, len(scatters), size)]
+    parts = [scatters[at : at + size] for at in range(0, len(scatters), size)]
+    pieces = [_posteriors(evidence, part, common, 2) for part in parts]
     return _Posterior(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
-def _averaged(evidence: Evidence, common: _Common, scatters: Array) -> tuple[_Posterior, Array]:
-    """Return the posterior averaged over (G, P) scatters, and the (G,) weight of each.
+def _weights(log_likelihood: Array, scatters: Array) -> Array:
+    """Return the (G,) weights of scatters, (G, P), from the logarithms of their likelihoods.
 
     The likelihood enters by a power below 1 (SafeBayes; Grünwald and van Ommen, 2017): views are not independent.
     """
-    every = _in_pieces(evidence, scatters, common)
     preference = _SCATTER_POWER * np.log(scatters[:, [0, 2, 3]]).sum(axis=1)
-    logs = _LIKELIHOOD_POWER * every.log_likelihood + preference
+    logs = _LIKELIHOOD_POWER * log_likelihood + preference
     weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
-    kept = weights > 1e-4
-    share = weights[kept] / weights[kept].sum()
-    mean, covariance = _mixed(share, every.mean[kept], every.covariance[kept])
-    shared, shared_covariance = _mixed(share, every.shared[kept], every.shared_covariance[kept])
-    middles = every.mean[kept][:, :, :2].reshape(int(kept.sum()), -1)
-    centres = _mixed(share, middles, every.centres[kept])[1]
-    return _Posterior(mean, covariance, shared, shared_covariance, centres, logs.max()), weights
+    return weights / weights.sum()
 
 
 def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
@@ -463,14 +461,14 @@ def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Arr
     return mean, within + np.einsum("w,w...i,w...j->...ij", weights, off, off)
 
 
-def _own_sigmas(evidence: Evidence, radius_scatters: Array, weights: Array, reach_mm: float) -> Array:
+def _own_sigmas(information: Array, radius_scatters: Array, weights: Array, reach_mm: float) -> Array:
     """Return the (V,) sigmas, mm, of centres by each view alone, from (G,) radius scatters and their weights."""
     loose = np.full(UNKNOWNS, (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0)
     loose[:2] = (2.0 * reach_mm) ** -2.0
-    variance = np.zeros(len(evidence.product))
+    variance = np.zeros(len(information))
     for scatter in np.unique(radius_scatters):
         loose[2] = scatter**-2.0
-        covariance = np.linalg.inv(evidence.information + np.diag(loose))
+        covariance = np.linalg.inv(information + np.diag(loose))
         largest = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
         variance += weights[radius_scatters == scatter].sum() * largest
     return np.sqrt(variance / weights.sum())
