@@ -23,7 +23,7 @@ from calib.joint.knowledge import FAULTS, WRONG, Statement
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.places import places_of
 from calib.joint.prior import NO_FAULT, Faults, block_diagonal
-from calib.joint.samples import Mode, Node, log_odds, nodes_about, trusted
+from calib.joint.samples import Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step
 from calib.model.result_parts import GIMBAL_SCALE
 
@@ -181,20 +181,20 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
     curvature, modes = _modes(optimum)
     far = [bool(one.faults) and not _holds(optimum, one) for one in modes]
     near = [one for one, away in zip(modes, far, strict=True) if not away]
-    likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_odds, default=None)
-    if likeliest is None or likeliest.odds < _COUNTS:
+    likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_weight, default=None)
+    if likeliest is None or likeliest.weight < _COUNTS:
         return _mixture(optimum, curvature, modes)
     there = beside(optimum, likeliest.faults, rounds)
     odds = _odds(there, likeliest.faults, optimum)
-    if odds > 1.0 and likeliest.odds > max(one.odds for one in near):
+    if odds > 1.0 and likeliest.weight > max(one.weight for one in near):
         curvature_there, modes_there = _modes(there)
         near_there = [one for one in modes_there if _holds(there, one)]
         if near_there:
             return _mixture(there, curvature_there, near_there)
         odds = 0.0
-    share = min(odds / likeliest.odds, 1.0)
+    share = min(odds / likeliest.weight, 1.0)
     kept = [
-        replace(one, odds=share * one.odds) if away else one for one, away in zip(modes, far, strict=True)
+        replace(one, weight=share * one.weight) if away else one for one, away in zip(modes, far, strict=True)
     ]
     return _mixture(optimum, curvature, kept)
 
@@ -212,43 +212,41 @@ def _odds(there: Optimum, faults: Faults, than: Optimum) -> float:
     return math.exp(min(log, _LARGEST_LOG)) * math.prod(FAULTS[fault] for _, fault in faults)
 
 
-def _holds(optimum: Optimum, mode: Mode) -> bool:
+def _holds(optimum: Optimum, mode: Node) -> bool:
     """Return whether the step to a mode is so short that the equations hold there."""
     return relative_step(optimum.marginal, mode.solution.step) < _NEAR
 
 
-def _by_odds(mode: Mode) -> float:
-    return mode.odds
+def _by_weight(mode: Node) -> float:
+    return mode.weight
 
 
-def _modes(optimum: Optimum) -> tuple[Array, list[Mode]]:
+def _modes(optimum: Optimum) -> tuple[Array, list[Node]]:
     """Return (A, A) the curvature at an optimum, and the modes of the posterior by its equations."""
     curvature = 0.5 * expected_curvature(optimum.marginal, optimum.eta, optimum.solution)
-    first = Mode(NO_FAULT, optimum.eta, optimum.solution, 1.0)
+    first = Node(NO_FAULT, optimum.eta, optimum.solution, 1.0)
     return curvature, [first, *_others(optimum, curvature), *_faults(optimum, curvature, first)]
 
 
-def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Mode]) -> Posterior:
+def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Posterior:
     marginal = optimum.marginal
     lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
-    whole = sum(mode.odds for mode in modes)
+    whole = sum(mode.weight for mode in modes)
     nodes: list[Node] = []
     probabilities: dict[str, float] = {}
     for mode in modes:
-        share = mode.odds / whole
+        share = mode.weight / whole
         if share < _SMALL_SHARE:
-            nodes.append(Node(share, mode.eta, mode.faults, mode.solution))
+            nodes.append(replace(mode, weight=share))
         else:
             nodes += nodes_about(marginal, mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
         for name, _ in mode.faults:
             probabilities[name] = probabilities.get(name, 0.0) + share
     spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
-    best = max(modes, key=_by_odds)
-    largest = Node(best.odds / whole, best.eta, best.faults, best.solution)
-    return Posterior(optimum, tuple(nodes), spread, probabilities, largest)
+    return Posterior(optimum, tuple(nodes), spread, probabilities, max(modes, key=_by_weight))
 
 
-def _others(optimum: Optimum, curvature: Array) -> list[Mode]:
+def _others(optimum: Optimum, curvature: Array) -> list[Node]:
     """Return another mode, if there is one: what differs between poses follows their turn."""
     marginal, hyper = optimum.marginal, optimum.marginal.problem.hyper
     start = _usual(optimum)
@@ -268,10 +266,10 @@ def _others(optimum: Optimum, curvature: Array) -> list[Mode]:
     other = 0.5 * expected_curvature(marginal, eta, found)
     wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(other)[1])
     log = log_odds(marginal, found, optimum.solution, 0.5 * wider)
-    return [Mode(NO_FAULT, eta, found, float(np.exp(min(log, _LARGEST_LOG))))]
+    return [Node(NO_FAULT, eta, found, float(np.exp(min(log, _LARGEST_LOG))))]
 
 
-def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
+def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
     """Return the faults beside those of a mode that the views make more probable than they were.
 
     If one is more probable than none, it may not be the only one: others are looked for beside it.
@@ -303,10 +301,10 @@ def _faults(optimum: Optimum, curvature: Array, base: Mode) -> list[Mode]:
             log *= _share_of_stars(marginal, eta, ended, faults)
             log += math.log(trusted(marginal, ended, base.solution))
             if log > 0.0:
-                odds = base.odds * probability * math.expm1(min(log, _LARGEST_LOG))
-                found.append(Mode(faults, eta, ended, odds))
-    likeliest = max(found, key=_by_odds, default=base)
-    beside = _faults(optimum, curvature, likeliest) if likeliest.odds > base.odds else []
+                odds = base.weight * probability * math.expm1(min(log, _LARGEST_LOG))
+                found.append(Node(faults, eta, ended, odds))
+    likeliest = max(found, key=_by_weight, default=base)
+    beside = _faults(optimum, curvature, likeliest) if likeliest.weight > base.weight else []
     return [*found, *beside]
 
 
@@ -321,7 +319,7 @@ def _share_of_stars(marginal: Marginal, eta: Array, found: Solution, faults: Fau
     return stars / (stars + discs)
 
 
-def _starts(optimum: Optimum, base: Mode) -> list[tuple[Array, Solution]]:
+def _starts(optimum: Optimum, base: Node) -> list[tuple[Array, Solution]]:
     """Return the amplitudes at which faults are looked for: the best, and the expected ones if they determine all."""
     usual, first = _usual(optimum), (base.eta, base.solution)
     try:
@@ -342,7 +340,7 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(marginal: Marginal, starts: Sequence[Array], base: Mode) -> list[tuple[str, ...]]:
+def _possible(marginal: Marginal, starts: Sequence[Array], base: Node) -> list[tuple[str, ...]]:
     """Return the statements that contradict all others, for at least one of the given amplitudes.
 
     One source states the scales of all axes, so they can be wrong together.

@@ -33,25 +33,15 @@ _HOLDS = 0.02
 
 @dataclass(frozen=True)
 class Node:
-    """The Gaussian posterior at one sample of the amplitudes."""
-
-    weight: float
-    eta: Array
-    faults: Faults
-    solution: Solution
-
-
-@dataclass(frozen=True)
-class Mode:
-    """A maximum of the posterior of the amplitudes."""
+    """The Gaussian posterior for given amplitudes: at a mode of their posterior, or at a sample about it."""
 
     faults: Faults
     eta: Array  # (A,)
     solution: Solution
-    odds: float  # Against the first mode
+    weight: float  # Of a mode, its odds against the first one
 
 
-def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share: float) -> list[Node]:
+def nodes_about(marginal: Marginal, mode: Node, lower: Array, pairs: int, share: float) -> list[Node]:
     """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature."""
     eta, solution = mode.eta, mode.solution
     found, logs = [(eta, solution)], [0.0]
@@ -71,7 +61,7 @@ def nodes_about(marginal: Marginal, mode: Mode, lower: Array, pairs: int, share:
     weights = np.exp(np.array(logs) - max(logs))
     weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
-    return [Node(float(w), at, mode.faults, one) for w, (at, one) in zip(weights, found, strict=True)]
+    return [Node(mode.faults, at, one, float(w)) for w, (at, one) in zip(weights, found, strict=True)]
 
 
 def log_odds(marginal: Marginal, one: Solution, other: Solution, more: float = 0.0) -> float:

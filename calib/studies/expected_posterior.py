@@ -124,7 +124,7 @@ def expected_posterior(
     except np.linalg.LinAlgError as error:
         raise DegenerateViews("These poses do not determine the camera.") from error
     weight = 1.0 / len(places)
-    nodes = tuple(Node(weight, place, NO_FAULT, one) for place, one in zip(places, solved, strict=True))
+    nodes = tuple(Node(NO_FAULT, place, one, weight) for place, one in zip(places, solved, strict=True))
     optimum = Optimum(marginal, eta, middle, 0, converged=True)
     return Posterior(optimum, nodes, np.sqrt(np.diag(spread)), {}, replace(nodes[0], solution=middle))
 
