@@ -16,12 +16,13 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
-from calib.joint.knowledge import CERTIFICATE, gather, stated_names, term_shapes, wavefront
+from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term_shapes, wavefront
 from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
+from calib.joint.posterior import odds_of
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.readings import Readings
-from calib.joint.solve import Optimum, approached, first_equations, search, solved
+from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -36,8 +37,10 @@ _EVIDENCE = 10.0
 #: radial terms of the tangent miss a fisheye lens by several U of fx.
 _WIDE_FIELD = 0.8
 #: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
-#: alone show; these err by 2 % at most on 54 drawn benches of three and nine poses.
-_OTHER_RADIUS, _CLEARLY = 0.15, 6.0
+#: alone show. At the start of a search these err by 7 % at most on drawn gimbals, and by 15 % if a hand moves the mount.
+_OTHER_RADIUS, _OTHER_RADIUS_BY_HAND, _CLEARLY = 0.1, 0.3, 6.0
+#: From this difference on, the state is looked at to which the search leads if the certificate is wrong.
+_OTHER_STATE = 0.02
 #: Limit of the stars' weights, in sigmas, so that none counts as an outlier.
 _WIDE = 1e3
 
@@ -199,7 +202,8 @@ def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOpt
         return
     stated, at = options.passport.values_by_name["r"], free.bench.layout.index["r"]
     seen = float(near.shared[at])
-    if abs(stated - seen) <= _OTHER_RADIUS * seen:
+    share = _OTHER_RADIUS_BY_HAND if free.bench.layout.by_hand else _OTHER_RADIUS
+    if abs(stated - seen) <= share * seen:
         return
     try:
         found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), free.hyper.mean)
@@ -221,4 +225,25 @@ def _searched(
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    return search(*posed(views, options, start, lens, discs), options.max_iterations)
+    problem, state = posed(views, options, start, lens, discs)
+    found = search(problem, state, options.max_iterations)
+    return _without_wrong_certificate(found, state, options)
+
+
+def _without_wrong_certificate(found: Optimum, near: State, options: CalibrationOptions) -> Optimum:
+    """Return the optimum near the radius that the views show, if that is more probable than one at the certificate's.
+
+    Where the poses have large errors of their own, these would take up a certificate that is wrong by several percent.
+    """
+    passport, at = options.passport, found.marginal.problem.bench.layout.index["r"]
+    if passport is None or not passport.is_certificate:
+        return found
+    seen = float(near.shared[at])
+    if abs(passport.values_by_name["r"] - seen) <= _OTHER_STATE * seen:
+        return found
+    faults = ((CERTIFICATE, WRONG),)
+    try:
+        there = beside(found, faults, options.max_iterations, near)
+    except (NotConverged, np.linalg.LinAlgError):
+        return found
+    return there if odds_of(there, faults, found) > 1.0 else found

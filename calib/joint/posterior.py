@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -185,7 +186,7 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
     if likeliest is None or likeliest.weight < _COUNTS:
         return _mixture(optimum, curvature, modes)
     there = beside(optimum, likeliest.faults, rounds)
-    odds = _odds(there, likeliest.faults, optimum)
+    odds = odds_of(there, likeliest.faults, optimum)
     if odds > 1.0 and likeliest.weight > max(one.weight for one in near):
         curvature_there, modes_there = _modes(there)
         near_there = [one for one in modes_there if _holds(there, one)]
@@ -199,7 +200,7 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
     return _mixture(optimum, curvature, kept)
 
 
-def _odds(there: Optimum, faults: Faults, than: Optimum) -> float:
+def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
     """Return how much more probable faults are, by the equations of their state, than none is at an optimum.
 
     The stars have the weights of the optimum: where they fit badly, they would not count.
@@ -207,7 +208,8 @@ def _odds(there: Optimum, faults: Faults, than: Optimum) -> float:
     problem = there.marginal.problem
     same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
     again = Marginal(problem, same, there.state)
-    eta, found = best_amplitudes(again, than.eta, _FAULT_STEPS, faults)
+    assert there.fault_eta is not None
+    eta, found = best_amplitudes(again, there.fault_eta, _FAULT_STEPS, faults)
     log = 0.5 * (than.solution.value - found.value) * _share_of_stars(again, eta, found, faults)
     return math.exp(min(log, _LARGEST_LOG)) * math.prod(FAULTS[fault] for _, fault in faults)
 
@@ -320,12 +322,15 @@ def _share_of_stars(marginal: Marginal, eta: Array, found: Solution, faults: Fau
 
 
 def _starts(optimum: Optimum, base: Node) -> list[tuple[Array, Solution]]:
-    """Return the amplitudes at which faults are looked for: the best, and the expected ones if they determine all."""
-    usual, first = _usual(optimum), (base.eta, base.solution)
-    try:
-        return [first, (usual, optimum.marginal.solve(usual, base.faults))]
-    except np.linalg.LinAlgError:
-        return [first]
+    """Return amplitudes at which faults are looked for: the best, usual ones, those of the fault whose state this is.
+
+    Amplitudes that do not determine all unknowns are left out.
+    """
+    found = [(base.eta, base.solution)]
+    for eta in (_usual(optimum), optimum.fault_eta):
+        with suppress(np.linalg.LinAlgError):
+            found += [] if eta is None else [(eta, optimum.marginal.solve(eta, base.faults))]
+    return found
 
 
 def _usual(optimum: Optimum) -> Array:

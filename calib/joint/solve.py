@@ -61,6 +61,7 @@ class Optimum:
     solution: Solution
     iterations: int
     converged: bool
+    fault_eta: Array | None = None  # (A,) with the fault whose state this is (`beside`)
     better_lens: str = ""  # The set of coefficients of the other family, if it explains the views far better
 
     @property
@@ -137,17 +138,18 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
     return state
 
 
-def beside(optimum: Optimum, faults: Faults, rounds: int) -> Optimum:
+def beside(optimum: Optimum, faults: Faults, rounds: int, start: State | None = None) -> Optimum:
     """Return an optimum whose equations are those of the state that some faults of statements lead to.
 
-    A grossly wrong statement takes the state so far away that the equations do not hold where the others lead.
+    A grossly wrong statement takes the state so far away that the equations do not hold where the others lead. The
+    search begins at the state of the optimum, or at a ``start`` that is known to be nearer.
     """
     problem = optimum.marginal.problem
-    there = search(replace(problem, faults=faults), optimum.state, rounds)
+    there = search(replace(problem, faults=faults), start or optimum.state, rounds)
     marginal = Marginal(problem, there.marginal.equations, there.state)
     eta, found = searched(marginal, optimum.eta, _LONG, enough=FINE)
     iterations = optimum.iterations + there.iterations
-    return Optimum(marginal, eta, found, iterations, there.converged, optimum.better_lens)
+    return Optimum(marginal, eta, found, iterations, there.converged, there.eta, optimum.better_lens)
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:
