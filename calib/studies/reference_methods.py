@@ -114,7 +114,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
         {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
         float(rms),
         _rms_and_mean(planar.bundle, planar.parameters)[1],
-        planar.cross_validation.total_rms_px if planar.cross_validation else None,
+        planar.left_out_rms_px,
     )
 
 
@@ -129,7 +129,7 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
         )
-    left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
+    left_out = leave_one_out(bundle, parameters, loss) if len(views) >= MIN_VIEWS else None
     lengths = _rms_and_mean(bundle, parameters)
     return MethodResult(_PUBLISHED, parameters.camera, estimate.sigma, *lengths, left_out)
 
