@@ -162,11 +162,9 @@ def initialize(
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
     h = np.array([view_homography(view) for view in views])
     if options.passport:
-        starts = list(passport_starts(h, size, distortion, options.passport))
-    elif model == "planar":
-        starts = list(planar_starts(h, size, distortion))
+        starts = passport_starts(h, size, distortion, options.passport)
     else:
-        starts = list(spherical_starts(h, size, distortion))
+        starts = (planar_starts if model == "planar" else spherical_starts)(h, size, distortion)
     return bundle, best_start(bundle, starts)
 
 

@@ -106,6 +106,29 @@ class CameraModel:
     image_size: tuple[int, int]
     distortion: Mapping[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def of_matrix(
+        cls, matrix: Array, image_size: tuple[int, int], distortion: Sequence[str] = ()
+    ) -> CameraModel:
+        """Return the camera with a camera matrix.
+
+        Parameters
+        ----------
+        matrix
+            (3, 3) camera matrix K without skew, px.
+        image_size
+            Width and height, px.
+        distortion
+            Names of the coefficients that `distortion` holds.
+
+        Returns
+        -------
+        CameraModel
+            The camera; all its coefficients are zero.
+        """
+        fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return cls(fx, fy, cx, cy, image_size, dict.fromkeys(distortion, 0.0))
+
     @property
     def matrix(self) -> Array:
         """(3, 3) float64 camera matrix K, px."""
