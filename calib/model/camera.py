@@ -26,6 +26,7 @@ __all__ = [
     "Undistortion",
     "distortion_names",
     "nearest_lens",
+    "require_image_size",
     "straightness_px",
     "undistort",
 ]
@@ -306,6 +307,16 @@ class CameraModel:
             Focal lengths and principal point, px, and the distortion coefficients.
         """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
+
+
+def require_image_size(camera: CameraModel, size: tuple[int, int], who: str) -> None:
+    """Refuse what has another image size, px, than a known camera; ``who`` has it, such as "this view has"."""
+    if camera.image_size != size:
+        sizes = [" x ".join(str(side) for side in one) for one in (camera.image_size, size)]
+        raise InputMismatch(
+            f"The camera has {sizes[0]} px, {who} {sizes[1]} px.",
+            remedy="Give a calibration of the same sensor and the same region of interest.",
+        )
 
 
 _STEPS = 20
