@@ -152,7 +152,7 @@ def locate_points(
     for step_px in _STEPS_PX:
         grid_map, _ = fit_grid_map(nodes[good].astype(float), points[good])
         local_map = grid_map.local_map(nodes.astype(float))
-        pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+        pitch = local_map.pitch_px
         samples = symmetry_samples(pitch / step_px) * (reach / SYMMETRY_REACH)
         used_to = np.full((len(points), 2), reach)
         fit = refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools, Ints
+from calib.arrays import AnyArray, Array, Array32, Bools, Ints, selected
 from calib.errors import StarsUnnamed, TargetNotFound
 from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
@@ -163,10 +163,6 @@ class Candidates(NamedTuple):
     nodes: Ints  # (N, 2) int64, columns and rows of the target
     points: Array  # (N, 2) float64, px
 
-    def select(self, mask: Bools) -> Candidates:
-        """Return some of them by an (N,) mask, in the same order."""
-        return Candidates(self.nodes[mask], self.points[mask])
-
 
 def find_candidates(
     image: AnyArray, smoothed: Array32, target: StarTarget, expected: Array | None, *, name: str
@@ -258,7 +254,7 @@ def _label_without_tag(
             where=f"view {name}",
             remedy="Check the target's description and the expected pose.",
         )
-    return Candidates(nodes, grown.places()).select(seen), start.sign, named_by
+    return selected(Candidates(nodes, grown.places()), seen), start.sign, named_by
 
 
 def _starts_as_expected(image: Array32, expected: Array | None) -> list[GrowthStart]:

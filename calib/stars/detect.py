@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools
+from calib.arrays import AnyArray, Array, Array32, Bools, selected
 from calib.errors import TooFewStars
 from calib.events.grey_image import require_grey_plane
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
@@ -27,7 +27,7 @@ from calib.stars.centring import (
 )
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap, fit_grid_map
-from calib.stars.likelihood import edge_width_px, refine_by_likelihood, typical_pitch_px
+from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, star_contrasts
 from calib.target import StarTarget
@@ -186,7 +186,7 @@ def refine_candidates(
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)
     local_map = grid_map.local_map(grid)
-    pitch = typical_pitch_px(local_map)
+    pitch = local_map.pitch_px
     samples = symmetry_samples(pitch / step_px)
     used_to = cell_reach(open_sides(target, candidates.nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
     fit = refine_by_symmetry(image, candidates.points, local_map, samples, used_to, MAX_MOVE_PITCHES * pitch)
@@ -196,8 +196,8 @@ def refine_candidates(
     if good.any():
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
     good = _without_outliers(grid, fit.centres, good)
-    refined = Candidates(candidates.nodes, fit.centres).select(good)
-    return refined, fit.select(good), local_map.select(good), blurred
+    refined = selected(Candidates(candidates.nodes, fit.centres), good)
+    return refined, selected(fit, good), selected(local_map, good), blurred
 
 
 def _scores(
