@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.boards.board import Board
-from calib.errors import InputMismatch, TargetNotFound
+from calib.errors import InputMismatch, TargetNotFound, placed
 from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
 from calib.stars.grid_map import fit_grid_map
@@ -55,25 +55,23 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
     same after half a turn may be numbered from either end.
     Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
     """
-    require_grey_plane(image, f"view {name}")
-    if board.kind == "blinking-dots":
-        raise InputMismatch(
-            "An image does not show frequencies.", where=f"view {name}", remedy="Give a recording of events."
-        )
-    plain = np.nan_to_num(np.asarray(image, np.float32))
-    grey = to_uint8(plain)
-    coarse = find_board(grey, board, name=name)
-    _refuse_second(grey, coarse, board, name)
-    points, covariances = locate_points(plain, coarse, board)
-    kept = np.asarray(np.isfinite(points).all(axis=1))
-    if kept.mean() < _LEAST_SHARE:
-        raise TargetNotFound(
-            f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located.",
-            where=f"view {name}",
-            remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
-        )
-    ids, size = np.flatnonzero(kept).astype(np.int64), (image.shape[1], image.shape[0])
-    return View(name, size, ids, points[kept], board.points_mm[kept], covariances[kept])
+    with placed(f"view {name}"):
+        require_grey_plane(image)
+        if board.kind == "blinking-dots":
+            raise InputMismatch("An image does not show frequencies.", remedy="Give a recording of events.")
+        plain = np.nan_to_num(np.asarray(image, np.float32))
+        grey = to_uint8(plain)
+        coarse = find_board(grey, board)
+        _refuse_second(grey, coarse, board)
+        points, covariances = locate_points(plain, coarse, board)
+        kept = np.asarray(np.isfinite(points).all(axis=1))
+        if kept.mean() < _LEAST_SHARE:
+            raise TargetNotFound(
+                f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located.",
+                remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
+            )
+        ids, size = np.flatnonzero(kept).astype(np.int64), (image.shape[1], image.shape[0])
+        return View(name, size, ids, points[kept], board.points_mm[kept], covariances[kept])
 
 
 def relocate_board(image: AnyArray, view: View, board: Board) -> View:
@@ -88,16 +86,14 @@ def relocate_board(image: AnyArray, view: View, board: Board) -> View:
     )
 
 
-def find_board(grey: Bytes, board: Board, *, name: str = "view") -> Array:
+def find_board(grey: Bytes, board: Board) -> Array:
     """Find a board to about half a pixel: (N, 2) image points, px, row by row; else say what was found instead.
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
     """
     found = _found(grey, board)
     if found is None:
-        raise TargetNotFound(
-            f"No {board.words} was found.", where=f"view {name}", remedy=_remedy(grey, board)
-        )
+        raise TargetNotFound(f"No {board.words} was found.", remedy=_remedy(grey, board))
     return found
 
 
@@ -170,7 +166,7 @@ def locate_points(
     return np.where(good[:, None], points, np.nan), covariances * factor + _COMMON_PX**2 * np.eye(2)
 
 
-def _refuse_second(grey: Bytes, points: Array, board: Board, name: str) -> None:
+def _refuse_second(grey: Bytes, points: Array, board: Board) -> None:
     """Refuse an image that shows the board twice; the first one is painted over for the search."""
     hull = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2)
     middle = hull.mean(axis=0)
@@ -180,9 +176,7 @@ def _refuse_second(grey: Bytes, points: Array, board: Board, name: str) -> None:
     cv2.fillConvexPoly(painted, outline, int(np.median(grey)))
     if _found(painted, board) is not None:
         raise TargetNotFound(
-            f"The image shows two boards: a second {board.words} was found.",
-            where=f"view {name}",
-            remedy="Leave only one in view.",
+            f"The image shows two boards: a second {board.words} was found.", remedy="Leave only one in view."
         )
 
 
@@ -265,12 +259,13 @@ def opencv_corners(image: AnyArray, board: Board, *, finder: Finder = "subpixel"
     ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018); else ``findChessboardCorners``, ``cornerSubPix``.
     """
     grey = to_uint8(np.nan_to_num(np.asarray(image, np.float32)))
-    corners = find_board(grey, board, name=name) if finder == "sectors" else _by_subpixel(grey, board, name)
+    with placed(f"view {name}"):
+        corners = find_board(grey, board) if finder == "sectors" else _by_subpixel(grey, board)
     ids, size = np.arange(len(corners), dtype=np.int64), (grey.shape[1], grey.shape[0])
     return View(name, size, ids, corners, board.points_mm, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 
-def _by_subpixel(grey: Bytes, board: Board, name: str) -> Array:
+def _by_subpixel(grey: Bytes, board: Board) -> Array:
     """Return (N, 2) px corners by ``findChessboardCorners`` and ``cornerSubPix``, for either contrast."""
     size, smooth = (board.columns, board.rows), cv2.medianBlur(grey, 3)
     for shown in (smooth, np.asarray(255 - smooth, np.uint8)):
@@ -281,6 +276,5 @@ def _by_subpixel(grey: Bytes, board: Board, name: str) -> Array:
             return np.asarray(found, np.float64).reshape(-1, 2)
     raise TargetNotFound(
         f"No checkerboard of {board.columns} x {board.rows} inner corners was found.",
-        where=f"view {name}",
         remedy="Show the whole board, in focus.",
     )
