@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array, Array32, Bytes, Ints
 from calib.boards.board import Board
-from calib.boards.detect import locate_points
+from calib.boards.detect import located_view
 from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents, placed
 from calib.model.homography import apply_homography
 from calib.view import View
@@ -101,15 +101,8 @@ def detect_blinking_dots(
         _require_enough(named, board, size, _LEAST_SEEN if unique else _LEAST_OF_GRID)
         image = _blinking_image((t_us, x, y, p), size, named, ratio * np.array(board.frequencies_hz))
         keep_image(image)
-        points, covariances = locate_points(image, named.centres, board, named.ids)
-        kept = np.asarray(np.isfinite(points).all(axis=1))
-        if kept.mean() < _LEAST_OF_GRID:
-            raise TargetNotFound(
-                f"Only {np.count_nonzero(kept)} of {len(kept)} dots in view could be located.",
-                remedy="Focus the lens, and hold the board still; come nearer if the dots are smaller than 5 px.",
-            )
-        ids = named.ids[kept]
-        return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
+        remedy = "Focus the lens, and hold the board still; come nearer if the dots are smaller than 5 px."
+        return located_view(image, named.centres, board, named.ids, name, remedy)
 
 
 def _require_long_enough(t_us: Ints, board: Board) -> None:

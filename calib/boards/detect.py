@@ -45,6 +45,7 @@ _SOFT_PX, _EDGE_BLUR_PX = 8.0, 1.5
 _LEAST_CONTRAST, _SHARPEST = 30.0, 0.002
 #: In event images, blur leaves edges sharp and makes the bright squares too wide: by these widths in turn, px.
 _TOO_WIDE_PX = (5, 9, 15, 23)
+_UNCLEAR = "Check focus, reflections and shadows; use a larger board, or come nearer."
 _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
@@ -63,27 +64,25 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
         grey = to_uint8(plain)
         coarse = find_board(grey, board)
         _refuse_second(grey, coarse, board)
-        points, covariances = locate_points(plain, coarse, board)
-        kept = np.asarray(np.isfinite(points).all(axis=1))
-        if kept.mean() < _LEAST_SHARE:
-            raise TargetNotFound(
-                f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located.",
-                remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
-            )
-        ids, size = np.flatnonzero(kept).astype(np.int64), (image.shape[1], image.shape[0])
-        return View(name, size, ids, points[kept], board.points_mm[kept], covariances[kept])
+        return located_view(plain, coarse, board, np.arange(len(coarse)), name, _UNCLEAR)
 
 
 def relocate_board(image: AnyArray, view: View, board: Board) -> View:
     """Locate the points of a board again, where ``view`` found them, in another (H, W) image of the same placement."""
     plain = np.nan_to_num(np.asarray(image, np.float32))
-    points, covariances = locate_points(plain, view.points_px, board, view.ids)
+    with placed(f"view {view.name}"):
+        return located_view(plain, view.points_px, board, view.ids, view.name, _UNCLEAR)
+
+
+def located_view(image: Array32, coarse: Array, board: Board, ids: Ints, name: str, remedy: str) -> View:
+    """Return the points of `locate_points` as a view; if too few are located, it is refused with a remedy."""
+    points, covariances = locate_points(image, coarse, board, ids)
     kept = np.asarray(np.isfinite(points).all(axis=1))
     if kept.mean() < _LEAST_SHARE:
-        raise TargetNotFound("The board was not found again.", where=f"view {view.name}")
-    return View(
-        view.name, view.image_size, view.ids[kept], points[kept], view.target_mm[kept], covariances[kept]
-    )
+        found = f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located."
+        raise TargetNotFound(found, remedy=remedy)
+    size, ids = (image.shape[1], image.shape[0]), ids[kept]
+    return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
 
 
 def find_board(grey: Bytes, board: Board) -> Array:
@@ -132,15 +131,13 @@ def _blobs(shape: tuple[int, ...]) -> Any:
     return cv2.SimpleBlobDetector.create(chosen)
 
 
-def locate_points(
-    image: Array32, coarse: Array, board: Board, ids: Ints | None = None
-) -> tuple[Array, Array]:
+def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tuple[Array, Array]:
     """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
 
-    From ``coarse``, (N, 2) px, of ``ids`` (None: all), to (N, 2) px, nan where it failed, and covariances, px^2.
+    From ``coarse``, (N, 2) px, of ``ids``, to (N, 2) px, nan where it failed, and covariances, px^2.
     """
     smoothed = smooth(image, _BLUR_PX)
-    nodes = board.nodes if ids is None else board.nodes[ids]
+    nodes = board.nodes[ids]
     # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
     reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
     points, good = coarse, np.ones(len(coarse), np.bool_)
