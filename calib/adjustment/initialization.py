@@ -52,8 +52,8 @@ def spherical_starts(
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
     ]
     known = [one for one in solutions if one is not None]
-    cameras = [CameraModel.of_matrix(one.matrix, image_size, distortion) for one in known]
-    centres = [one.collimator for one in known]
+    cameras = [CameraModel.of_matrix(matrix, image_size, distortion) for matrix, _ in known]
+    centres = [collimator for _, collimator in known]
     planar = planar_starts(homographies, image_size, distortion)
     for x, y, z in np.median([start.centres for start in planar], axis=1).tolist():
         centres.append(Collimator(x, y, -z))

@@ -10,7 +10,6 @@ solutions are only starting values.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,18 +22,10 @@ _UPPER = np.triu_indices(3)
 _IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))
 
 
-@dataclass(frozen=True)
-class ClosedFormSolution:
-    """A closed-form solution of the spherical model."""
-
-    matrix: Array  # (3, 3) float64 camera matrix K, px
-    collimator: Collimator
-
-
 def linear_solution(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
-) -> ClosedFormSolution | None:
-    """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5).
+) -> tuple[Array, Collimator] | None:
+    """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5) for (3, 3) K, px, and c.
 
     It takes (n, 3, 3) homographies of `view_homography`; n >= 2, or n >= 3 with a free principal point, which is
     otherwise the image's centre. None with too few views, or if the camera is not real (a negative square, by noise).
@@ -54,8 +45,8 @@ def linear_solution(
 
 def _solution_from_entries(
     image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
-) -> ClosedFormSolution | None:
-    """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real.
+) -> tuple[Array, Collimator] | None:
+    """Return camera matrix and collimator by entries of K K^T, (2, 2) = 1, and of the right side; None if not real.
 
     Own, of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2, fy^2 = w22 - w23^2 with W = K K^T; r^2 is the mean of two.
     """
@@ -71,7 +62,7 @@ def _solution_from_entries(
         return None
     x_mm, y_mm, _ = plane @ [x, y, 1.0]
     collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
-    return ClosedFormSolution(np.linalg.inv(to_unit) @ camera, collimator)
+    return np.asarray(np.linalg.inv(to_unit) @ camera), collimator
 
 
 def _camera_matrix(f_squared: Array, cx: float, cy: float) -> Array | None:
