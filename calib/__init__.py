@@ -47,41 +47,24 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from calib.calibration import Calibration, CalibrationOptions
-    from calib.engine import calibrate
-    from calib.errors import CalibrationError
-    from calib.events.event_image import make_images
-    from calib.events.flicker import flicker_from_events, flicker_from_triggers
-    from calib.model.camera import CameraModel
-    from calib.model.collimator import Collimator
-    from calib.model.passport import Passport
-    from calib.stars.detect import detect_view
-    from calib.studies.planning import forecast
-    from calib.studies.predicted_views import ExpectedBench, predicted_view
-    from calib.target import StarTarget
-    from calib.uncertainty.projection_uncertainty import projection_uncertainty
-    from calib.view import View
-
-__all__ = [
-    "Calibration",
-    "CalibrationError",
-    "CalibrationOptions",
-    "CameraModel",
-    "Collimator",
-    "ExpectedBench",
-    "Passport",
-    "StarTarget",
-    "View",
-    "calibrate",
-    "detect_view",
-    "flicker_from_events",
-    "flicker_from_triggers",
-    "forecast",
-    "make_images",
-    "predicted_view",
-    "projection_uncertainty",
-]
+if TYPE_CHECKING:  # the names are public, so each is imported as itself
+    from calib.calibration import Calibration as Calibration
+    from calib.calibration import CalibrationOptions as CalibrationOptions
+    from calib.engine import calibrate as calibrate
+    from calib.errors import CalibrationError as CalibrationError
+    from calib.events.event_image import make_images as make_images
+    from calib.events.flicker import flicker_from_events as flicker_from_events
+    from calib.events.flicker import flicker_from_triggers as flicker_from_triggers
+    from calib.model.camera import CameraModel as CameraModel
+    from calib.model.collimator import Collimator as Collimator
+    from calib.model.passport import Passport as Passport
+    from calib.stars.detect import detect_view as detect_view
+    from calib.studies.planning import forecast as forecast
+    from calib.studies.predicted_views import ExpectedBench as ExpectedBench
+    from calib.studies.predicted_views import predicted_view as predicted_view
+    from calib.target import StarTarget as StarTarget
+    from calib.uncertainty.projection_uncertainty import projection_uncertainty as projection_uncertainty
+    from calib.view import View as View
 
 _MODULES = {
     "Calibration": "calib.calibration",
@@ -102,6 +85,8 @@ _MODULES = {
     "predicted_view": "calib.studies.predicted_views",
     "projection_uncertainty": "calib.uncertainty.projection_uncertainty",
 }
+
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:

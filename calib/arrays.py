@@ -1,8 +1,9 @@
-"""Types of arrays by their numbers; a docstring or comment beside each use gives shape and unit. Their median."""
+"""Types of arrays by their numbers; a docstring or comment beside each use gives shape and unit. Rows, and a median."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,14 @@ AnyArray = NDArray[np.generic]
 
 #: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2) (Rayleigh distribution).
 RAYLEIGH_MEDIAN = 1.1774100225154747
+
+
+Parts = TypeVar("Parts", bound=NamedTuple)
+
+
+def selected(parts: Parts, mask: Any) -> Parts:
+    """Return a tuple of arrays with some of their rows, by an (N,) mask, indices or a slice, in the same order."""
+    return parts._make(part[mask] for part in parts)
 
 
 def median(values: Array) -> float:

@@ -13,6 +13,9 @@ CalibrationError
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CalibrationError(Exception):
     """Base class of the engine's errors.
@@ -39,6 +42,17 @@ class CalibrationError(Exception):
 def _one_stop(text: str) -> str:
     """Return a text with one full stop at its end, where it has two because it ends with a quoted sentence."""
     return text[:-1] if text.endswith("..") and not text.endswith("...") else text
+
+
+@contextmanager
+def placed(where: str) -> Iterator[None]:
+    """Let the errors that are raised inside, and that name no place, name this one."""
+    try:
+        yield
+    except CalibrationError as error:
+        if not error.where:
+            error.where, error.args = where, (f"{where}: {error}",)
+        raise
 
 
 class TargetNotFound(CalibrationError):

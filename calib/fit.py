@@ -33,7 +33,6 @@ from calib.model.homography import view_homography
 from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
 from calib.uncertainty.covariance import (
     MIN_VIEWS,
-    CrossValidation,
     Uncertainty,
     covariance_at_optimum,
     enlarged,
@@ -58,8 +57,8 @@ class Fit:
     whole: Bundle  # Bundle of all stars, also of those that were not used
     used: Bools  # (N,) bool, which stars of `whole` were used
     uncertainty: Uncertainty
-    # Results for views left out; None if the views are consistent, or if there are too few.
-    cross_validation: CrossValidation | None
+    # Root mean square residual of views left out, px; None if the views are consistent, or if there are too few.
+    left_out_rms_px: float | None
 
     @property
     def parameters(self) -> AdjustmentParameters:
@@ -163,11 +162,9 @@ def initialize(
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
     h = np.array([view_homography(view) for view in views])
     if options.passport:
-        starts = list(passport_starts(h, size, distortion, options.passport))
-    elif model == "planar":
-        starts = list(planar_starts(h, size, distortion))
+        starts = passport_starts(h, size, distortion, options.passport)
     else:
-        starts = list(spherical_starts(h, size, distortion))
+        starts = (planar_starts if model == "planar" else spherical_starts)(h, size, distortion)
     return bundle, best_start(bundle, starts)
 
 
@@ -204,7 +201,7 @@ def summarize(fitted: Fit) -> Calibration:
         degrees_of_freedom=uncertainty.degrees_of_freedom,
         birge_ratio=uncertainty.birge_ratio,
         coverage_factor=uncertainty.coverage_factor,
-        left_out_rms_px=fitted.cross_validation.total_rms_px if fitted.cross_validation else None,
+        left_out_rms_px=fitted.left_out_rms_px,
         views=tuple(
             ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
             for view, own in zip(fitted.views, counted, strict=True)

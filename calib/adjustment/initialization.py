@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -40,8 +40,8 @@ _LEAST_POINTS, _IN_A_LINE = 6, 1e-6
 
 def spherical_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
-) -> Iterator[AdjustmentParameters]:
-    """Yield starting values of the spherical model, the most reliable first.
+) -> list[AdjustmentParameters]:
+    """Return starting values of the spherical model, the most reliable first.
 
     They are the linear solutions with a free and with a central principal point; then Zhang's camera and a range of
     focal lengths, each with the median of its centres. Distortion starts at zero.
@@ -52,48 +52,48 @@ def spherical_starts(
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
     ]
     known = [one for one in solutions if one is not None]
-    cameras = [_camera(one.matrix, image_size, distortion) for one in known]
-    centres = [one.collimator for one in known]
-    planar = list(planar_starts(homographies, image_size, distortion))
+    cameras = [CameraModel.of_matrix(matrix, image_size, distortion) for matrix, _ in known]
+    centres = [collimator for _, collimator in known]
+    planar = planar_starts(homographies, image_size, distortion)
     for x, y, z in np.median([start.centres for start in planar], axis=1).tolist():
         centres.append(Collimator(x, y, -z))
-    yield from _about(homographies, centres, [*cameras, *(start.camera for start in planar)])
+    return _about(homographies, centres, [*cameras, *(start.camera for start in planar)])
 
 
 def planar_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
-) -> Iterator[AdjustmentParameters]:
-    """Yield starting values of the planar model, the most reliable first: Zhang's, then a range of focal lengths.
+) -> list[AdjustmentParameters]:
+    """Return starting values of the planar model, the most reliable first: Zhang's, then a range of focal lengths.
 
     Camera and poses: Zhang (2000), 3.1. ``homographies``: (n, 3, 3) of `calib.model.homography.view_homography`.
     """
-    matrices = [
-        zhang_matrix(homographies, image_size, free_principal_point=True),
-        zhang_matrix(homographies, image_size, free_principal_point=False),
-    ]
+    matrices = [zhang_matrix(homographies, image_size, free_principal_point=free) for free in (True, False)]
     middle = ((image_size[0] - 1) / 2, (image_size[1] - 1) / 2)
     for share in _FOCAL_SHARES:
         f = share * float(np.hypot(*image_size))
         matrices.append(np.array([[f, 0.0, middle[0]], [0.0, f, middle[1]], [0.0, 0.0, 1.0]]))
     known = np.array([matrix for matrix in matrices if matrix is not None])
-    for matrix, *pose in zip(known, *poses_from_homographies(homographies, known), strict=True):
-        yield AdjustmentParameters(_camera(matrix, image_size, distortion), Collimator(0.0, 0.0, 0.0), *pose)
+    nowhere, poses = Collimator(0.0, 0.0, 0.0), poses_from_homographies(homographies, known)
+    return [
+        AdjustmentParameters(CameraModel.of_matrix(matrix, image_size, distortion), nowhere, *pose)
+        for matrix, *pose in zip(known, *poses, strict=True)
+    ]
 
 
 def passport_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str], passport: Passport
-) -> Iterator[AdjustmentParameters]:
-    """Yield starting values for a known collimator: from its centre alone, then those of the spherical model.
+) -> list[AdjustmentParameters]:
+    """Return starting values for a known collimator: from its centre alone, then those of the spherical model.
 
     The camera follows from the known centre by arXiv:2512.16092, eq. 5, from one homography or more.
     """
-    spherical = list(spherical_starts(homographies, image_size, distortion))
+    spherical = spherical_starts(homographies, image_size, distortion)
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
     collimator = passport.collimator(middle)
     matrix = camera_matrix_from_centre(homographies, collimator)
-    cameras = [] if matrix is None else [_camera(matrix, image_size, distortion)]
+    cameras = [] if matrix is None else [CameraModel.of_matrix(matrix, image_size, distortion)]
     centres = [collimator] * len(cameras) + [passport.collimator(start.collimator) for start in spherical]
-    yield from _about(homographies, centres, [*cameras, *(start.camera for start in spherical)])
+    return _about(homographies, centres, [*cameras, *(start.camera for start in spherical)])
 
 
 def pose_start(camera: CameraModel, view: View) -> AdjustmentParameters | None:
@@ -154,13 +154,16 @@ def _is_camera(refined: Refinement[AdjustmentParameters]) -> bool:
 
 def _about(
     homographies: Array, collimators: Sequence[Collimator], cameras: Sequence[CameraModel]
-) -> Iterator[AdjustmentParameters]:
-    """Yield the parameters of cameras, each with a known centre."""
+) -> list[AdjustmentParameters]:
+    """Return the parameters of cameras, each with a known centre."""
     centres = np.array([one.centre for one in collimators])
     turns = rotations_from_centre(homographies, np.array([one.matrix for one in cameras]), centres)
-    for collimator, camera, rotations in zip(collimators, cameras, turns, strict=True):
-        ideal = Collimator(collimator.x, collimator.y, collimator.r)
-        yield AdjustmentParameters(camera, ideal, rotations, np.zeros((len(rotations), 3)))
+    return [
+        AdjustmentParameters(
+            camera, Collimator(one.x, one.y, one.r), rotations, np.zeros((len(rotations), 3))
+        )
+        for one, camera, rotations in zip(collimators, cameras, turns, strict=True)
+    ]
 
 
 def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:
@@ -170,9 +173,3 @@ def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:
     """
     middle = np.linalg.inv(homographies[0]) @ [(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0]
     return Collimator(float(middle[0] / middle[2]), float(middle[1] / middle[2]), 1.0)
-
-
-def _camera(matrix: Array, image_size: tuple[int, int], distortion: Sequence[str]) -> CameraModel:
-    """Return the camera with a (3, 3) camera matrix and zero distortion."""
-    fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return CameraModel(fx, fy, cx, cy, image_size, dict.fromkeys(distortion, 0.0))

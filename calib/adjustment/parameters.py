@@ -109,16 +109,14 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
         )
 
 
-def require_constrained(
-    parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str = ""
-) -> None:
-    """Refuse a focal length with a 1-sigma over 5 % (own limit); ``why`` explains the geometry, and may be empty."""
+def require_constrained(parameters: AdjustmentParameters, names: Sequence[str], covariance: Array) -> None:
+    """Refuse a focal length with a 1-sigma over 5 % (own limit)."""
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
         if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:
             share = 200.0 * sigmas[name] / value
             raise DegenerateViews(
-                f"These views determine {name} only to ±{share:.0f} % (k = 2). {why}".strip(),
+                f"These views determine {name} only to ±{share:.0f} % (k = 2).",
                 remedy="Add views turned about other axes, with the stars elsewhere in the image.",
             )
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array, Array32, Bytes, Ints
 from calib.boards.board import Board
-from calib.boards.detect import locate_points
-from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents
+from calib.boards.detect import located_view
+from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents, placed
 from calib.model.homography import apply_homography
 from calib.view import View
 
@@ -83,57 +83,47 @@ def detect_blinking_dots(
     Raises FlickerNotFound: If nothing blinks, or at other frequencies.
     Raises TargetNotFound: If the dots do not form the board; says what was found instead.
     """
-    where = f"view {name}"
-    _require_long_enough(t_us, board, where)
-    seen_hz = blink_frequencies(t_us, x, y, p, size)
-    frequencies, kind_of_dot = np.unique(board.frequencies_hz, return_inverse=True)
-    ratio = _clock_ratio(seen_hz, frequencies, where)
-    kinds = _kind_of_pixels(seen_hz, ratio * frequencies)
-    dots = _dots(kinds, len(frequencies))
-    unique = len(frequencies) == len(kind_of_dot)
-    _require_dots(dots, seen_hz, ratio * frequencies, board, where)
-    if unique:
-        _refuse_two_boards(dots, where)
-        named = _named_by_frequency(dots, kind_of_dot, board, where)
-    else:
-        named = _named_by_grid(dots, kind_of_dot, board, where)
-    named = _wholly_in_view(named, board, size)
-    _require_enough(named, board, size, where, _LEAST_SEEN if unique else _LEAST_OF_GRID)
-    image = _blinking_image((t_us, x, y, p), size, named, ratio * np.array(board.frequencies_hz))
-    keep_image(image)
-    points, covariances = locate_points(image, named.centres, board, named.ids)
-    kept = np.asarray(np.isfinite(points).all(axis=1))
-    if kept.mean() < _LEAST_OF_GRID:
-        raise TargetNotFound(
-            f"Only {np.count_nonzero(kept)} of {len(kept)} dots in view could be located.",
-            where=where,
-            remedy="Focus the lens, and hold the board still; come nearer if the dots are smaller than 5 px.",
-        )
-    ids = named.ids[kept]
-    return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
+    with placed(f"view {name}"):
+        _require_long_enough(t_us, board)
+        seen_hz = blink_frequencies(t_us, x, y, p, size)
+        frequencies, kind_of_dot = np.unique(board.frequencies_hz, return_inverse=True)
+        ratio = _clock_ratio(seen_hz, frequencies)
+        kinds = _kind_of_pixels(seen_hz, ratio * frequencies)
+        dots = _dots(kinds, len(frequencies))
+        unique = len(frequencies) == len(kind_of_dot)
+        _require_dots(dots, seen_hz, ratio * frequencies, board)
+        if unique:
+            _refuse_two_boards(dots)
+            named = _named_by_frequency(dots, kind_of_dot, board)
+        else:
+            named = _named_by_grid(dots, kind_of_dot, board)
+        named = _wholly_in_view(named, board, size)
+        _require_enough(named, board, size, _LEAST_SEEN if unique else _LEAST_OF_GRID)
+        image = _blinking_image((t_us, x, y, p), size, named, ratio * np.array(board.frequencies_hz))
+        keep_image(image)
+        remedy = "Focus the lens, and hold the board still; come nearer if the dots are smaller than 5 px."
+        return located_view(image, named.centres, board, named.ids, name, remedy)
 
 
-def _require_long_enough(t_us: Ints, board: Board, where: str) -> None:
+def _require_long_enough(t_us: Ints, board: Board) -> None:
     """Refuse a recording in which the slowest dot does not blink often enough."""
     if len(t_us) == 0:
-        raise TooFewEvents("The recording has no events.", where=where, remedy="Take off the lens cap.")
+        raise TooFewEvents("The recording has no events.", remedy="Take off the lens cap.")
     span_s, slowest = 1e-6 * float(t_us[-1] - t_us[0]), min(board.frequencies_hz)
     needed_s = (LEAST_STARTS + 1) / slowest
     if span_s < needed_s:
         raise TooFewEvents(
             f"The recording of {1e3 * span_s:.0f} ms is too short for a dot of {slowest:g} Hz.",
-            where=where,
             remedy=f"Record at least {1e3 * needed_s:.0f} ms; {1e3 * 3 * needed_s:.0f} ms are better (window_ms).",
         )
 
 
-def _clock_ratio(seen_hz: Array, frequencies: Array, where: str) -> float:
+def _clock_ratio(seen_hz: Array, frequencies: Array) -> float:
     """Return the ratio of the frequencies seen to those of the board: that with which most pixels agree."""
     seen = seen_hz[np.isfinite(seen_hz)]
     if len(seen) < _FEWEST_PIXELS:
         raise FlickerNotFound(
             f"Nothing in view blinks regularly: {len(seen)} pixels do.",
-            where=where,
             remedy="Switch on the dots, focus the lens, and take off the lens cap.",
         )
     seen = np.sort(seen)[:: max(1, len(seen) // _SAMPLED)]
@@ -184,7 +174,7 @@ def _dots(kinds: NDArray[np.int32], count: int) -> _Dots:
     return _Dots(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3].astype(np.int64))
 
 
-def _require_dots(dots: _Dots, seen_hz: Array, frequencies: Array, board: Board, where: str) -> None:
+def _require_dots(dots: _Dots, seen_hz: Array, frequencies: Array, board: Board) -> None:
     """Refuse a view in which hardly any place blinks at the board's frequencies."""
     seen = seen_hz[np.isfinite(seen_hz)]
     _, nearest = _nearest(seen, frequencies)
@@ -195,12 +185,11 @@ def _require_dots(dots: _Dots, seen_hz: Array, frequencies: Array, board: Board,
     raise FlickerNotFound(
         f"What blinks in view does so at {low:.4g} to {high:.4g} Hz; the {board.words} has "
         f"{min(board.frequencies_hz):g} to {max(board.frequencies_hz):g} Hz.",
-        where=where,
         remedy="Correct the frequencies in the description of the board, or cover lamps and screens in view.",
     )
 
 
-def _refuse_two_boards(dots: _Dots, where: str) -> None:
+def _refuse_two_boards(dots: _Dots) -> None:
     """Refuse a view in which many frequencies are seen at two places."""
     doubled = 0
     for kind in np.unique(dots.kind):
@@ -209,18 +198,17 @@ def _refuse_two_boards(dots: _Dots, where: str) -> None:
     if doubled >= _SHARED_BY_TWO * len(np.unique(dots.kind)):
         raise TargetNotFound(
             f"{doubled} frequencies are seen at two places: there are two boards, or a mirror.",
-            where=where,
             remedy="Leave only one in view.",
         )
 
 
-def _named_by_frequency(dots: _Dots, kind_of_dot: Ints, board: Board, where: str) -> _Named:
+def _named_by_frequency(dots: _Dots, kind_of_dot: Ints, board: Board) -> _Named:
     """Name each dot by its own frequency, and leave out what does not lie on the plane of the others."""
     id_of_kind = np.argsort(kind_of_dot)
     ids = id_of_kind[dots.kind]
     order = np.argsort(-dots.areas, kind="stable")
     first = order[np.unique(ids[order], return_index=True)[1]]
-    h = _plane(board, ids[first], dots.centres[first], where)
+    h = _plane(board, ids[first], dots.centres[first])
     off = np.linalg.norm(apply_homography(h, board.nodes[ids].astype(float)) - dots.centres, axis=1)
     pitch = _pitch_px(h, board)
     near = np.flatnonzero(off < _MOST_OFF_PLANE * pitch)
@@ -229,7 +217,7 @@ def _named_by_frequency(dots: _Dots, kind_of_dot: Ints, board: Board, where: str
     return _Named(ids[kept], dots.centres[kept], h)
 
 
-def _named_by_grid(dots: _Dots, kind_of_dot: Ints, board: Board, where: str) -> _Named:
+def _named_by_grid(dots: _Dots, kind_of_dot: Ints, board: Board) -> _Named:
     """Name the dots by their grid; the frequencies say which of its corners is the first."""
     best: tuple[int, Ints] = (0, np.zeros(0, np.int64))
     for size in {(board.columns, board.rows), (board.rows, board.columns)}:
@@ -250,12 +238,11 @@ def _named_by_grid(dots: _Dots, kind_of_dot: Ints, board: Board, where: str) -> 
         raise TargetNotFound(
             f"No {board.words} was found: {len(dots.kind)} dots blink at its frequencies, and at most "
             f"{best[0]} are where the description has them.",
-            where=where,
             remedy="Show the whole board, and check columns, rows and the frequency of each dot.",
         )
     ids = np.arange(len(kind_of_dot))
     centres = dots.centres[best[1]]
-    return _Named(ids, centres, _plane(board, ids, centres, where))
+    return _Named(ids, centres, _plane(board, ids, centres))
 
 
 def _seen_from_front(grid: Array) -> bool:
@@ -287,7 +274,7 @@ def _grid_of_dots(centres: Array, size: tuple[int, int]) -> Ints | None:
     return np.asarray(away.argmin(axis=1), np.int64).reshape(size[1], size[0])
 
 
-def _plane(board: Board, ids: Ints, centres: Array, where: str) -> Array:
+def _plane(board: Board, ids: Ints, centres: Array) -> Array:
     """Return the homography from the grid to the image; refuse dots that form no plane, or a mirrored one."""
     nodes = board.nodes[ids].astype(np.float64)
     h, inside = None, 0
@@ -298,13 +285,11 @@ def _plane(board: Board, ids: Ints, centres: Array, where: str) -> Array:
     if h is None or inside < max(4, 0.6 * len(ids)):
         raise TargetNotFound(
             f"{len(ids)} dots of the board's frequencies are in view, but they do not lie in its grid.",
-            where=where,
             remedy="Check the numbers of columns and rows. List the frequencies row by row.",
         )
     if np.linalg.det(h) * np.sign(h[2] @ [*nodes.mean(axis=0), 1.0]) < 0:
         raise TargetNotFound(
             "The dots are in mirror order.",
-            where=where,
             remedy="List the frequencies row by row from the left as the camera sees the board; remove mirrors.",
         )
     return np.asarray(h, np.float64)
@@ -324,9 +309,7 @@ def _pitch_px(h: Array, board: Board) -> float:
     return float(np.linalg.norm(ends[1:] - ends[0], axis=1).min())
 
 
-def _require_enough(
-    named: _Named, board: Board, size: tuple[int, int], where: str, least_share: float
-) -> None:
+def _require_enough(named: _Named, board: Board, size: tuple[int, int], least_share: float) -> None:
     """Refuse a board of which too little is seen; says whether the frame cuts it."""
     nodes = board.nodes[named.ids]
     count = len(board.nodes)
@@ -339,12 +322,10 @@ def _require_enough(
         raise TargetNotFound(
             f"The frame cuts the board: {outside} of {count} dots are outside the image, "
             f"{len(named.ids)} are seen.",
-            where=where,
             remedy="Show more of the board.",
         )
     raise TargetNotFound(
         f"Only {len(named.ids)} of {count} dots are seen.",
-        where=where,
         remedy="Uncover the board, switch on all dots, and correct the list of frequencies.",
     )
 

@@ -42,58 +42,44 @@ class Board:
     frequencies_hz: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InputMismatch(
-                f"There is no board {self.kind!r}.",
-                where="board",
-                remedy=f"Known boards: {', '.join(KINDS)}.",
-            )
-        if not (_FEWEST <= self.columns <= _MOST and _FEWEST <= self.rows <= _MOST):
-            raise InputMismatch(
-                f"A board of {self.columns} x {self.rows} points cannot be found.",
-                where="board",
-                remedy=f"Give {_FEWEST} to {_MOST} points along each side. Of a checkerboard count the inner corners.",
-            )
-        if not 0.001 <= self.pitch_mm <= 10_000.0:
-            raise InputMismatch(
-                f"The points are {self.pitch_mm:g} mm apart.", where="board", remedy="Give 0.001 to 10000 mm."
-            )
-        if self.kind == "blinking-dots" and not self.frequencies_hz:
+        what, remedy = self._fault()
+        if not what and self.kind == "blinking-dots" and not self.frequencies_hz:
             count = self.columns * self.rows
             object.__setattr__(self, "frequencies_hz", tuple(np.linspace(FIRST_HZ, LAST_HZ, count).tolist()))
-        self._check_frequencies()
+        what, remedy = (what, remedy) if what else self._fault_of_frequencies()
+        if what:
+            raise InputMismatch(what, where="board", remedy=remedy)
 
-    def _check_frequencies(self) -> None:
-        """Refuse frequencies that do not identify the dots."""
-        given = self.frequencies_hz
+    def _fault(self) -> tuple[str, str]:
+        """Return why there is no such board, and what to do; empty if there is."""
+        if self.kind not in KINDS:
+            return f"There is no board {self.kind!r}.", f"Known boards: {', '.join(KINDS)}."
+        if not (_FEWEST <= self.columns <= _MOST and _FEWEST <= self.rows <= _MOST):
+            return (
+                f"A board of {self.columns} x {self.rows} points cannot be found.",
+                f"Give {_FEWEST} to {_MOST} points along each side. Of a checkerboard count the inner corners.",
+            )
+        if not 0.001 <= self.pitch_mm <= 10_000.0:
+            return f"The points are {self.pitch_mm:g} mm apart.", "Give 0.001 to 10000 mm."
+        return "", ""
+
+    def _fault_of_frequencies(self) -> tuple[str, str]:
+        """Return why the frequencies do not identify the dots, and what to do; empty if they do."""
+        given, count = self.frequencies_hz, self.columns * self.rows
         if self.kind != "blinking-dots":
-            if given:
-                raise InputMismatch(
-                    f"A board of the kind {self.kind} has no frequencies.",
-                    where="board",
-                    remedy="Leave them out, or use blinking-dots.",
-                )
-            return
-        if len(given) != self.columns * self.rows:
-            raise InputMismatch(
-                f"{len(given)} frequencies are given for {self.columns * self.rows} dots.",
-                where="board",
-                remedy="Give one for each dot, row by row.",
-            )
+            has = f"A board of the kind {self.kind} has no frequencies."
+            return (has, "Leave them out, or use blinking-dots.") if given else ("", "")
+        if len(given) != count:
+            what = f"{len(given)} frequencies are given for {count} dots."
+            return what, "Give one for each dot, row by row."
         if not all(_LOWEST_HZ <= one <= _HIGHEST_HZ for one in given):
-            raise InputMismatch(
-                f"The frequencies go from {min(given):g} to {max(given):g} Hz.",
-                where="board",
-                remedy=f"Give {_LOWEST_HZ:g} to {_HIGHEST_HZ:g} Hz.",
-            )
+            what = f"The frequencies go from {min(given):g} to {max(given):g} Hz."
+            return what, f"Give {_LOWEST_HZ:g} to {_HIGHEST_HZ:g} Hz."
         different = np.unique(given)
-        steps = np.diff(different) / different[:-1]
-        if len(different) < 2 or steps.min() < _LEAST_STEP:
-            raise InputMismatch(
-                f"The frequencies of the dots differ by less than {100 * _LEAST_STEP:g} %.",
-                where="board",
-                remedy="Give frequencies that are farther apart, or the same one to several dots.",
-            )
+        if len(different) < 2 or (np.diff(different) / different[:-1]).min() < _LEAST_STEP:
+            what = f"The frequencies of the dots differ by less than {100 * _LEAST_STEP:g} %."
+            return what, "Give frequencies that are farther apart, or the same one to several dots."
+        return "", ""
 
     @classmethod
     def parse(cls, text: str) -> Board:

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.boards.board import Board
-from calib.errors import InputMismatch, TargetNotFound
+from calib.errors import InputMismatch, TargetNotFound, placed
 from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
 from calib.stars.grid_map import fit_grid_map
@@ -45,6 +45,7 @@ _SOFT_PX, _EDGE_BLUR_PX = 8.0, 1.5
 _LEAST_CONTRAST, _SHARPEST = 30.0, 0.002
 #: In event images, blur leaves edges sharp and makes the bright squares too wide: by these widths in turn, px.
 _TOO_WIDE_PX = (5, 9, 15, 23)
+_UNCLEAR = "Check focus, reflections and shadows; use a larger board, or come nearer."
 _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
@@ -55,49 +56,43 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
     same after half a turn may be numbered from either end.
     Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
     """
-    require_grey_plane(image, f"view {name}")
-    if board.kind == "blinking-dots":
-        raise InputMismatch(
-            "An image does not show frequencies.", where=f"view {name}", remedy="Give a recording of events."
-        )
-    plain = np.nan_to_num(np.asarray(image, np.float32))
-    grey = to_uint8(plain)
-    coarse = find_board(grey, board, name=name)
-    _refuse_second(grey, coarse, board, name)
-    points, covariances = locate_points(plain, coarse, board)
-    kept = np.asarray(np.isfinite(points).all(axis=1))
-    if kept.mean() < _LEAST_SHARE:
-        raise TargetNotFound(
-            f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located.",
-            where=f"view {name}",
-            remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
-        )
-    ids, size = np.flatnonzero(kept).astype(np.int64), (image.shape[1], image.shape[0])
-    return View(name, size, ids, points[kept], board.points_mm[kept], covariances[kept])
+    with placed(f"view {name}"):
+        require_grey_plane(image)
+        if board.kind == "blinking-dots":
+            raise InputMismatch("An image does not show frequencies.", remedy="Give a recording of events.")
+        plain = np.nan_to_num(np.asarray(image, np.float32))
+        grey = to_uint8(plain)
+        coarse = find_board(grey, board)
+        _refuse_second(grey, coarse, board)
+        return located_view(plain, coarse, board, np.arange(len(coarse)), name, _UNCLEAR)
 
 
 def relocate_board(image: AnyArray, view: View, board: Board) -> View:
     """Locate the points of a board again, where ``view`` found them, in another (H, W) image of the same placement."""
     plain = np.nan_to_num(np.asarray(image, np.float32))
-    points, covariances = locate_points(plain, view.points_px, board, view.ids)
+    with placed(f"view {view.name}"):
+        return located_view(plain, view.points_px, board, view.ids, view.name, _UNCLEAR)
+
+
+def located_view(image: Array32, coarse: Array, board: Board, ids: Ints, name: str, remedy: str) -> View:
+    """Return the points of `locate_points` as a view; if too few are located, it is refused with a remedy."""
+    points, covariances = locate_points(image, coarse, board, ids)
     kept = np.asarray(np.isfinite(points).all(axis=1))
     if kept.mean() < _LEAST_SHARE:
-        raise TargetNotFound("The board was not found again.", where=f"view {view.name}")
-    return View(
-        view.name, view.image_size, view.ids[kept], points[kept], view.target_mm[kept], covariances[kept]
-    )
+        found = f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located."
+        raise TargetNotFound(found, remedy=remedy)
+    size, ids = (image.shape[1], image.shape[0]), ids[kept]
+    return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
 
 
-def find_board(grey: Bytes, board: Board, *, name: str = "view") -> Array:
+def find_board(grey: Bytes, board: Board) -> Array:
     """Find a board to about half a pixel: (N, 2) image points, px, row by row; else say what was found instead.
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
     """
     found = _found(grey, board)
     if found is None:
-        raise TargetNotFound(
-            f"No {board.words} was found.", where=f"view {name}", remedy=_remedy(grey, board)
-        )
+        raise TargetNotFound(f"No {board.words} was found.", remedy=_remedy(grey, board))
     return found
 
 
@@ -136,15 +131,13 @@ def _blobs(shape: tuple[int, ...]) -> Any:
     return cv2.SimpleBlobDetector.create(chosen)
 
 
-def locate_points(
-    image: Array32, coarse: Array, board: Board, ids: Ints | None = None
-) -> tuple[Array, Array]:
+def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tuple[Array, Array]:
     """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
 
-    From ``coarse``, (N, 2) px, of ``ids`` (None: all), to (N, 2) px, nan where it failed, and covariances, px^2.
+    From ``coarse``, (N, 2) px, of ``ids``, to (N, 2) px, nan where it failed, and covariances, px^2.
     """
     smoothed = smooth(image, _BLUR_PX)
-    nodes = board.nodes if ids is None else board.nodes[ids]
+    nodes = board.nodes[ids]
     # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
     reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
     points, good = coarse, np.ones(len(coarse), np.bool_)
@@ -152,7 +145,7 @@ def locate_points(
     for step_px in _STEPS_PX:
         grid_map, _ = fit_grid_map(nodes[good].astype(float), points[good])
         local_map = grid_map.local_map(nodes.astype(float))
-        pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+        pitch = local_map.pitch_px
         samples = symmetry_samples(pitch / step_px) * (reach / SYMMETRY_REACH)
         used_to = np.full((len(points), 2), reach)
         fit = refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)
@@ -170,7 +163,7 @@ def locate_points(
     return np.where(good[:, None], points, np.nan), covariances * factor + _COMMON_PX**2 * np.eye(2)
 
 
-def _refuse_second(grey: Bytes, points: Array, board: Board, name: str) -> None:
+def _refuse_second(grey: Bytes, points: Array, board: Board) -> None:
     """Refuse an image that shows the board twice; the first one is painted over for the search."""
     hull = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2)
     middle = hull.mean(axis=0)
@@ -180,9 +173,7 @@ def _refuse_second(grey: Bytes, points: Array, board: Board, name: str) -> None:
     cv2.fillConvexPoly(painted, outline, int(np.median(grey)))
     if _found(painted, board) is not None:
         raise TargetNotFound(
-            f"The image shows two boards: a second {board.words} was found.",
-            where=f"view {name}",
-            remedy="Leave only one in view.",
+            f"The image shows two boards: a second {board.words} was found.", remedy="Leave only one in view."
         )
 
 
@@ -265,12 +256,13 @@ def opencv_corners(image: AnyArray, board: Board, *, finder: Finder = "subpixel"
     ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018); else ``findChessboardCorners``, ``cornerSubPix``.
     """
     grey = to_uint8(np.nan_to_num(np.asarray(image, np.float32)))
-    corners = find_board(grey, board, name=name) if finder == "sectors" else _by_subpixel(grey, board, name)
+    with placed(f"view {name}"):
+        corners = find_board(grey, board) if finder == "sectors" else _by_subpixel(grey, board)
     ids, size = np.arange(len(corners), dtype=np.int64), (grey.shape[1], grey.shape[0])
     return View(name, size, ids, corners, board.points_mm, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 
-def _by_subpixel(grey: Bytes, board: Board, name: str) -> Array:
+def _by_subpixel(grey: Bytes, board: Board) -> Array:
     """Return (N, 2) px corners by ``findChessboardCorners`` and ``cornerSubPix``, for either contrast."""
     size, smooth = (board.columns, board.rows), cv2.medianBlur(grey, 3)
     for shown in (smooth, np.asarray(255 - smooth, np.uint8)):
@@ -281,6 +273,5 @@ def _by_subpixel(grey: Bytes, board: Board, name: str) -> Array:
             return np.asarray(found, np.float64).reshape(-1, 2)
     raise TargetNotFound(
         f"No checkerboard of {board.columns} x {board.rows} inner corners was found.",
-        where=f"view {name}",
         remedy="Show the whole board, in focus.",
     )

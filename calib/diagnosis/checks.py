@@ -165,7 +165,7 @@ def closed_form_radius(views: Sequence[View]) -> float | None:
     """
     h, size = np.array([view_homography(view) for view in views]), views[0].image_size
     both = [linear_solution(h, size, free_principal_point=free) for free in (True, False)]
-    found = [one.collimator.r for one in both if one is not None]
+    found = [one[1].r for one in both if one is not None]
     return found[0] if found and max(found) < _ALIKE * min(found) else None
 
 

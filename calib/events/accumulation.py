@@ -73,9 +73,7 @@ def whole_period_window(
     Raises TooFewEvents: If there are no events, or fewer periods than wanted.
     """
     if t.size == 0:
-        raise TooFewEvents(
-            "The recording holds no events.", where="event image", remedy="Check that the light is on."
-        )
+        raise TooFewEvents("The recording holds no events.", remedy="Check that the light is on.")
     begin, end = window_us if window_us is not None else (float(t[0]), float(t[-1]) + 1.0)
     available = int((end - begin) / flicker.period_us + PERIOD_TOLERANCE)
     wanted = available if periods is None else periods
@@ -83,7 +81,6 @@ def whole_period_window(
         raise TooFewEvents(
             f"{(end - begin) / 1000:.2f} ms hold {available} whole periods of {flicker.period_us / 1000:.2f} ms; "
             f"{max(wanted, 1)} are needed.",
-            where="event image",
             remedy="Record for longer.",
         )
     slack = end - begin - wanted * flicker.period_us

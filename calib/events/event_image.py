@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array, Array32, Bools, Bytes, Ints
-from calib.errors import InputMismatch, TooFewEvents, TooFewStars
+from calib.errors import InputMismatch, TooFewEvents, TooFewStars, placed
 from calib.events.accumulation import (
     BurstWindow,
     PixelSums,
@@ -215,16 +215,15 @@ def make_images(
     InputMismatch
         If the arrays differ in length, or an event lies outside of the sensor.
     """
-    _check(t, x, y, p, size)
-    start, end, whole = whole_period_window(t, flicker, window_us, periods)
-    # Whole numbers: with floats, NumPy would convert all times.
-    first, last = (int(i) for i in np.searchsorted(t, [math.ceil(start), math.ceil(end)]))
-    if last == first:
-        raise TooFewEvents(
-            f"No event lies between {start:.0f} and {end:.0f} us.",
-            where="event image",
-            remedy="Check light and aperture.",
-        )
+    with placed("event image"):
+        _check(t, x, y, p, size)
+        start, end, whole = whole_period_window(t, flicker, window_us, periods)
+        # Whole numbers: with floats, NumPy would convert all times.
+        first, last = (int(i) for i in np.searchsorted(t, [math.ceil(start), math.ceil(end)]))
+        if last == first:
+            raise TooFewEvents(
+                f"No event lies between {start:.0f} and {end:.0f} us.", remedy="Check light and aperture."
+            )
     inside = slice(first, last)
     sums, on_window = accumulate(t[inside], x[inside], y[inside], p[inside], size, start, flicker.period_us)
     hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole)
@@ -275,13 +274,11 @@ def _check(t: Any, x: Any, y: Any, p: Any, size: tuple[int, int]) -> None:
     if not t.shape == x.shape == y.shape == p.shape:
         raise InputMismatch(
             f"The arrays of events differ in length: {t.size} times, {x.size} columns, {y.size} rows, "
-            f"{p.size} polarities.",
-            where="event image",
+            f"{p.size} polarities."
         )
     if t.size and (int(x.max()) >= size[0] or int(y.max()) >= size[1]):
         raise InputMismatch(
             f"An event lies at column {int(x.max())} or row {int(y.max())} of a {size[0]} x {size[1]} sensor.",
-            where="event image",
             remedy="Give the size that stands in the recording's header.",
         )
 

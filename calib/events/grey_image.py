@@ -22,7 +22,7 @@ def to_uint8(image: AnyArray) -> Bytes:
     >>> to_uint8(np.array([[0.0, 1.0], [2.0, 4.0]])).tolist()
     [[0, 63], [127, 255]]
     """
-    require_grey_plane(image, "picture")
+    require_grey_plane(image)
     values = np.ascontiguousarray(image, np.float32)
     sample = values if values.size < 4_000_000 else np.ascontiguousarray(values[::2, ::2])
     low, high = _clipped_ends(sample.ravel(), CLIPPED_SHARE)
@@ -46,9 +46,7 @@ def _clipped_ends(values: Array32, share: float) -> tuple[float, float]:
     return (float(low), float(high)) if high > low else (float(finite.min()), float(finite.max()))
 
 
-def require_grey_plane(image: AnyArray, where: str) -> None:
+def require_grey_plane(image: AnyArray) -> None:
     """Raise InputMismatch if an image has other than two axes, or is empty."""
     if image.ndim != 2 or image.size == 0:
-        raise InputMismatch(
-            f"The image has shape {image.shape}.", where=where, remedy="Give one grey plane (H, W)."
-        )
+        raise InputMismatch(f"The image has shape {image.shape}.", remedy="Give one grey plane (H, W).")

@@ -73,8 +73,14 @@ class HighPassFilter:
     """
 
     def __init__(self, size: tuple[int, int], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> None:
-        self.size = size
-        self.alpha_us = 2e-6 * math.pi * _checked_cutoff_hz(cutoff_hz)
+        low, high = CUTOFF_RANGE_HZ
+        if not low <= cutoff_hz <= high:
+            raise InputMismatch(
+                f"The cutoff frequency is {cutoff_hz:g} Hz.",
+                where="reconstruction",
+                remedy=f"Give {low:g} to {high:g} Hz.",
+            )
+        self.size, self.alpha_us = size, 2e-6 * math.pi * cutoff_hz
         if not all(0 < side <= _MOST_PX for side in size):
             raise InputMismatch(f"The size of the sensor is {size}.", where="reconstruction")
         self._sums, self._at_us = np.zeros((2, size[1], size[0])), 0
@@ -172,17 +178,6 @@ def _ascending(pieces: Iterable[EventArrays]) -> Iterator[EventArrays]:
 def _part(events: EventArrays, first: int, last: int) -> EventArrays:
     t, x, y, p = events
     return t[first:last], x[first:last], y[first:last], p[first:last]
-
-
-def _checked_cutoff_hz(cutoff_hz: float) -> float:
-    low, high = CUTOFF_RANGE_HZ
-    if not low <= cutoff_hz <= high:
-        raise InputMismatch(
-            f"The cutoff frequency is {cutoff_hz:g} Hz.",
-            where="reconstruction",
-            remedy=f"Give {low:g} to {high:g} Hz.",
-        )
-    return cutoff_hz
 
 
 def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:

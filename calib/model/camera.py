@@ -26,6 +26,7 @@ __all__ = [
     "Undistortion",
     "distortion_names",
     "nearest_lens",
+    "require_image_size",
     "straightness_px",
     "undistort",
 ]
@@ -105,6 +106,29 @@ class CameraModel:
     cy: float
     image_size: tuple[int, int]
     distortion: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of_matrix(
+        cls, matrix: Array, image_size: tuple[int, int], distortion: Sequence[str] = ()
+    ) -> CameraModel:
+        """Return the camera with a camera matrix.
+
+        Parameters
+        ----------
+        matrix
+            (3, 3) camera matrix K without skew, px.
+        image_size
+            Width and height, px.
+        distortion
+            Names of the coefficients that `distortion` holds.
+
+        Returns
+        -------
+        CameraModel
+            The camera; all its coefficients are zero.
+        """
+        fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return cls(fx, fy, cx, cy, image_size, dict.fromkeys(distortion, 0.0))
 
     @property
     def matrix(self) -> Array:
@@ -283,6 +307,16 @@ class CameraModel:
             Focal lengths and principal point, px, and the distortion coefficients.
         """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
+
+
+def require_image_size(camera: CameraModel, size: tuple[int, int], who: str) -> None:
+    """Refuse what has another image size, px, than a known camera; ``who`` has it, such as "this view has"."""
+    if camera.image_size != size:
+        sizes = [" x ".join(str(side) for side in one) for one in (camera.image_size, size)]
+        raise InputMismatch(
+            f"The camera has {sizes[0]} px, {who} {sizes[1]} px.",
+            remedy="Give a calibration of the same sensor and the same region of interest.",
+        )
 
 
 _STEPS = 20

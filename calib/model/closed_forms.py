@@ -10,7 +10,6 @@ solutions are only starting values.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,18 +22,10 @@ _UPPER = np.triu_indices(3)
 _IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))
 
 
-@dataclass(frozen=True)
-class ClosedFormSolution:
-    """A closed-form solution of the spherical model."""
-
-    matrix: Array  # (3, 3) float64 camera matrix K, px
-    collimator: Collimator
-
-
 def linear_solution(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
-) -> ClosedFormSolution | None:
-    """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5).
+) -> tuple[Array, Collimator] | None:
+    """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5) for (3, 3) K, px, and c.
 
     It takes (n, 3, 3) homographies of `view_homography`; n >= 2, or n >= 3 with a free principal point, which is
     otherwise the image's centre. None with too few views, or if the camera is not real (a negative square, by noise).
@@ -54,26 +45,32 @@ def linear_solution(
 
 def _solution_from_entries(
     image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
-) -> ClosedFormSolution | None:
-    """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real.
+) -> tuple[Array, Collimator] | None:
+    """Return camera matrix and collimator by entries of K K^T, (2, 2) = 1, and of the right side; None if not real.
 
     Own, of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2, fy^2 = w22 - w23^2 with W = K K^T; r^2 is the mean of two.
     """
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
-    squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
+    camera = _camera_matrix(np.array([image[0, 0] - cx**2, image[1, 1] - cy**2]), cx, cy)
     right = np.zeros((3, 3))
     right[_UPPER] = target
     if right[2, 2] == 0.0:
         return None
     x, y = right[0, 2] / right[2, 2], right[1, 2] / right[2, 2]
     r_squared = 0.5 * ((right[0, 0] + right[1, 1]) / right[2, 2] - x**2 - y**2)
-    if not (squares > 0).all() or not r_squared > 0:
+    if camera is None or not r_squared > 0:
         return None
-    fx, fy = np.sqrt(squares)
-    matrix = np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     x_mm, y_mm, _ = plane @ [x, y, 1.0]
     collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
-    return ClosedFormSolution(matrix, collimator)
+    return np.asarray(np.linalg.inv(to_unit) @ camera), collimator
+
+
+def _camera_matrix(f_squared: Array, cx: float, cy: float) -> Array | None:
+    """Return the (3, 3) camera matrix with (2,) squares of fx and fy; None if they are not positive."""
+    if not (f_squared > 0).all():
+        return None
+    fx, fy = np.sqrt(f_squared)
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def rotations_from_centre(homographies: Array, matrix: Array, centre: Array) -> Array:
@@ -97,11 +94,7 @@ def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Ar
     squares = homographies @ right @ np.swapaxes(homographies, 1, 2)
     square = (squares / squares[:, 2:, 2:]).mean(axis=0)
     cx, cy = square[0, 2], square[1, 2]
-    f_squared = np.array([square[0, 0] - cx**2, square[1, 1] - cy**2])
-    if not (f_squared > 0).all():
-        return None
-    fx, fy = np.sqrt(f_squared)
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return _camera_matrix(np.array([square[0, 0] - cx**2, square[1, 1] - cy**2]), cx, cy)
 
 
 def _image_conditioning(image_size: tuple[int, int]) -> Array:
@@ -161,10 +154,8 @@ def zhang_matrix(
     cx, cy = -w.get((0, 2), 0.0) / w[0, 0], -w.get((1, 2), 0.0) / w[1, 1]
     # w33 = 1 fixes the scale of w; the true one is 1 + cx^2 / fx^2 + cy^2 / fy^2.
     true_scale = 1.0 - w[0, 0] * cx**2 - w[1, 1] * cy**2
-    if not true_scale > 0:
-        return None
-    fx, fy = np.sqrt(true_scale / np.array([w[0, 0], w[1, 1]]))
-    return np.asarray(np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    camera = _camera_matrix(true_scale / np.array([w[0, 0], w[1, 1]]), cx, cy)
+    return None if camera is None else np.asarray(np.linalg.inv(to_unit) @ camera)
 
 
 def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import Array, Bools, median
-from calib.errors import DegenerateViews, InputMismatch, TooFewStars
+from calib.errors import DegenerateViews, InputMismatch, TooFewStars, placed
 from calib.model.local_consistency import Nearest, contradicts_neighbours, nearest_stars
 from calib.view import View
 
@@ -56,7 +56,8 @@ def view_homography(view: View) -> Array:
     h, wrong = view.remembered("homography", _fit_without_gross_errors)
     kept = ~wrong
     part = wrong.any() and np.count_nonzero(kept) >= MIN_STARS
-    return _oriented(h, view.part(kept) if part else view)
+    with placed(f"view {view.name}"):
+        return _oriented(h, view.part(kept) if part else view)
 
 
 def gross_errors(view: View) -> Bools:
@@ -85,21 +86,21 @@ def neighbours_of(view: View) -> Nearest:
 
 def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
     """Return the (3, 3) homography of any scale, and which stars were left out of it, (N,) bool."""
-    where = f"view {view.name}"
-    if len(view) < MIN_STARS:
-        raise TooFewStars(
-            f"{len(view)} stars; at least {MIN_STARS} are needed.", where=where, remedy="Leave this view out."
-        )
-    h = _reweighted_homography(view.target_mm, view.points_px, where)
-    wrong = _wrong_about(h, view)
-    if not wrong.any():
-        return h, wrong
-    h = _least_median_homography(view.target_mm, view.points_px, where)
-    wrong = _wrong_about(h, view)
-    # The least median has no hold where more than half are wrong; such a view is refused by `calib.diagnosis`.
-    if len(view) - np.count_nonzero(wrong) < max(MIN_STARS, len(view) // 2):
-        return _reweighted_homography(view.target_mm, view.points_px, where), wrong
-    return _reweighted_homography(view.target_mm[~wrong], view.points_px[~wrong], where), wrong
+    with placed(f"view {view.name}"):
+        if len(view) < MIN_STARS:
+            raise TooFewStars(
+                f"{len(view)} stars; at least {MIN_STARS} are needed.", remedy="Leave this view out."
+            )
+        h = _reweighted_homography(view.target_mm, view.points_px)
+        wrong = _wrong_about(h, view)
+        if not wrong.any():
+            return h, wrong
+        h = _least_median_homography(view.target_mm, view.points_px)
+        wrong = _wrong_about(h, view)
+        # The least median has no hold where more than half are wrong; such a view is refused by `calib.diagnosis`.
+        if len(view) - np.count_nonzero(wrong) < max(MIN_STARS, len(view) // 2):
+            return _reweighted_homography(view.target_mm, view.points_px), wrong
+        return _reweighted_homography(view.target_mm[~wrong], view.points_px[~wrong]), wrong
 
 
 def _wrong_about(h: Array, view: View) -> Bools:
@@ -120,10 +121,10 @@ def _wrong_about(h: Array, view: View) -> Bools:
     )
 
 
-def _reweighted_homography(target_mm: Array, points_px: Array, where: str) -> Array:
+def _reweighted_homography(target_mm: Array, points_px: Array) -> Array:
     """Return the homography of least squares, with lower weights for outliers (Holland and Welsch, 1977)."""
-    target, to_target = _normalised(target_mm, where)
-    image, to_image = _normalised(points_px, where)
+    target, to_target = _normalised(target_mm)
+    image, to_image = _normalised(points_px)
     weights = np.ones(len(target))
     for _ in range(_REWEIGHTING_ROUNDS):
         h = _direct_linear_transform(target, image, weights)
@@ -135,12 +136,12 @@ def _reweighted_homography(target_mm: Array, points_px: Array, where: str) -> Ar
     return np.asarray(np.linalg.inv(to_image) @ h @ to_target)
 
 
-def _least_median_homography(target_mm: Array, points_px: Array, where: str) -> Array:
+def _least_median_homography(target_mm: Array, points_px: Array) -> Array:
     """Return the homography with the least median residual (Rousseeuw, 1984), by OpenCV."""
     import cv2
 
     h = cv2.findHomography(target_mm, points_px, cv2.LMEDS, maxIters=_SAMPLES, confidence=_CONFIDENCE)[0]
-    return _reweighted_homography(target_mm, points_px, where) if h is None else np.asarray(h, np.float64)
+    return _reweighted_homography(target_mm, points_px) if h is None else np.asarray(h, np.float64)
 
 
 def apply_homography(h: Array, points: Array) -> Array:
@@ -159,13 +160,13 @@ def linear_at(h: Array, grid: Array) -> Array:
     return np.asarray((h[None, :2, :2] - at[:, :, None] * h[None, 2:, :2]) / q[:, 2, None, None])
 
 
-def _normalised(points: Array, where: str) -> tuple[Array, Array]:
+def _normalised(points: Array) -> tuple[Array, Array]:
     """Centre points and scale them to mean distance sqrt 2 (Hartley, 1997); return also the (3, 3) similarity used."""
     mean = points.mean(axis=0)
     away = points - mean
     narrow, wide = np.linalg.eigvalsh(away.T @ away)
     if not narrow > 1e-6 * wide:
-        raise DegenerateViews("All its stars lie on one line.", where=where, remedy="Leave this view out.")
+        raise DegenerateViews("All its stars lie on one line.", remedy="Leave this view out.")
     scale = np.sqrt(2.0) / np.hypot(away[:, 0], away[:, 1]).mean()
     similarity = np.array([[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]])
     return away * scale, similarity
@@ -188,18 +189,14 @@ def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Arr
 
 def _oriented(h: Array, view: View) -> Array:
     """Scale a homography to determinant 1, with the target in front of the camera, as `view_homography` explains."""
-    where = f"view {view.name}"
     depth = view.target_mm @ h[2, :2] + h[2, 2]
     h = h * np.sign(median(depth))
     determinant = np.linalg.det(h)
     if not abs(determinant) > 0.0:
-        raise DegenerateViews(
-            "All its stars lie on one line in the image.", where=where, remedy="Leave this view out."
-        )
+        raise DegenerateViews("All its stars lie on one line in the image.", remedy="Leave this view out.")
     if determinant < 0.0:
         raise InputMismatch(
             "The target appears mirrored.",
-            where=where,
             remedy="Check the target's axes: seen from the camera, X goes right and Y down.",
         )
     return np.asarray(h / np.cbrt(determinant))

@@ -7,7 +7,7 @@ coordinates (x / z, y / z), not pixels.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -35,7 +35,8 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
     wanted = [family.index(name) for name in coefficients if name in family]
-    bent, by_points, by_coefficients = evaluate(points, _ordered(coefficients, family), wanted)
+    k = np.array([coefficients.get(name, 0.0) for name in family])
+    bent, by_points, by_coefficients = evaluate(points, k, wanted)
     if len(wanted) == len(coefficients):
         return bent, by_points, by_coefficients
     every = np.zeros((len(points), 2, len(coefficients)))
@@ -43,14 +44,9 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     return bent, by_points, every
 
 
-def is_fisheye(coefficients: Mapping[str, float]) -> bool:
-    """Tell whether any of the coefficients is in `FISHEYE`."""
+def is_fisheye(coefficients: Iterable[str]) -> bool:
+    """Tell whether any of the coefficients, by their names, is in `FISHEYE`."""
     return not _FISHEYE_NAMES.isdisjoint(coefficients)
-
-
-def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Array:
-    """Return all coefficients of a family, (K,); those that are not named are zero."""
-    return np.array([coefficients.get(name, 0.0) for name in family])
 
 
 def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:

@@ -57,26 +57,25 @@ class Passport:
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        n = len(self.names)
-        if self.values.shape != (n,) or self.covariance.shape != (n, n):
-            raise InputMismatch(
-                f"{n} parameters, but values of shape {self.values.shape}"
-                f" and a covariance of shape {self.covariance.shape}.",
-                where="passport",
-            )
+        fault = self._fault()
+        if fault:
+            raise InputMismatch(fault, where="passport")
+
+    def _fault(self) -> str:
+        """Return why there is no such passport; empty if there is."""
+        n, shapes = len(self.names), (self.values.shape, self.covariance.shape)
+        if shapes != ((n,), (n, n)):
+            return f"{n} parameters, but values of shape {shapes[0]} and a covariance of shape {shapes[1]}."
         if not (np.isfinite(self.values).all() and np.isfinite(self.covariance).all()):
-            raise InputMismatch("It contains numbers that are not finite.", where="passport")
+            return "It contains numbers that are not finite."
         eigenvalues = np.linalg.eigvalsh(self.covariance)
         if not np.allclose(self.covariance, self.covariance.T) or eigenvalues[0] < -1e-9 * eigenvalues[-1]:
-            raise InputMismatch(
-                "Its covariance is not symmetric and positive semidefinite.", where="passport"
-            )
+            return "Its covariance is not symmetric and positive semidefinite."
         if "r" not in self.names:
-            raise InputMismatch("It does not contain the radius r.", where="passport")
+            return "It does not contain the radius r."
         if not self.values[self.names.index("r")] > 0:
-            raise InputMismatch("Its radius r is not positive.", where="passport")
-        if self.terms and self.reference is None:
-            raise InputMismatch("Its aberrations have no reference.", where="passport")
+            return "Its radius r is not positive."
+        return "Its aberrations have no reference." if self.terms and self.reference is None else ""
 
     @classmethod
     def of_radius(cls, r_mm: float, sigma_mm: float, conditions: Mapping[str, Any] | None = None) -> Passport:

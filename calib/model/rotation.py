@@ -15,9 +15,6 @@ from calib.arrays import Array
 Quaternion = tuple[float, float, float, float]
 T = TypeVar("T", float, Array)
 
-#: Up to this number of rotations, plain numbers are faster than arrays.
-_FEW = 8
-
 
 def skew(vectors: Array) -> Array:
     """Return the (..., 3, 3) matrices [v]x, with [v]x w = v x w (Hartley and Zisserman, 2004, appendix 4)."""
@@ -32,9 +29,6 @@ def skew(vectors: Array) -> Array:
 def exp_map(vectors: Array) -> Array:
     """Return rotation matrices of rotation vectors, rad (Rodrigues' formula; by unit quaternions: Diebel, 2006)."""
     v = np.asarray(vectors, float)
-    if v.size <= _FEW * 3:
-        flat = [_elements(*_quaternion(*one)) for one in v.reshape(-1, 3).tolist()]
-        return np.array(flat).reshape(*v.shape, 3)
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = v.reshape(-1, 3).T
         angle = np.sqrt(x * x + y * y + z * z)
@@ -47,10 +41,18 @@ def exp_map(vectors: Array) -> Array:
 def log_map(matrices: Array) -> Array:
     """Return rotation vectors, rad, of length pi at most: the inverse of `exp_map` (Diebel, 2006; by quaternions)."""
     m = np.asarray(matrices, float)
-    if m.size <= _FEW * 9:
-        flat = [_rotation_vector(*one) for one in m.reshape(-1, 9).tolist()]
-        return np.array(flat).reshape(m.shape[:-1])
-    products = np.array(_products(*m.reshape(-1, 9).T))
+    a, b, c, d, e, f, g, h, i = m.reshape(-1, 9).T
+    xy, xz, yz, xw, yw, zw = b + d, c + g, f + h, h - f, c - g, d - b
+    # The products of a quaternion's components, times 4: each row is a multiple of the quaternion, and the row of the
+    # largest component is the most exact.
+    products = np.array(
+        [
+            [1.0 + a - e - i, xy, xz, xw],
+            [xy, 1.0 - a + e - i, yz, yw],
+            [xz, yz, 1.0 - a - e + i, zw],
+            [xw, yw, zw, 1.0 + a + e + i],
+        ]
+    )
     largest = np.diagonal(products).argmax(axis=1)
     q = products[largest, :, np.arange(len(largest))]
     q = q * np.where(q[:, 3] < 0.0, -1.0, 1.0)[:, None]
@@ -93,15 +95,6 @@ def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
     )
 
 
-def _quaternion(x: float, y: float, z: float) -> Quaternion:
-    """Return the unit quaternion of a rotation vector; NaN if the vector is not finite (Diebel, 2006)."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    if not math.isfinite(angle):
-        return math.nan, math.nan, math.nan, math.nan
-    scale = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
-    return scale * x, scale * y, scale * z, math.cos(0.5 * angle)
-
-
 def _elements(x: T, y: T, z: T, w: T) -> list[T]:
     """Return the nine elements of the rotation matrices of unit quaternions, row by row (Diebel, 2006)."""
     xx: T = x * x
@@ -119,28 +112,3 @@ def _elements(x: T, y: T, z: T, w: T) -> list[T]:
         2.0 * (y * z + x * w),
         -xx - yy + zz + ww,
     ]
-
-
-def _products(a: T, b: T, c: T, d: T, e: T, f: T, g: T, h: T, i: T) -> list[list[T]]:
-    """Return the 4 x 4 products of a quaternion's components, times 4, from the elements of a rotation matrix.
-
-    Each row is a multiple of the quaternion; the row of the largest component is the most exact. Source: Diebel (2006).
-    """
-    xy, xz, yz, xw, yw, zw = b + d, c + g, f + h, h - f, c - g, d - b
-    return [
-        [1.0 + a - e - i, xy, xz, xw],
-        [xy, 1.0 - a + e - i, yz, yw],
-        [xz, yz, 1.0 - a - e + i, zw],
-        [xw, yw, zw, 1.0 + a + e + i],
-    ]
-
-
-def _rotation_vector(*elements: float) -> tuple[float, float, float]:
-    """Return the rotation vector of the nine elements of a rotation matrix (Diebel, 2006)."""
-    products = _products(*elements)
-    x, y, z, w = products[max(range(4), key=lambda k: products[k][k])]
-    if w < 0.0:
-        x, y, z, w = -x, -y, -z, -w
-    length = math.sqrt(x * x + y * y + z * z)
-    scale = 2.0 * math.atan2(length, w) / length if length > 0.0 else 2.0 / w
-    return scale * x, scale * y, scale * z

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools, Ints
+from calib.arrays import AnyArray, Array, Array32, Bools, Ints, selected
 from calib.errors import StarsUnnamed, TargetNotFound
 from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
@@ -45,7 +45,7 @@ class StarLabels(NamedTuple):
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
 
-def label_by_pose(grown: StarGrid, expected: Array, *, name: str) -> StarLabels:
+def label_by_pose(grown: StarGrid, expected: Array) -> StarLabels:
     """Label stars, found on a relative grid, by the positions at which a pose lets them be expected.
 
     Own rule: the quarter turn with the least scatter about a common shift, and the whole nodes next to the median
@@ -65,15 +65,12 @@ def label_by_pose(grown: StarGrid, expected: Array, *, name: str) -> StarLabels:
         raise StarsUnnamed(
             f"The image shows {len(nodes)} stars but no tag, and the expected pose does not identify the stars: they "
             f"lie {np.abs(middle - shift).max():.2f} squares from its nodes and scatter by {scatter:.2f} squares.",
-            where=f"view {name}",
             remedy="Turn the camera so that the tag is in view, or give the pose to a third of a square.",
         )
     return StarLabels(turn, shift.astype(np.int64))
 
 
-def label_by_tag(
-    image: Array32, grown: StarGrid, sign: float, target: StarTarget, *, name: str
-) -> StarLabels:
+def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarget) -> StarLabels:
     """Label stars, found on a relative grid, by the part of the tag that is in view.
 
     Every gap in the grid of stars that may hold the tag is compared with the print, module by module, in all four
@@ -105,7 +102,6 @@ def label_by_tag(
         return found[0][1]
     raise StarsUnnamed(
         f"The image shows {len(nodes)} stars, but {what}",
-        where=f"view {name}",
         remedy="Turn the camera so that more of the tag is in view, or give the expected pose.",
     )
 
@@ -163,13 +159,9 @@ class Candidates(NamedTuple):
     nodes: Ints  # (N, 2) int64, columns and rows of the target
     points: Array  # (N, 2) float64, px
 
-    def select(self, mask: Bools) -> Candidates:
-        """Return some of them by an (N,) mask, in the same order."""
-        return Candidates(self.nodes[mask], self.points[mask])
-
 
 def find_candidates(
-    image: AnyArray, smoothed: Array32, target: StarTarget, expected: Array | None, *, name: str
+    image: AnyArray, smoothed: Array32, target: StarTarget, expected: Array | None
 ) -> tuple[Candidates, float, NamedBy]:
     """Find possible stars, starting at the tag if it can be read; the sign is +1 if white is bright, -1 if it is dark.
 
@@ -178,14 +170,14 @@ def find_candidates(
     Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
     """
     picture = to_uint8(image)
-    tag = find_tag(picture, target, name=name, reduced_only=True)
+    tag = find_tag(picture, target, reduced_only=True)
     if tag is None:
         # The pictures of full size take long, and never show a tag that the border of the image cuts.
-        found = find_without_tag(smoothed, target, expected, name)
+        found = find_without_tag(smoothed, target, expected)
         if not _is_tag_cut(smoothed, found, target):
-            tag = find_tag(picture, target, name=name)
+            tag = find_tag(picture, target)
     if tag is None:
-        return _label_without_tag(found, target, expected, name)
+        return _label_without_tag(found, target, expected)
     grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, lambda n: printed(target, n))
     return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
 
@@ -203,7 +195,7 @@ class Unlabelled(NamedTuple):
     labels: StarLabels | StarsUnnamed | None
 
 
-def find_without_tag(image: Array32, target: StarTarget, expected: Array | None, name: str) -> Unlabelled:
+def find_without_tag(image: Array32, target: StarTarget, expected: Array | None) -> Unlabelled:
     """Find possible stars starting at any of them, and label them by the visible part of the tag if possible."""
     start = find_lattice(image, target.segments)
     starts = [start] if start is not None else _starts_as_expected(image, expected)
@@ -218,7 +210,7 @@ def find_without_tag(image: Array32, target: StarTarget, expected: Array | None,
     if start is None or len(grown.points) < MIN_STARS:
         return Unlabelled(grown, None, None)
     try:
-        return Unlabelled(grown, start, label_by_tag(image, grown, start.sign, target, name=name))
+        return Unlabelled(grown, start, label_by_tag(image, grown, start.sign, target))
     except StarsUnnamed as unnamed:
         return Unlabelled(grown, start, unnamed)
 
@@ -235,30 +227,28 @@ def _is_tag_cut(image: Array32, found: Unlabelled, target: StarTarget) -> bool:
 
 
 def _label_without_tag(
-    found: Unlabelled, target: StarTarget, expected: Array | None, name: str
+    found: Unlabelled, target: StarTarget, expected: Array | None
 ) -> tuple[Candidates, float, NamedBy]:
     """Return stars with their nodes, labelled by the visible part of the tag or by the pose."""
     grown, start, labels = found
     if start is None or labels is None:
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",
-            where=f"view {name}",
             remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
         )
     named_by: NamedBy = "part of the tag"
     if isinstance(labels, StarsUnnamed):
         if expected is None:
             raise labels
-        labels, named_by = label_by_pose(grown, expected, name=name), "expected pose"
+        labels, named_by = label_by_pose(grown, expected), "expected pose"
     nodes = labels.apply(grown.nodes())
     seen = printed(target, nodes)
     if np.count_nonzero(~seen) > MAX_STRAY * len(nodes):
         raise TargetNotFound(
             f"{np.count_nonzero(~seen)} of {len(nodes)} stars would lie where the target has none.",
-            where=f"view {name}",
             remedy="Check the target's description and the expected pose.",
         )
-    return Candidates(nodes, grown.places()).select(seen), start.sign, named_by
+    return selected(Candidates(nodes, grown.places()), seen), start.sign, named_by
 
 
 def _starts_as_expected(image: Array32, expected: Array | None) -> list[GrowthStart]:

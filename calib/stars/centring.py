@@ -273,10 +273,6 @@ class SymmetryFit(NamedTuple):
     light_slope: Array
     converged: Bools  # (N,) bool, whether the last step was shorter than `LAST_STEP_PX`
 
-    def select(self, mask: Bools) -> SymmetryFit:
-        """Return the fits of some stars by an (N,) mask, in the same order."""
-        return SymmetryFit._make(part[mask] for part in self)
-
 
 def smooth(image: Array32, sigma_px: float) -> Array32:
     """Blur an image by a Gaussian, against the noise of single pixels and the effect of the pixel grid."""

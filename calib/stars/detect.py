@@ -13,8 +13,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools
-from calib.errors import TooFewStars
+from calib.arrays import AnyArray, Array, Array32, Bools, selected
+from calib.errors import TooFewStars, placed
 from calib.events.grey_image import require_grey_plane
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
 from calib.stars.centring import (
@@ -27,7 +27,7 @@ from calib.stars.centring import (
 )
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap, fit_grid_map
-from calib.stars.likelihood import edge_width_px, refine_by_likelihood, typical_pitch_px
+from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, star_contrasts
 from calib.target import StarTarget
@@ -116,25 +116,28 @@ def detect_stars(
     Raises TooFewStars: If fewer than `MIN_STARS` stars pass all tests.
     Raises InputMismatch: If the image does not have two axes, or is empty.
     """
-    require_grey_plane(image, f"view {name}")
-    values = np.asarray(image, np.float32)
-    smoothed = smooth(values if np.isfinite(values.sum()) else np.nan_to_num(values), BLUR_PX)
-    candidates, sign, named_by = find_candidates(image, smoothed, target, expected, name=name)
-    blurred = False
-    for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
-        _require_enough(len(candidates.nodes), name, blurred=blurred)
-        candidates, fit, local_map, blurred = refine_candidates(smoothed, candidates, target, sign, step_px)
-    _require_enough(len(candidates.nodes), name, blurred=blurred)
-    points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
-    kept = np.isfinite(points).all(axis=1)
-    least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
-    _require_enough(int(np.count_nonzero(kept)), name, least, blurred=blurred, measure_width=measure_width)
-    ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
-    order = np.argsort(ids)
-    size, stars = (image.shape[1], image.shape[0]), ids[order]
-    points, covariances = points[kept][order], covariances[kept][order]
-    view = View(name, size, stars, points, target.positions_mm(stars), covariances)
-    return Detection(view, named_by, measure_width)
+    with placed(f"view {name}"):
+        require_grey_plane(image)
+        values = np.asarray(image, np.float32)
+        smoothed = smooth(values if np.isfinite(values.sum()) else np.nan_to_num(values), BLUR_PX)
+        candidates, sign, named_by = find_candidates(image, smoothed, target, expected)
+        blurred = False
+        for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
+            _require_enough(len(candidates.nodes), blurred=blurred)
+            candidates, fit, local_map, blurred = refine_candidates(
+                smoothed, candidates, target, sign, step_px
+            )
+        _require_enough(len(candidates.nodes), blurred=blurred)
+        points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
+        kept = np.isfinite(points).all(axis=1)
+        least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
+        _require_enough(int(np.count_nonzero(kept)), least, blurred=blurred, measure_width=measure_width)
+        ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
+        order = np.argsort(ids)
+        size, stars = (image.shape[1], image.shape[0]), ids[order]
+        points, covariances = points[kept][order], covariances[kept][order]
+        view = View(name, size, stars, points, target.positions_mm(stars), covariances)
+        return Detection(view, named_by, measure_width)
 
 
 def _best_centres(
@@ -186,7 +189,7 @@ def refine_candidates(
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)
     local_map = grid_map.local_map(grid)
-    pitch = typical_pitch_px(local_map)
+    pitch = local_map.pitch_px
     samples = symmetry_samples(pitch / step_px)
     used_to = cell_reach(open_sides(target, candidates.nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
     fit = refine_by_symmetry(image, candidates.points, local_map, samples, used_to, MAX_MOVE_PITCHES * pitch)
@@ -196,8 +199,8 @@ def refine_candidates(
     if good.any():
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
     good = _without_outliers(grid, fit.centres, good)
-    refined = Candidates(candidates.nodes, fit.centres).select(good)
-    return refined, fit.select(good), local_map.select(good), blurred
+    refined = selected(Candidates(candidates.nodes, fit.centres), good)
+    return refined, selected(fit, good), selected(local_map, good), blurred
 
 
 def _scores(
@@ -231,27 +234,17 @@ def _without_outliers(grid: Array, points: Array, good: Bools) -> Bools:
 
 
 def _require_enough(
-    count: int,
-    name: str,
-    least: int = MIN_STARS,
-    *,
-    blurred: bool,
-    measure_width: Callable[[], float] | None = None,
+    count: int, least: int = MIN_STARS, *, blurred: bool, measure_width: Callable[[], float] | None = None
 ) -> None:
     """Refuse a view with too few stars. If few stars of a blurred image remain, their covariances are too small."""
     if count >= least:
         return
     found = f"{count} stars were found; at least {least} are needed."
     if not blurred:
-        raise TooFewStars(
-            found,
-            where=f"view {name}",
-            remedy="Check focus, light and that the target is the one described.",
-        )
+        raise TooFewStars(found, remedy="Check focus, light and that the target is the one described.")
     width_px = measure_width() if measure_width else np.nan
     wide = f": star edges are {width_px:.1f} px wide" if np.isfinite(width_px) else ""
     raise TooFewStars(
         f"{found} The image is out of focus{wide}.",
-        where=f"view {name}",
         remedy="Focus the camera until star edges are narrower than 1.3 px (edge_width_px), or use a sine flicker.",
     )

@@ -25,11 +25,11 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools, Bytes, Ints
+from calib.arrays import AnyArray, Array, Array32, Bools, Bytes, Ints, selected
 from calib.model.homography import apply_homography
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap
-from calib.stars.likelihood import edge_width_px, typical_pitch_px
+from calib.stars.likelihood import edge_width_px
 from calib.target import StarTarget
 
 #: Blur circles that are tried, px, and enlargements of the tag: bright light makes black print look smaller.
@@ -69,10 +69,10 @@ def edge_widths_px(
     """
     levels = quantise(image)
     # A pitch of three digits: the printed star, whose edges are radii, is then drawn once for many pictures.
-    pitch = float(f"{typical_pitch_px(local_map):.3g}") if len(centres) else None
+    pitch = float(f"{local_map.pitch_px:.3g}") if len(centres) else None
     return [
         edge_width_px(
-            levels, centres[group], local_map.select(group), target, pitch_px=pitch, start_px=start_px
+            levels, centres[group], selected(local_map, group), target, pitch_px=pitch, start_px=start_px
         )
         if len(group) >= MIN_STARS_FOR_WIDTH
         else None

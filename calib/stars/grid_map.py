@@ -7,7 +7,7 @@ are being predicted, and over the whole view when all are found. The module uses
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,10 @@ class LocalMap(NamedTuple):
     # (N, 2, 3) float64, B, px per pitch^2, coefficients of s_x^2, s_x s_y and s_y^2.
     quadratic: Array
 
-    def select(self, mask: Any) -> LocalMap:
-        """Return the maps of some stars, by an (N,) mask or a slice, in the same order."""
-        return LocalMap(self.linear[mask], self.quadratic[mask])
+    @property
+    def pitch_px(self) -> float:
+        """Typical distance, px, of neighbouring stars: the root of the median Jacobian determinant."""
+        return float(np.sqrt(np.median(np.abs(np.linalg.det(self.linear)))))
 
 
 #: Number of neighbours that predict a star.

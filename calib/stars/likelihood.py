@@ -34,7 +34,7 @@ from functools import cache, cached_property, lru_cache
 
 import numpy as np
 
-from calib.arrays import Array, Array32, Bools, Bytes
+from calib.arrays import Array, Array32, Bools, Bytes, selected
 from calib.stars.edge_pixels import (
     EDGE_UNKNOWNS,
     TAU_BIN_PX,
@@ -103,7 +103,7 @@ def refine_by_likelihood(
     to about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
     `calib.stars.printed_star`; None if all stars lie between stars.
     """
-    pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
+    pitch = round(local_map.pitch_px, PITCH_DIGITS)
     information = _information_by_blur(levels, centres, local_map, target, pitch)
     edge_map = _edge_map(target, pitch, max(BLURS_PX, key=information))
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
@@ -143,13 +143,8 @@ def edge_width_px(
     are those of `refine_by_likelihood`. The blurred printed stars are kept for the next call with the same pitch; None
     takes it from ``local_map``. None for the start is the middle of `EDGE_WIDTHS_PX`.
     """
-    pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
+    pitch = local_map.pitch_px if pitch_px is None else pitch_px
     return _most_informative_blur(_information_by_blur(levels, centres, local_map, target, pitch), start_px)
-
-
-def typical_pitch_px(local_map: LocalMap) -> float:
-    """Return the distance, px, of neighbouring stars: the root of the median Jacobian determinant."""
-    return float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
 
 
 def _prior_precision(unknowns: Array) -> Array:
@@ -186,7 +181,7 @@ def _information_by_blur(
     The trace of the Fisher information, 1/px^2; it is kept for each blur.
     """
     some = slice(None, None, max(1, len(centres) // BLUR_STARS))
-    centres, local_map = centres[some], local_map.select(some)
+    centres, local_map = centres[some], selected(local_map, some)
 
     @cache
     def trace(blur_px: float) -> float:

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.arrays import AnyArray, Array, Ints
+from calib.errors import placed
 from calib.events.grey_image import to_uint8
 from calib.stars.candidates import MIN_STARS, Candidates, StarLabels, find_without_tag, printed
 from calib.stars.centring import smooth
@@ -50,7 +51,8 @@ def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
     `MIN_STARS` are seen, or if they are out of focus and nothing identifies them.
     Raises TargetNotFound: If the image shows another tag, or the tag more than once.
     """
-    tag = find_tag(to_uint8(image), target, name="live")
+    with placed("view live"):
+        tag = find_tag(to_uint8(image), target)
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
     named_by: Literal["tag", "part of the tag", ""] = "tag"
     if tag is not None:
@@ -59,7 +61,7 @@ def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
         start: GrowthStart | None = ring
         nodes = grown.nodes()
     else:
-        grown, start, labels = find_without_tag(smoothed, target, None, "live")
+        grown, start, labels = find_without_tag(smoothed, target, None)
         nodes, named_by = grown.nodes(), ""
         if isinstance(labels, StarLabels) and printed(target, labels.apply(nodes)).all():
             nodes, named_by = labels.apply(nodes), "part of the tag"

@@ -30,7 +30,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Bools, Ints
+from calib.arrays import Array, Bools, Ints, selected
 from calib.compiled import KERNEL
 from calib.errors import TooFewStars
 from calib.model.homography import apply_homography, linear_at, view_homography
@@ -248,10 +248,6 @@ class _Map(NamedTuple):
     points: Array
     linear: Array
 
-    def select(self, kept: Bools) -> _Map:
-        """Return the map of some nodes, given (N,) bool."""
-        return _Map(self.nodes[kept], self.points[kept], self.linear[kept])
-
 
 class _Levels(NamedTuple):
     """Grey values of black print and of white print inside the beam; and whether white print is the dark one."""
@@ -272,7 +268,7 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
     except TooFewStars:
         return None
     own = np.isin(target.id_at(mapped.nodes[:, 0], mapped.nodes[:, 1]), view.ids)
-    levels = _levels(image, mapped.select(own), target)
+    levels = _levels(image, selected(mapped, own), target)
     if levels is None:
         return None
     coarse, values, inside = _sample(image, mapped, levels, target, *_COARSE)
@@ -282,7 +278,7 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
     fine = coarse
     if len(border):
         apart = np.abs(mapped.nodes[:, None, :] * target.pitch_mm - border).max(axis=2).min(axis=1)
-        fine, _, _ = _sample(image, mapped.select(apart < 2.0 * target.pitch_mm), levels, target, *_FINE)
+        fine, _, _ = _sample(image, selected(mapped, apart < 2.0 * target.pitch_mm), levels, target, *_FINE)
     return rim_in_sections((coarse, fine), border, centre, radius, target.pitch_mm, _px_per_mm(view))
 
 

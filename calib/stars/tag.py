@@ -42,9 +42,7 @@ class TagDetection:
     correlation: float  # Correlation of the modules with the print, 0 to 1
 
 
-def find_tag(
-    picture: Bytes, target: StarTarget, *, name: str, reduced_only: bool = False
-) -> TagDetection | None:
+def find_tag(picture: Bytes, target: StarTarget, *, reduced_only: bool = False) -> TagDetection | None:
     """Find the target's tag, at any roll and with either contrast; None if the picture shows no tag.
 
     The picture is one of `calib.events.grey_image.to_uint8`. The detector (Garrido-Jurado et al., 2014; tags: Olson,
@@ -70,7 +68,6 @@ def find_tag(
         if len(found) > 1:
             raise TargetNotFound(
                 f"Tag {target.tag_id} of the target is seen {len(found)} times.",
-                where=f"view {name}",
                 remedy="Keep mirrors and second targets out of the image.",
             )
         if found:
@@ -79,7 +76,6 @@ def find_tag(
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image; tags seen instead: "
             f"{', '.join(map(str, sorted(others)))}.",
-            where=f"view {name}",
             remedy="Check that the target is the one described.",
         )
     return None

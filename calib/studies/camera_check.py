@@ -28,8 +28,8 @@ from calib.arrays import Array, Bools
 from calib.calibration import Calibration, CalibrationOptions
 from calib.compiled import on_one_thread
 from calib.engine import calibrate
-from calib.errors import DegenerateViews, InputMismatch
-from calib.model.camera import PINHOLE, CameraModel
+from calib.errors import DegenerateViews
+from calib.model.camera import PINHOLE, CameraModel, require_image_size
 from calib.uncertainty.projection_uncertainty import (
     CameraDifference,
     camera_difference,
@@ -120,7 +120,7 @@ def check_camera(
     Covariances are in the order of `CameraModel.parameter_names`; None is exact. The generator draws the changes that
     the uncertainties allow; the factor k follows from their largest ones.
     """
-    _require_one_size(stated, found.image_size, "these views have")
+    require_image_size(stated, found.image_size, "these views have")
     grid = sensor_grid(found.image_size, _POINTS_ACROSS).reshape(-1, 2)
     offset = camera_difference(found, stated, _POINTS_ACROSS).offset_px.reshape(-1, 2)
     allowed, slopes = np.zeros((_DRAWS, len(grid), 2)), {}
@@ -160,16 +160,6 @@ def _regions(
                 name = f"{of_row} {of_column}"
                 found.append(RegionCheck(name, (x, y), float(length[worst]), float(expanded[worst])))
     return tuple(found)
-
-
-def _require_one_size(stated: CameraModel, size: tuple[int, int], who: str) -> None:
-    """Refuse views of another image size than that of the stated camera."""
-    if stated.image_size != size:
-        sizes = [" x ".join(str(side) for side in one) for one in (stated.image_size, size)]
-        raise InputMismatch(
-            f"The stated camera has {sizes[0]} px, {who} {sizes[1]} px.",
-            remedy="Check a calibration of the same sensor and the same region of interest.",
-        )
 
 
 def _shares(camera: CameraModel, slope: Array, offset: Array) -> dict[str, float]:
@@ -235,7 +225,7 @@ def check_one_view(camera: CameraModel, covariance: Array | None, view: View) ->
 
     Raises DegenerateViews: If there are too few points, or the stated camera sees no plane target there.
     """
-    _require_one_size(camera, view.image_size, "this view has")
+    require_image_size(camera, view.image_size, "this view has")
     kept = np.asarray(np.isfinite(camera.rays(view.points_px)).all(axis=1))
     seen = _Seen.of(camera, view, kept)
     if (gross := seen.gross()).any():

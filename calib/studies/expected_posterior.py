@@ -48,25 +48,21 @@ _THIRD_ORDER, _FIFTH_ORDER = 0.003, -0.002
 _LIMIT = 1.0
 
 
-def expected_options(bench: ExpectedBench, angles_deg: Sequence[Angles]) -> CalibrationOptions:
-    """Return the options of the calibration that a bench expects at the gimbal's angles of each view."""
-    readings, axes = bench.readings, {axis for pose in angles_deg for axis in pose}
-    whole = tuple({axis: pose.get(axis, 0.0) for axis in axes} for pose in angles_deg)
-    return CalibrationOptions(
-        passport=bench.passport,
-        gimbal=replace(readings, angles_deg=whole) if readings else None,
-        budget=bench.terms,
-        radial_sigma=bench.radial_sigma,
-    )
-
-
 def posed_bench(
     bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
 ) -> tuple[Problem, State]:
     """Return the adjustment of predicted views with (n, 3, 3) rotations, camera <- target, at the expected bench."""
     lens = lens_names(tuple(bench.camera.distortion))
     start = AdjustmentParameters(bench.camera, bench.collimator, rotations, np.zeros((len(views), 3)))
-    return posed(views, expected_options(bench, angles_deg), start, lens)
+    readings, axes = bench.readings, {axis for pose in angles_deg for axis in pose}
+    whole = tuple({axis: pose.get(axis, 0.0) for axis in axes} for pose in angles_deg)
+    options = CalibrationOptions(
+        passport=bench.passport,
+        gimbal=replace(readings, angles_deg=whole) if readings else None,
+        budget=bench.terms,
+        radial_sigma=bench.radial_sigma,
+    )
+    return posed(views, options, start, lens)
 
 
 def with_distortion(bench: ExpectedBench) -> ExpectedBench:

@@ -115,11 +115,6 @@ class SeenRotations:
         found = [linalg.eigh(stated, shape) for shape in shapes]
         return [Scatter(np.maximum(eigenvalues, _LEAST), basis) for eigenvalues, basis in found]
 
-    @property
-    def stated(self) -> Scatter:
-        """The stated covariance alone."""
-        return self._scatters[0]
-
     @cached_property
     def _variances(self) -> Array:
         """(K,) variances s that are tried, rad^2; the first is 0."""

@@ -29,7 +29,6 @@ from calib.studies.gimbal_model import (
     first_scales,
     global_fit,
     pair_ratios,
-    refine,
     scales_near,
 )
 from calib.studies.hand_eye_verdict import Findings, Verdict, judge
@@ -54,10 +53,6 @@ class HandEyeCheck:
     # (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's
     # axes, arc seconds.
     residuals_arcsec: Array
-    # chi_square, degrees_of_freedom: Chi-square of the residuals by the stated uncertainties, without faults,
-    # and its degrees of freedom; large if the gimbal repeats worse than stated.
-    chi_square: float
-    degrees_of_freedom: int
     # 1-sigma of the scatter, for each component of a rotation, that the stated uncertainties and the faults do
     # not explain, arc seconds.
     excess_arcsec: float
@@ -121,32 +116,27 @@ def check_hand_eye(
         mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
-    pairs = pair_ratios(rotations, last.fit.model, last.fit.values)
-    found = _findings(seen, last, pairs, faults, mirrored)
-    found = replace(found, names=tuple(names), focal_uncertainty=focal_uncertainty, birge_ratio=birge_ratio)
-    turns = first.fit.camera_from_head, first.fit.base_from_target
-    stated = refine(rotations, first.fit.model, seen.stated.whitening, (*turns, first.fit.values)).chi_square
+    found = _findings(seen, last, mirrored)
+    found = replace(
+        found,
+        names=tuple(names),
+        faults=faults,
+        focal_uncertainty=focal_uncertainty,
+        birge_ratio=birge_ratio,
+    )
     return HandEyeCheck(
         {AXES[axis]: value for axis, value in found.scale.items()} if found.scale_known else {},
         {AXES[axis]: value for axis, value in found.scale_sigma.items()} if found.scale_known else {},
         ARCSEC * first.fit.off.reshape(-1, 3),
-        stated,
-        first.fit.degrees_of_freedom(),
         ARCSEC * last.excess_rad if last.scattered else 0.0,
-        pairs,
+        found.pairs,
         faults,
         judge(found),
     )
 
 
-def _findings(
-    seen: SeenRotations,
-    last: Explanation,
-    pairs: PairRatios | None,
-    faults: tuple[GimbalFault, ...],
-    mirrored: bool,
-) -> Findings:
-    """Collect what the verdict is made of."""
+def _findings(seen: SeenRotations, last: Explanation, mirrored: bool) -> Findings:
+    """Collect what the rotations show; names, faults, focal length and the views' agreement are given elsewhere."""
     fit, covariance = last.fit, last.scatter.covariance
     free = fit.model.free
     estimator = fit.estimator(last.scatter.whitening)[6 : 6 + len(free)]
@@ -165,20 +155,16 @@ def _findings(
         difference = float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0)))
     whole = freedom == len(fit.off) - fit.jacobian.shape[1]
     return Findings(
-        (),
         {axis: float(values[k]) for k, axis in enumerate(free)},
         {axis: float(sigma[k]) for k, axis in enumerate(free)},
         {axis: float(own[k]) for k, axis in enumerate(free)},
         difference,
-        pairs,
+        pair_ratios(seen.rotations, fit.model, fit.values),
         bool(free)
         and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
-        faults,
         float(np.rad2deg(last.excess_rad)) if last.scattered else 0.0,
         freedom,
-        None,
-        1.0,
     )
 
 

@@ -13,10 +13,7 @@ import numpy as np
 
 from calib.model.likelihood_ratio import DECISIVE
 from calib.studies.gimbal_faults import GimbalFault
-from calib.studies.gimbal_model import (
-    FaultKind,
-    PairRatios,
-)
+from calib.studies.gimbal_model import FaultKind, PairRatios
 
 VerdictKind = Literal[
     "agrees",
@@ -59,7 +56,6 @@ class Verdict:
 class Findings:
     """What the verdict is made of."""
 
-    names: Sequence[str]
     # scale, scale_sigma: True angle over reading and 1-sigma, by index of the axis; empty if no scale was
     # estimated.
     scale: Mapping[int, float]
@@ -71,12 +67,13 @@ class Findings:
     ambiguous: bool  # Whether another optimum fits nearly as well
     # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
     reversed_axes: str
-    faults: tuple[GimbalFault, ...]
     excess_deg: float  # Scatter of the rotations that nothing explains, degrees
     degrees_of_freedom: int
+    names: Sequence[str] = ()  # Of the poses
+    faults: tuple[GimbalFault, ...] = ()
     # Expanded uncertainty U of the focal length as a share of it; None if unknown.
-    focal_uncertainty: float | None
-    birge_ratio: float
+    focal_uncertainty: float | None = None
+    birge_ratio: float = 1.0
 
     @property
     def views_disagree(self) -> bool:

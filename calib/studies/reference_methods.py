@@ -6,7 +6,7 @@ Their uncertainties contain star noise only. Compare residuals of left-out views
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -94,7 +94,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
     names = tuple(options.distortion)
     if SKEW in names:
         raise InputMismatch("OpenCV's camera has no skew.", remedy="Compare without skew.")
-    fisheye = _fisheye(options)
+    fisheye = is_fisheye(options.distortion)
     try:
         rms, matrix, found, spread = (_opencv_fisheye if fisheye else _opencv_brown)(views, names)
     except cv2.error as error:
@@ -104,8 +104,8 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
         raise DegenerateViews("OpenCV's calibration is not finite.", remedy="Add views from other angles.")
     family = FISHEYE if fisheye else BROWN
     coefficients = dict(zip(family, np.ravel(found).tolist(), strict=False))
-    fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    camera = CameraModel(fx, fy, cx, cy, views[0].image_size, {name: coefficients[name] for name in names})
+    pinhole = CameraModel.of_matrix(matrix, views[0].image_size)
+    camera = replace(pinhole, distortion={name: coefficients[name] for name in names})
     spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
     planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
     return MethodResult(
@@ -114,7 +114,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
         {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
         float(rms),
         _rms_and_mean(planar.bundle, planar.parameters)[1],
-        planar.cross_validation.total_rms_px if planar.cross_validation else None,
+        planar.left_out_rms_px,
     )
 
 
@@ -129,7 +129,7 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
         )
-    left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
+    left_out = leave_one_out(bundle, parameters, loss) if len(views) >= MIN_VIEWS else None
     lengths = _rms_and_mean(bundle, parameters)
     return MethodResult(_PUBLISHED, parameters.camera, estimate.sigma, *lengths, left_out)
 
@@ -140,14 +140,9 @@ def _rms_and_mean(bundle: Bundle, parameters: AdjustmentParameters) -> tuple[flo
     return float(np.sqrt(np.mean(lengths**2))), float(lengths.mean())
 
 
-def _fisheye(options: CalibrationOptions) -> bool:
-    """Tell whether the options ask for a fisheye lens."""
-    return is_fisheye(dict.fromkeys(tuple(options.distortion), 0.0))
-
-
 def _opencv_name(options: CalibrationOptions) -> str:
     """Return the name of the OpenCV method for this lens."""
-    return "OpenCV, planar (fisheye)" if _fisheye(options) else "OpenCV, planar (Zhang)"
+    return "OpenCV, planar (fisheye)" if is_fisheye(options.distortion) else "OpenCV, planar (Zhang)"
 
 
 def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:

@@ -22,7 +22,7 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
-from calib.model.camera import CameraModel
+from calib.model.camera import CameraModel, require_image_size
 from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map, nearest_rotation, skew
 from calib.studies.rig import Rig, common_names
@@ -146,7 +146,7 @@ def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, fr
     cameras = start.first, start.second
     for camera, views in zip(cameras, (first, second), strict=True):
         for view in views:
-            _require_size(camera, view)
+            require_image_size(camera, view.image_size, f"the view {view.name} has")
     by_name = [{view.name: view for view in views} for views in (first, second)]
     names = common_names(*(list(one) for one in by_name))
     seen = [[one[name] for name in names] for one in by_name]
@@ -188,16 +188,6 @@ def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, fr
         boards=names,
         boards_rms_px=_rms_px(bundles, (state.first, state.second)),
     )
-
-
-def _require_size(camera: CameraModel, view: View) -> None:
-    """Refuse a view of another image size than that of its camera."""
-    if view.image_size != camera.image_size:
-        sizes = [" x ".join(str(side) for side in size) for size in (view.image_size, camera.image_size)]
-        raise InputMismatch(
-            f"The view {view.name} has {sizes[0]} px, its camera {sizes[1]} px.",
-            remedy="Give views and calibration of the same camera.",
-        )
 
 
 def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> None:

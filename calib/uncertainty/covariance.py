@@ -20,7 +20,7 @@ from calib.adjustment.bundle import Bundle, ViewScores
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters, members
-from calib.arrays import Array, Ints
+from calib.arrays import Array
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
 from calib.model.result_parts import POSE_FIELDS, STARS
@@ -210,55 +210,33 @@ _TOLERANCE = 1e-8
 _PLACED_BY_HAND = 0.1
 
 
-@dataclass(frozen=True)
-class CrossValidation:
-    """Results of leaving out each of P poses in turn, with all its views."""
-
-    values: Array  # (P, G) float64 shared parameters estimated without each pose
-    # (n,) float64 root mean square residual of each view, px, with camera and centre of the others and its
-    # own rotation.
-    rms_px: Array
-    stars: Ints  # (n,) int64 number of its stars
-
-    @property
-    def total_rms_px(self) -> float:
-        """Root mean square residual of all stars of all views, px."""
-        return float(np.sqrt((self.rms_px**2 * self.stars).sum() / self.stars.sum()))
+def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
+    """Predict the views of each of at least 3 poses from all others; return the rms residual, px (Stone, 1974)."""
+    residuals = []
+    for views in views_of_poses(bundle):
+        others = without_pose(bundle, views, parameters, loss)
+        residuals += [predicted_residuals(bundle, i, parameters, others) for i in views]
+    return float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
 
 
-def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
-    """Adjust without each of at least 3 poses in turn, from the optimum of all, and predict its views (Stone, 1974)."""
-    poses, without = views_of_poses(bundle), []
-    for left_out in poses:
-        others = [j for j in range(len(parameters.rotations)) if j not in left_out]
-        start = parameters.subset(others)
-        without.append(refine(bundle.subset(others), start, loss, tolerance=_TOLERANCE).parameters)
-    order = [i for views in poses for i in views]
-    return CrossValidation(
-        np.array([one.values(bundle.names) for one in without]),
-        np.array(_rms_left_out(bundle, poses, without, parameters)),
-        bundle.observations.stars[order],
-    )
+def without_pose(
+    bundle: Bundle, views: Sequence[int], parameters: AdjustmentParameters, loss: Loss
+) -> AdjustmentParameters:
+    """Adjust without the views of a pose, from the optimum of all."""
+    others = [i for i in range(len(parameters.rotations)) if i not in views]
+    return refine(bundle.subset(others), parameters.subset(others), loss, tolerance=_TOLERANCE).parameters
 
 
-def _rms_left_out(
-    bundle: Bundle,
-    poses: Sequence[Sequence[int]],
-    without: Sequence[AdjustmentParameters],
-    parameters: AdjustmentParameters,
-) -> list[float]:
-    """Return the rms residuals, px, of each pose left out, with its rotation (of a board: its pose) adjusted."""
-    found = []
-    for views, one in zip(poses, without, strict=True):
-        others, by_hand = one, False
-        if bundle.free_centres:
-            x, y, z = one.centres.mean(axis=0).tolist()
-            by_hand = bool(np.linalg.norm(one.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
-            others = replace(one, collimator=Collimator(x, y, -z))
-        for i in views:
-            offset = (parameters.centres[i] - others.collimator.centre) * by_hand
-            start = replace(others, rotations=parameters.rotations[i : i + 1], offsets=offset[None])
-            view = replace(bundle.subset([i]), names=(), free_centres=by_hand)
-            end = refine(view, start, Loss("l2"), tolerance=_TOLERANCE).parameters
-            found.append(float(np.sqrt((view.residuals_px(end) ** 2).sum(axis=1).mean())))
-    return found
+def predicted_residuals(
+    bundle: Bundle, i: int, parameters: AdjustmentParameters, others: AdjustmentParameters
+) -> Array:
+    """Return the (N, 2) residuals, px, of view i by what others give, with its rotation (of a board: pose) adjusted."""
+    by_hand = False
+    if bundle.free_centres:
+        x, y, z = others.centres.mean(axis=0).tolist()
+        by_hand = bool(np.linalg.norm(others.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
+        others = replace(others, collimator=Collimator(x, y, -z))
+    offset = (parameters.centres[i] - others.collimator.centre) * by_hand
+    start = replace(others, rotations=parameters.rotations[i : i + 1], offsets=offset[None])
+    view = replace(bundle.subset([i]), names=(), free_centres=by_hand)
+    return view.residuals_px(refine(view, start, Loss("l2"), tolerance=_TOLERANCE).parameters)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from calib.studies.monte_carlo import calibrate_once, study_of
+from calib.uncertainty.covariance import views_of_poses, without_pose
 
 
 def run_monte_carlo(bench, poses_deg, options, runs, seed, **noise):
@@ -17,8 +18,14 @@ def z_joint(study):
     return float(np.sqrt(study.chi_squares.mean() / len(study.names)))
 
 
-def jackknife(cross_validation):
+def jackknife(fitted):
     """(G, G) covariance from the estimates without each of P poses: (P - 1) / P sum (v - mean)(v - mean)^T (Efron, 1982)."""
-    n = len(cross_validation.values)
-    off = cross_validation.values - cross_validation.values.mean(axis=0)
-    return (n - 1) / n * off.T @ off
+    bundle = fitted.bundle
+    values = np.array(
+        [
+            without_pose(bundle, views, fitted.parameters, fitted.loss).values(bundle.names)
+            for views in views_of_poses(bundle)
+        ]
+    )
+    off = values - values.mean(axis=0)
+    return (len(off) - 1) / len(off) * off.T @ off

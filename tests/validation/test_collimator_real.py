@@ -67,9 +67,9 @@ def test_views_left_out_are_predicted_as_the_prototype_found(views):
 def test_the_sigmas_of_the_reference_methods_are_those_of_the_jackknife_within_a_third(
     views, model, prototype
 ):
-    fitted = fit_model(views, replace(L2, model=model), model, leave_out=True)
+    fitted = fit_model(views, replace(L2, model=model), model)
     at = fitted.bundle.names.index("fx")
-    assert np.sqrt(jackknife(fitted.cross_validation)[at, at]) == pytest.approx(prototype, abs=0.02)
+    assert np.sqrt(jackknife(fitted)[at, at]) == pytest.approx(prototype, abs=0.02)
     assert 0.7 < np.sqrt(fitted.uncertainty.covariance[at, at]) / prototype < 1.3
 
 

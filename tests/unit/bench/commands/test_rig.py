@@ -218,7 +218,7 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told)
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"),
-            "has 1280 x 720 px, its camera 640 x 480 px",
+            "The camera has 640 x 480 px, the view",
             1,
         ),
         (

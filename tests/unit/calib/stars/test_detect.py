@@ -223,7 +223,7 @@ def expected_homography(scene, nodes_off=(0.0, 0.0)):
 def test_part_of_the_tag_is_enough(roll, shift):
     scene, image = drawn(roll=roll, shift=shift)
     seen = detect_stars(as_events_show_it(image, np.random.default_rng(1)), TARGET)
-    assert find_tag(to_uint8(image), TARGET, name="p") is None, "the tag is not meant to be readable"
+    assert find_tag(to_uint8(image), TARGET) is None, "the tag is not meant to be readable"
     assert seen.named_by == "part of the tag"
     assert_found_where_drawn(seen.view, scene, rms_px=0.05)
 
@@ -368,7 +368,7 @@ def test_a_tag_without_stars_around_it_is_refused():
 
 def test_the_tags_contrast_and_corners_are_told():
     scene, image = drawn(roll=93)
-    seed = find_tag(to_uint8(1 - image), TARGET, name="p")
+    seed = find_tag(to_uint8(1 - image), TARGET)
     assert seed.sign == -1
     assert np.abs(seed.corners_px - scene.project(TARGET.tag_corners_mm)).max() < 1.5
 

@@ -25,7 +25,7 @@ def grid_of(truth, **angles_deg):
 def test_the_blur_circle_is_that_of_the_lens(circle_px):
     truth = bench(circle_px=circle_px, roll_deg=23.0)
     image = fired(seen(truth, pan=1.0), level_percent=10.0)
-    tag = find_tag(to_uint8(image), TARGET, name="test")
+    tag = find_tag(to_uint8(image), TARGET)
     by_tag = blur_circle(image, tag.homography, TARGET)
     by_grid = blur_circle(image, grid_of(truth, pan=1.0), TARGET, enlarged=(1.0,))
     assert by_tag.diameter_px == pytest.approx(circle_px, abs=2.0)
