@@ -22,6 +22,7 @@ from tests.benchmarks.worlds.attacks import attacked
 from tests.benchmarks.worlds.bench import NINE, THREE
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 from tests.benchmarks.worlds.judge import judged
+from tests.support import drawn_benches
 
 POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
 ANGLES = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES)
@@ -203,7 +204,7 @@ def test_statements_that_agree_are_not_doubted(views):
     assert not [note for note in result.notes if "statement" in note]
 
 
-@pytest.mark.parametrize("times", [1.01, 0.9, 1.1])
+@pytest.mark.parametrize("times", [1.01, 0.92, 1.08])
 def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right(views, bench, times):
     result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05)))
     certificate = next(one for one in result.witnesses if one.name == CERTIFICATE)
@@ -214,11 +215,18 @@ def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right
 
 
 @pytest.mark.parametrize("known", [KNOWN, replace(KNOWN, gimbal=None)], ids=["with readings", "alone"])
-@pytest.mark.parametrize("times", [0.5, 0.8, 2.0])
+@pytest.mark.parametrize("times", [0.5, 0.8, 0.88, 1.14, 2.0])
 def test_the_certificate_of_another_collimator_is_refused(views, times, known):
     other = Passport.of_radius(255.0 * times, 0.05)
     with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
         calibrate(views, replace(known, passport=other))
+
+
+def test_a_certificate_that_the_fields_could_take_up_is_refused():
+    """An eighth too short: the focal length was wrong by as much, with U of 5 px and no note."""
+    views = drawn_benches.draw_bench("like-bench", drawn_benches.NINE, 2).views
+    with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
+        calibrate(views, CalibrationOptions(passport=Passport.of_radius(224.4, 0.05)))
 
 
 def test_result_has_amplitudes_witnesses_and_factors(views):
