@@ -37,7 +37,8 @@ _EVIDENCE = 10.0
 #: radial terms of the tangent miss a fisheye lens by several U of fx.
 _WIDE_FIELD = 0.8
 #: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
-#: alone show. At the start of a search these err by up to 6 % on drawn gimbals, and by 15 % if a hand moves the mount.
+#: alone show, even if all errors are larger than expected by 1-sigma. At the start of a search the views err by up to
+#: 6 % on drawn gimbals, and by 17 % if a hand moves the mount.
 _OTHER_RADIUS, _OTHER_RADIUS_BY_HAND, _CLEARLY = 0.1, 0.3, 6.0
 #: From this difference on, the state is looked at to which the search leads if the certificate is wrong.
 _OTHER_STATE = 0.02
@@ -206,7 +207,8 @@ def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOpt
     if abs(stated - seen) <= share * seen:
         return
     try:
-        found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), free.hyper.mean)
+        large = free.hyper.mean + np.sqrt(np.diag(free.hyper.covariance))
+        found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), large)
     except (NotConverged, np.linalg.LinAlgError):
         return
     if abs(stated - seen) > _CLEARLY * float(np.sqrt(found.covariance[at, at])):
