@@ -233,9 +233,9 @@ def _searched(
 
 
 def _without_wrong_certificate(found: Optimum, near: State, options: CalibrationOptions) -> Optimum:
-    """Return the optimum near the radius that the views show, if that is more probable than one at the certificate's.
+    """Return the optimum that the views show without the certificate, if it is the more probable one.
 
-    Where the poses have large errors of their own, these would take up a certificate that is wrong by several percent.
+    Large own errors of the poses would take up a certificate that is wrong by several percent.
     """
     passport, at = options.passport, found.marginal.problem.bench.layout.index["r"]
     if passport is None or not passport.is_certificate:

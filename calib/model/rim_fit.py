@@ -140,8 +140,8 @@ def second_order_sigmas(rays: _Rays, means: Array, covariances: Array) -> Array:
 def reweighted(rays: _Rays, means: Array, sigmas: Array, used: float) -> Array:
     """Return the (V, K) sigmas of the points, mm, enlarged to what residuals at (V, P) means show, and for outliers.
 
-    The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
-    sigmas do not explain, enlarged for the number of unknowns used. Weights of outliers are Huber's (1981).
+    The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) beyond the points' own
+    sigmas. It is enlarged for the number of unknowns. Weights of outliers are Huber's (1981).
     """
     real = np.isfinite(sigmas)
     if not real.any():
@@ -351,9 +351,9 @@ def _start(
 ) -> tuple[_Sites, Array]:
     """Fit with large (1, P) scatters between views: return what each point adds, and the (V, P) unknowns.
 
-    What the linearised distances leave out counts as noise, because the first unknowns may be far off. Of the points
-    ``seen``, the first have (V, K) sigmas, infinite ones where a view has fewer; ``lit`` is 1 for each of the (V, L)
-    bright ones, which are the others, and 0 where a view has fewer.
+    What the linearised distances leave out counts as noise, because the first unknowns may be far off. ``seen`` holds
+    the K points of the rim of each view, then its L bright points. ``sigmas`` (V, K) are infinite, and ``lit`` (V, L)
+    is 0 instead of 1, where a view has fewer points.
     """
     edge, bright = slice(sigmas.shape[1]), slice(sigmas.shape[1], None)
     means = common.designs @ common.mean
