@@ -194,14 +194,20 @@ def _approached(problem: Problem, start: State, options: CalibrationOptions) -> 
     return near
 
 
+def _certified_radius(options: CalibrationOptions) -> float | None:
+    """Return the radius of a certificate, mm; None without one."""
+    passport = options.passport
+    return passport.values_by_name["r"] if passport is not None and passport.is_certificate else None
+
+
 def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOptions) -> None:
     """Refuse a certificate whose radius is far from what the views alone show: it is another collimator's.
 
     Camera, lens and fields would take up even twice the radius. Views that show too little of it say nothing.
     """
-    if options.passport is None or not options.passport.is_certificate:
+    stated, at = _certified_radius(options), free.bench.layout.index["r"]
+    if stated is None:
         return
-    stated, at = options.passport.values_by_name["r"], free.bench.layout.index["r"]
     seen = float(near.shared[at])
     share = _OTHER_RADIUS_BY_HAND if free.bench.layout.by_hand else _OTHER_RADIUS
     if abs(stated - seen) <= share * seen:
@@ -237,11 +243,11 @@ def _without_wrong_certificate(found: Optimum, near: State, options: Calibration
 
     Large own errors of the poses would take up a certificate that is wrong by several percent.
     """
-    passport, at = options.passport, found.marginal.problem.bench.layout.index["r"]
-    if passport is None or not passport.is_certificate:
-        return found
-    seen = float(near.shared[at])
-    if abs(passport.values_by_name["r"] - seen) <= _OTHER_STATE * seen:
+    stated, seen = (
+        _certified_radius(options),
+        float(near.shared[found.marginal.problem.bench.layout.index["r"]]),
+    )
+    if stated is None or abs(stated - seen) <= _OTHER_STATE * seen:
         return found
     faults = ((CERTIFICATE, WRONG),)
     try:
