@@ -35,7 +35,7 @@ from bench.batch.batch_record import (
     choose_next,
     resume_text,
 )
-from bench.batch.batch_summary import RUNS, summarise, summary_lines, write_summary
+from bench.batch.batch_summary import RUNS, DoneRun, missed_goals, summarise, summary_lines, write_summary
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.history.chart_findings import standard_problem
 from bench.messaging.messages import Courier, Outbox
@@ -369,9 +369,9 @@ class Batch:
 
     def _alarm(self, item: Item, end: WorkerEnd) -> None:
         """Report how a run ended, and send messages if it should not have ended so."""
-        self._say(f"{item.key}: {end.how}{': ' if end.why else ''}{end.why}")
+        run = self.folder / RUNS / item.key
+        self._say(DoneRun(item.key, end.how, end.why, missed_goals(run)).text)
         if not self._rehearsal:
-            run = self.folder / RUNS / item.key
             self._messages.run_ended(item.key, item.job.station, run, end, self._journal.head)
 
     def _run_in_process(self, item: Item, run: Path, log: Path) -> WorkerEnd:

@@ -243,6 +243,11 @@ class DoneRun(NamedTuple):
     why: str
     goals_missed: tuple[str, ...] = ()  # Each ``until`` that ended without its goals, as sentences
 
+    @property
+    def text(self) -> str:
+        """The run's end as one line."""
+        return ": ".join(filter(None, (self.item, self.how, self.why, " ".join(self.goals_missed))))
+
 
 @dataclass(frozen=True)
 class BatchStatus:
@@ -302,7 +307,7 @@ def read_batch_status(
             run.item.key,
             run.ended[-1].how,
             run.ended[-1].why,
-            _goals_missed(folder / RUNS / run.item.key, len(run.ended)),
+            _missed_goals(folder / RUNS / run.item.key, len(run.ended)),
         )
         for run in record.with_end
         if run.is_done and run.item.key != record.current_run
@@ -327,7 +332,11 @@ def read_batch_status(
 
 
 @cache  # a journal may be long, and a follower asks again and again
-def _goals_missed(run: Path, _attempts: int) -> tuple[str, ...]:
+def _missed_goals(run: Path, _attempts: int) -> tuple[str, ...]:
+    return missed_goals(run)
+
+
+def missed_goals(run: Path) -> tuple[str, ...]:
     """Return the goals that a run missed, as sentences; none if its journal cannot be read."""
     try:
         return tuple(goals_missed(replay(read_journal(run / JOURNAL)[0]).decisions))
@@ -392,11 +401,7 @@ def batch_status_text(status: BatchStatus) -> str:
     lines = [f"Batch {status.queue}{mark}: {state}"]
     finished = sum(run.how == "finished" for run in status.done)
     lines.append(f"{counted(finished, 'run')} with a result, {len(status.done) - finished} without")
-    lines += [
-        "  " + ": ".join(filter(None, (run.item, run.how, run.why, " ".join(run.goals_missed))))
-        for run in status.done
-        if run.how != "finished" or run.goals_missed
-    ]
+    lines += [f"  {run.text}" for run in status.done if run.how != "finished" or run.goals_missed]
     if status.withdrawn:
         lines.append(f"Withdrawn: {', '.join(status.withdrawn)}")
     if status.current_run:

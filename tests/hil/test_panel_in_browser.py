@@ -133,6 +133,19 @@ def test_each_value_has_the_coverage_factor_of_its_own(run, tabs):
         wait_text(tab, "#uncertainty", "\t0.00000 ± 0.00060")
 
 
+def test_the_page_of_a_batch_names_the_goal_that_a_run_missed(tmp_path, tabs):
+    batch = made_batch(tmp_path / "night")
+    run = MadeRun(batch.folder / "runs" / "cam-001").begin()
+    batch.write("item_begun", item="cam-001", again=False, attempt=1, recorded=0)
+    why = "U(fx) is 3 px; the goal is 2 px."
+    run.write("until_decided", until=2, until_last=9, step=5, ended="at_most", why=why)
+    run.end()
+    batch.write("item_ended", item="cam-001", how="finished", why="", noticed_s=0.0, unsafe=[])
+    with served(panel_app(tmp_path)) as server:
+        tab = tabs.open(f"{server.url}batch/night")
+        wait_text(tab, "#done", f"The goal of a step was not met. {why}")
+
+
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
 def test_nothing_is_cut_on_a_phone(run, chromium, page):
     root = run.folder.parent

@@ -30,7 +30,7 @@ function take(batch) {
   drawTimeline(items, status);
   at("failed-card").hidden = !failed.length;
   fill(at("failed"), failed.map((item) => el("tr", {}, el("td", { class: "name" }, name(item.item, item.begun_utc)), el("td", { "data-label": "End" }, el("span", { class: `pill ${TONES[item.how] || "bad"}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)),
-    el("td", { class: "n", "data-label": "Poses" }, poses(item)), el("td", { class: "why" }, item.why || "no reason is known"))));
+    el("td", { class: "n", "data-label": "Poses" }, poses(item)), el("td", { class: "why" }, remarks(item) || "no reason is known"))));
   const coming = status.coming.filter((run) => !status.at_work.startsWith(`${run.item}:`));
   at("queue-card").hidden = !coming.length && !status.withdrawn.length;
   fill(at("queue"), coming.slice(0, MOST_COMING).map((run) => el("tr", {}, el("td", { class: "name" }, run.item), el("td", { "data-label": "Begins" }, run.begin_utc ? clockText(run.begin_utc) : el("span", { class: "bad" }, "no time left for it")), el("td", { "data-label": "Ends" }, run.end_utc ? clockText(run.end_utc) : ""))));
@@ -44,11 +44,13 @@ function take(batch) {
 function figure(value, meaning, note) { return el("div", {}, el("b", {}, value, note ? el("small", {}, ` ${note}`) : null), el("span", {}, meaning)); }
 function poses(item) { return item.poses === null ? String(item.accepted) : `${item.accepted} / ${item.poses}`; }
 
+function remarks(item) { return [item.why, item.conformity === "FAIL" ? "FAIL by the limits." : "", ...item.goals_missed].filter(Boolean).join(" "); }
+
 function doneRow(item) {
   const fx = item.parameters.fx;
   return el("tr", {}, el("td", { class: "name" }, name(item.item, true), item.report ? el("div", { class: "note screen" }, el("a", { href: link(item.item).replace("/run/", "/report/") }, "report")) : null),
     el("td", { "data-label": "End" }, el("span", { class: `pill ${TONES[item.how] || ""}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)), el("td", { class: "n", "data-label": "Poses" }, poses(item)),
-    el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""));
+    el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""), el("td", { class: "why" }, remarks(item)));
 }
 
 function drawTimeline(items, status) {

@@ -256,9 +256,7 @@ def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
         queue(("cam7", ""), ("Cam7", ""))
 
 
-def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
-    batch, _ = night(tmp_path, queue(("a", ""), ("b", "")))
-    batch.run()
+def miss_a_goal(run):
     decided = {
         "until": 2,
         "until_last": 9,
@@ -266,9 +264,29 @@ def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
         "ended": "at_most",
         "why": "U(fx) is 3 px; the goal is 2 px.",
     }
-    clock, path = NightClock(), tmp_path / "runs" / "a-001" / "journal.jsonl"
-    with Journal.open(path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+    clock = NightClock()
+    with Journal.open(run / "journal.jsonl", utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
         journal.append(Event.UNTIL_DECIDED, **decided)
+
+
+def test_the_line_at_the_end_of_a_run_names_the_goal_that_it_missed(tmp_path):
+    clock, said = NightClock(), []
+    workers = Workers(clock)
+
+    def work(item, run, log):
+        end = workers(item, run, log)
+        miss_a_goal(run)
+        return end
+
+    Batch(tmp_path, queue(("a", "")), clock, said.append, work).run()
+    told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
+    assert said == ["a-001: begun", f"a-001: finished: {told}"]
+
+
+def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
+    batch, _ = night(tmp_path, queue(("a", ""), ("b", "")))
+    batch.run()
+    miss_a_goal(tmp_path / "runs" / "a-001")
     summary = write_summary(tmp_path, read_batch(tmp_path))
     told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
     assert [item["goals_missed"] for item in summary["items"]] == [[told], []]
