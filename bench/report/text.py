@@ -53,15 +53,16 @@ def digits_beside(value: float, goal: float, digits: int = 3) -> int:
 
 
 def missed_text(now: Mapping[str, float], wanted: Mapping[str, float]) -> str:
-    """Return each goal that is not met, px, with what is reached; empty if all are met, or nothing is known.
+    """Return each goal that is not met, px, with what is reached; empty if all are met.
 
-    >>> missed_text({"expanded_fx_px": 1.4523}, {"expanded_fx_px": 1.45})
-    'U(fx) is 1.452 px; the goal is 1.45 px.'
+    >>> missed_text({"expanded_fx_px": 1.4523}, {"expanded_fx_px": 1.45, "worst_corner_px": 0.3})
+    'U(fx) is 1.452 px; the goal is 1.45 px. U at the corners is not known; the goal is 0.3 px.'
     """
+    reached = {name: f"{beside_goal(now[name], goal)} px" for name, goal in wanted.items() if name in now}
     return " ".join(
-        f"{meaning_of_goal(name)} is {beside_goal(now[name], goal)} px; the goal is {goal:g} px."
+        f"{meaning_of_goal(name)} is {reached.get(name, 'not known')}; the goal is {goal:g} px."
         for name, goal in wanted.items()
-        if name in now and now[name] > goal
+        if name not in now or now[name] > goal
     )
 
 

@@ -131,8 +131,8 @@ def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> 
 
 
 def _missed(decided: UntilDecided, interim: Interim) -> str:
-    """Return the goals that are not met, as text, or why there is no calibration."""
-    return missed_text(decided["now"], decided["wanted"]) or interim.why
+    """Return the goals that are not met, as text, and why there is no calibration."""
+    return f"{missed_text(decided['now'], decided['wanted'])} {interim.why}".strip()
 
 
 def _largest_source(calibration: Calibration | None, goal: str) -> str:

@@ -169,11 +169,15 @@ def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
 
 
 @pytest.mark.usefixtures("numbers")
-def test_without_a_calibration_it_goes_on_and_says_why_at_the_end(job, monkeypatch):
+def test_without_a_calibration_it_goes_on_and_names_its_goals_and_why_at_the_end(job, monkeypatch):
     assert "chosen" in decided(job, HistoryOf([1]), None)
     monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: "No pose is left.")
     told = decided(job, HistoryOf([1]), None)
-    assert (told["ended"], told["why"]) == ("no_pose", "Too few stars. No pose is left.")
+    assert told["ended"] == "no_pose"
+    assert told["why"] == (
+        "U(fx) is not known; the goal is 2 px. U at the corners is not known; the goal is 0.3 px. Too few stars. "
+        "No pose is left."
+    )
     assert told["now"] == {}
     assert told["problem"] == "Too few stars."
 
