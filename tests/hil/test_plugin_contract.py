@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import pytest
 
 from bench.plugin_tests import CameraContract, FrameCameraContract, LightContract, StageContract
+from bench.plugin_tests.stages import DeviceTime
 from simulators.assembly import make_light, make_stage
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
@@ -44,9 +45,20 @@ class OurStage(StageContract):
         stage = make_stage(self.of_bench, axes, clock, lambda *_: None)
         (device,) = stage.dialects.values()
         device.angles_deg = lambda: {
-            name: one.axis.pointing.angle_deg(time.monotonic()) for name, one in stage.controllers.items()
+            name: one.axis.pointing.angle_deg(clock()) for name, one in stage.controllers.items()
         }
         return device
+
+
+def test_a_device_whose_time_is_held_does_not_move_on_while_the_computer_is_busy() -> None:
+    device_time = DeviceTime()
+    with device_time.held():
+        before_s = device_time()
+        time.sleep(0.2)
+        assert device_time() == before_s
+        device_time.step()
+        assert device_time() == pytest.approx(before_s + 0.01)
+    assert before_s + 0.01 <= device_time() < before_s + 0.1
 
 
 class FrameCamera(SimulatedFrameCamera):
