@@ -16,6 +16,8 @@ Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 """Numbers from 0 to 255, such as pictures, masks and polarities."""
 AnyArray = NDArray[np.generic]
+EventArrays = tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], Bytes]
+"""(N,) times, us, ascending; columns; rows; polarities, 1 = ON."""
 
 #: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2) (Rayleigh distribution).
 RAYLEIGH_MEDIAN = 1.1774100225154747
@@ -27,6 +29,11 @@ Parts = TypeVar("Parts", bound=NamedTuple)
 def selected(parts: Parts, mask: Any) -> Parts:
     """Return a tuple of arrays with some of their rows, by an (N,) mask, indices or a slice, in the same order."""
     return parts._make(part[mask] for part in parts)
+
+
+def rms_length(vectors: Array) -> float:
+    """Return the root mean square length of (..., K) vectors."""
+    return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
 
 
 def median(values: Array) -> float:

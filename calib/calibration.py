@@ -130,6 +130,11 @@ class CalibrationOptions:
         return f"The {model} model does not use: {', '.join(given)}." if given else ""
 
 
+def rms_and_mean(lengths: Array) -> tuple[float, float]:
+    """Return the root mean square and the mean of the (N,) lengths of residual vectors, px."""
+    return float(np.sqrt(np.mean(lengths**2))), float(lengths.mean())
+
+
 @dataclass(frozen=True)
 class ViewSummary:
     """Residuals of one view."""

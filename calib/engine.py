@@ -71,7 +71,9 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
             remedy="Give one reading for each view, in their order.",
         )
     _check(views, 1 if options.passport and not options.passport.is_certificate else 2)
-    options, views = _corrected(options, views)
+    if options.passport:
+        options = replace(options, passport=corrected_passport(options.passport, options.budget))
+    views = corrected_views(views, options.budget)
     wrong = find_gross_stars(views)
     known_r = options.passport.values_by_name["r"] if options.passport else None
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
@@ -110,15 +112,6 @@ def _jointly(
     found = check_adjustment(kept, bundle, shown, result.sigma)
     notes = (*named, *doubts, *result.notes, *found, *remarks)
     return replace(result, notes=notes, remarks=(*result.remarks, *remarks))
-
-
-def _corrected(
-    options: CalibrationOptions, views: Sequence[View]
-) -> tuple[CalibrationOptions, Sequence[View]]:
-    """Apply the corrections that the budget states as known: to the target's scale and to a certificate's radius."""
-    if options.passport:
-        options = replace(options, passport=corrected_passport(options.passport, options.budget))
-    return options, corrected_views(views, options.budget)
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

@@ -31,17 +31,13 @@ class CalibrationError(Exception):
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
-        self.what = _one_stop(what)
+        # A sentence that ends with a quoted one has two full stops.
+        self.what = what[:-1] if what.endswith("..") and not what.endswith("...") else what
         self.where = where
         self.remedy = remedy
         place = f"{where}: " if where else ""
         advice = f" {remedy}" if remedy else ""
         super().__init__(f"{place}{self.what}{advice}")
-
-
-def _one_stop(text: str) -> str:
-    """Return a text with one full stop at its end, where it has two because it ends with a quoted sentence."""
-    return text[:-1] if text.endswith("..") and not text.endswith("...") else text
 
 
 @contextmanager

@@ -21,8 +21,8 @@ from calib.adjustment.parameters import (
     require_constrained,
     require_distinct_poses,
 )
-from calib.arrays import RAYLEIGH_MEDIAN, Array, Bools, median
-from calib.calibration import Calibration, CalibrationOptions, ViewSummary
+from calib.arrays import RAYLEIGH_MEDIAN, Bools, median
+from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_and_mean
 from calib.diagnosis.checks import check_adjustment
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.errors import DegenerateViews, NotConverged
@@ -184,6 +184,7 @@ def summarize(fitted: Fit) -> Calibration:
     lengths = np.linalg.norm(residuals, axis=1)
     rows = whole.observations.slices
     counted = [lengths[r][used[r]] for r in rows]
+    rms_px, mean_px = rms_and_mean(lengths[used])
     return Calibration(
         model=fitted.model,
         camera=parameters.camera,
@@ -195,15 +196,15 @@ def summarize(fitted: Fit) -> Calibration:
         covariance=uncertainty.covariance,
         residuals_px=[residuals[r] for r in rows],
         weights=[weights[r] for r in rows],
-        rms_px=_rms(lengths[used]),
-        mean_px=float(lengths[used].mean()),
+        rms_px=rms_px,
+        mean_px=mean_px,
         variance_factor=uncertainty.variance_factor,
         degrees_of_freedom=uncertainty.degrees_of_freedom,
         birge_ratio=uncertainty.birge_ratio,
         coverage_factor=uncertainty.coverage_factor,
         left_out_rms_px=fitted.left_out_rms_px,
         views=tuple(
-            ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
+            ViewSummary(view.name, len(own), *rms_and_mean(own))
             for view, own in zip(fitted.views, counted, strict=True)
         ),
         converged=fitted.refined.converged,
@@ -231,14 +232,7 @@ def _budget_rows(camera: CameraModel, uncertainty: Uncertainty) -> tuple[BudgetR
     }
     total = sum(variances.values(), start=np.zeros(len(gradients)))
     return tuple(
-        BudgetRow(
-            source,
-            "A",
-            _SOURCES[source],
-            contribution=dict(zip(ROW_QUANTITIES, np.sqrt(part).tolist(), strict=True)),
-            share=dict(zip(ROW_QUANTITIES, (part / np.where(total > 0, total, 1.0)).tolist(), strict=True)),
-        )
-        for source, part in variances.items()
+        BudgetRow.of(source, "A", _SOURCES[source], part, total) for source, part in variances.items()
     )
 
 
@@ -260,8 +254,3 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
     if fitted.model != "planar":  # only one centre for all shows views that do not fit the others
         notes += check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, sigma)
     return tuple(notes)
-
-
-def _rms(lengths: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(lengths**2)))

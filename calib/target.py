@@ -45,20 +45,6 @@ TAG_FAMILIES: Mapping[str, TagFamily] = {
 }
 
 
-class TargetLayout(NamedTuple):
-    """The pattern: plain numbers and one small array."""
-
-    pitch_mm: float  # Distance of neighbouring stars, mm
-    columns: int
-    rows: int
-    segments: int  # Number of segments of a star
-    tag_column: int
-    tag_row: int
-    tag_squares: int
-    # (M, M) uint8, modules of the tag with its border: 1 is white; M as the family has it (8 for 36h11).
-    tag_modules: NDArray[np.uint8]
-
-
 @dataclass(frozen=True)
 class StarTarget:
     """A printed star target.
@@ -187,6 +173,13 @@ class StarTarget:
         """(stars, 2) int64, column and row of each star."""
         return np.argwhere(self._ids_by_node >= 0)[:, ::-1].copy()
 
+    @cached_property
+    def surrounded(self) -> NDArray[np.int64]:
+        """(M, 2) int64, columns and rows of the stars that have all eight neighbours."""
+        around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        beside = self._nodes_by_id[:, None] + around
+        return self._nodes_by_id[(self.id_at(beside[..., 0], beside[..., 1]) >= 0).all(axis=1)]
+
     @property
     def ids(self) -> NDArray[np.int64]:
         """(stars,) int64, ids of all stars of the target, in ascending order."""
@@ -255,23 +248,13 @@ class StarTarget:
         return np.asarray(self.node_of(ids) * self.pitch_mm, np.float64)
 
     @cached_property
-    def layout(self) -> TargetLayout:
-        """The pattern as plain numbers."""
+    def tag_print(self) -> NDArray[np.uint8]:
+        """(M, M) uint8, the `tag_modules` along each side of the tag, with its border: 1 is white."""
         import cv2
 
         family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{self.tag_family}"))
-        modules = family.generateImageMarker(self.tag_id, self.tag_modules, borderBits=1) > 0
-        column, row = self.tag_square
-        return TargetLayout(
-            float(self.pitch_mm),
-            self.columns,
-            self.rows,
-            self.segments,
-            column - 1,
-            row - 1,
-            self.tag_squares,
-            np.ascontiguousarray(modules, np.uint8),
-        )
+        printed = family.generateImageMarker(self.tag_id, self.tag_modules, borderBits=1) > 0
+        return np.ascontiguousarray(printed, np.uint8)
 
     def reflectance(self, x_mm: ArrayLike, y_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the printed brightness at points of the target plane.
@@ -290,18 +273,16 @@ class StarTarget:
             float64, 0 (black) or 1 (white), in the broadcast shape.
         """
         x, y = np.broadcast_arrays(np.asarray(x_mm, float), np.asarray(y_mm, float))
-        layout, side = self.layout, self.layout.tag_squares
-        column, row = x / layout.pitch_mm, y / layout.pitch_mm
+        column, row, side = x / self.pitch_mm, y / self.pitch_mm, self.tag_squares
         node_x, node_y = np.floor(column + 0.5), np.floor(row + 0.5)
         # Segments are counted from +Y. The first one is white.
         turns = np.arctan2(row - node_y, column - node_x) / (2.0 * np.pi) - 0.25
-        segment = np.floor(layout.segments * (turns - np.floor(turns)))
-        printed = (node_x >= 0) & (node_x < layout.columns) & (node_y >= 0) & (node_y < layout.rows)
-        tag_x, tag_y = column - layout.tag_column, row - layout.tag_row
+        segment = np.floor(self.segments * (turns - np.floor(turns)))
+        printed = (node_x >= 0) & (node_x < self.columns) & (node_y >= 0) & (node_y < self.rows)
+        tag_x, tag_y = column - (self.tag_square[0] - 1), row - (self.tag_square[1] - 1)
         around = (tag_x >= -0.5) & (tag_x < side + 0.5) & (tag_y >= -0.5) & (tag_y < side + 0.5)
         values = np.where(printed & ~around & (segment % 2 != 0), 0.0, 1.0)
         inside = (tag_x >= 0.0) & (tag_x < side) & (tag_y >= 0.0) & (tag_y < side)
-        modules = layout.tag_modules
-        module_x, module_y = ((tag[inside] * len(modules) / side).astype(int) for tag in (tag_x, tag_y))
-        values[inside] = modules[module_y, module_x]
+        module_x, module_y = ((tag[inside] * self.tag_modules / side).astype(int) for tag in (tag_x, tag_y))
+        values[inside] = self.tag_print[module_y, module_x]
         return values

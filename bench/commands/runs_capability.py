@@ -36,7 +36,8 @@ from bench.records.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
 from bench.report.text import number, unit_text
 from bench.terminal.encoding import counted
-from calib.model.camera import BROWN, FISHEYE, PINHOLE
+from calib.model.camera import PINHOLE
+from calib.model.lens import BROWN, FISHEYE
 
 _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""

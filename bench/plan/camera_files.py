@@ -18,7 +18,8 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.records.storage import read_bounded
 from bench.report.pose_plot import camera_covariance, camera_of
-from calib.model.camera import BROWN, FISHEYE, CameraModel
+from calib.model.camera import CameraModel
+from calib.model.lens import BROWN, FISHEYE
 from sequences.yaml_text import parse
 
 Array = NDArray[np.float64]

@@ -44,7 +44,8 @@ from calib.boards.board import Board
 from calib.boards.detect import detect_board
 from calib.calibration import Calibration
 from calib.events.grey_image import to_uint8
-from calib.model.camera import BROWN, SKEW, CameraModel, Undistortion, nearest_lens, straightness_px
+from calib.model.camera import SKEW, CameraModel, Undistortion, nearest_lens, straightness_px
+from calib.model.lens import BROWN
 from calib.model.result_parts import Boresight
 from calib.target import StarTarget
 from calib.view import View

@@ -143,7 +143,7 @@ def _tag(pattern: StarTarget, offset: tuple[float, ...], *, negative: bool) -> l
     left, top = pattern.tag_corners_mm[0] + offset
     side = pattern.tag_squares * pattern.pitch_mm
     lines = np.arange(pattern.tag_modules + 1) / pattern.tag_modules * side
-    rows, columns = np.nonzero(pattern.layout.tag_modules == 0)
+    rows, columns = np.nonzero(pattern.tag_print == 0)
     black = [
         (left + lines[c], top + lines[r], left + lines[c + 1], top + lines[r + 1])
         for r, c in zip(rows, columns, strict=True)

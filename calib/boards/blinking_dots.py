@@ -17,11 +17,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Array32, Bytes, Ints
+from calib.arrays import Array, Array32, Bytes, EventArrays, Ints
 from calib.boards.board import Board
 from calib.boards.detect import located_view
 from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents, placed
 from calib.model.homography import apply_homography
+from calib.model.local_consistency import local_spacing
 from calib.view import View
 
 #: Ratios of the camera's clock to that of the dots that are tried: clocks of cheap controllers err by up to 3 %.
@@ -85,7 +86,8 @@ def detect_blinking_dots(
     """
     with placed(f"view {name}"):
         _require_long_enough(t_us, board)
-        seen_hz = blink_frequencies(t_us, x, y, p, size)
+        events = (t_us, x, y, p)
+        seen_hz = blink_frequencies(events, size)
         frequencies, kind_of_dot = np.unique(board.frequencies_hz, return_inverse=True)
         ratio = _clock_ratio(seen_hz, frequencies)
         kinds = _kind_of_pixels(seen_hz, ratio * frequencies)
@@ -99,7 +101,7 @@ def detect_blinking_dots(
             named = _named_by_grid(dots, kind_of_dot, board)
         named = _wholly_in_view(named, board, size)
         _require_enough(named, board, size, _LEAST_SEEN if unique else _LEAST_OF_GRID)
-        image = _blinking_image((t_us, x, y, p), size, named, ratio * np.array(board.frequencies_hz))
+        image = _blinking_image(events, size, named, ratio * np.array(board.frequencies_hz))
         keep_image(image)
         remedy = "Focus the lens, and hold the board still; come nearer if the dots are smaller than 5 px."
         return located_view(image, named.centres, board, named.ids, name, remedy)
@@ -258,7 +260,7 @@ def _grid_of_dots(centres: Array, size: tuple[int, int]) -> Ints | None:
     """
     if len(centres) < size[0] * size[1]:
         return None
-    scale = _DRAWN_PITCH / _median_pitch(centres)
+    scale = _DRAWN_PITCH / local_spacing(centres)
     drawn = scale * (centres - centres.min(axis=0)) + 2 * _DRAWN_PITCH
     width, height = np.ceil(drawn.max(axis=0) + 2 * _DRAWN_PITCH).astype(int)
     if max(width, height) > _LARGEST_PICTURE:
@@ -279,7 +281,7 @@ def _plane(board: Board, ids: Ints, centres: Array) -> Array:
     nodes = board.nodes[ids].astype(np.float64)
     h, inside = None, 0
     if len(ids) >= 4:
-        pitch = _median_pitch(centres)
+        pitch = local_spacing(centres)
         h, mask = cv2.findHomography(nodes, centres, cv2.RANSAC, _MOST_OFF_PLANE * pitch)
         inside = int(np.count_nonzero(mask))
     if h is None or inside < max(4, 0.6 * len(ids)):
@@ -293,13 +295,6 @@ def _plane(board: Board, ids: Ints, centres: Array) -> Array:
             remedy="List the frequencies row by row from the left as the camera sees the board; remove mirrors.",
         )
     return np.asarray(h, np.float64)
-
-
-def _median_pitch(centres: Array) -> float:
-    """Return the median distance of a dot to its nearest neighbour, px."""
-    distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)
-    np.fill_diagonal(distances, np.inf)
-    return float(np.median(distances.min(axis=1)))
 
 
 def _pitch_px(h: Array, board: Board) -> float:
@@ -333,29 +328,21 @@ def _require_enough(named: _Named, board: Board, size: tuple[int, int], least_sh
 def _wholly_in_view(named: _Named, board: Board, size: tuple[int, int]) -> _Named:
     """Leave out dots whose cell of the grid reaches beyond the image: part of their light is missing."""
     nodes = board.nodes[named.ids].astype(np.float64)
-    inside = np.ones(len(nodes), np.bool_)
-    for corner in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)):
-        at = apply_homography(named.homography, nodes + corner)
-        inside &= ((at >= 0) & (at <= np.array(size) - 1)).all(axis=1)
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    at = apply_homography(named.homography, (nodes + corners[:, None]).reshape(-1, 2))
+    inside = ((at >= 0) & (at <= np.array(size) - 1)).all(axis=1).reshape(4, -1).all(axis=0)
     return _Named(named.ids[inside], named.centres[inside], named.homography)
 
 
-def _blinking_image(
-    events: tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], Bytes],
-    size: tuple[int, int],
-    named: _Named,
-    frequencies: Array,
-) -> Array32:
+def _blinking_image(events: EventArrays, size: tuple[int, int], named: _Named, frequencies: Array) -> Array32:
     """Return how strongly each pixel blinks at the frequency of the nearest dot, (H, W)."""
     seeds = np.full((size[1], size[0]), 255, np.uint8)
-    columns, rows = np.round(named.centres).astype(int).T
-    seeds[np.clip(rows, 0, size[1] - 1), np.clip(columns, 0, size[0] - 1)] = 0
+    columns, rows = np.clip(np.round(named.centres).astype(int), 0, np.array(size) - 1).T
+    seeds[rows, columns] = 0
     _, labels = cv2.distanceTransformWithLabels(seeds, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     dot_of_label = np.full(int(labels.max()) + 1, -1, np.int64)
-    at = labels[np.clip(rows, 0, size[1] - 1), np.clip(columns, 0, size[0] - 1)]
-    dot_of_label[at] = np.arange(len(at))
-    t, x, y, p = events
-    return np.asarray(lock_in(t, x, y, p, dot_of_label[labels], frequencies[named.ids]), np.float32)
+    dot_of_label[labels[rows, columns]] = np.arange(len(rows))
+    return lock_in(events, dot_of_label[labels], frequencies[named.ids])
 
 
 #: Starts that a pixel must have, so that its period has three intervals.
@@ -366,16 +353,14 @@ _TOLERANCE = 0.2
 _REGULAR_SHARE = 0.6
 
 
-def blink_frequencies(
-    t_us: Ints, x: NDArray[np.uint16], y: NDArray[np.uint16], p: Bytes, size: tuple[int, int]
-) -> Array:
+def blink_frequencies(events: EventArrays, size: tuple[int, int]) -> Array:
     """Return the (H, W) frequency of each pixel, Hz; nan for one that does not blink regularly.
 
-    From (N,) events in the order of their times, us; polarity 1 is ON. Own procedure: the median interval numbers the
+    From events in the order of their times. Own procedure: the median interval numbers the
     starts, so that a missed or an additional one does not matter; the least-squares line through the numbered starts
     gives the period.
     """
-    width, height = size
+    (t_us, x, y, p), (width, height) = events, size
     starts = np.flatnonzero(_starts(x, y, p, width, height))
     pixel = y[starts].astype(np.int64) * width + x[starts]
     counts = np.bincount(pixel, minlength=width * height)
@@ -433,21 +418,14 @@ def _frequencies(times: Any, ends: Any, counts: Any) -> Any:
     return found
 
 
-def lock_in(
-    t_us: Ints,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: Bytes,
-    dot_of_pixel: Ints,
-    frequencies_hz: Array,
-) -> Array32:
+def lock_in(events: EventArrays, dot_of_pixel: Ints, frequencies_hz: Array) -> Array32:
     """Return (H, W) how strongly each pixel blinks at the frequency, Hz, of its dot: about its events a period.
 
     Length of the sum of polarity times exp(-2 pi i f t), divided by the number of periods in the recording: lock-in
     detection (Scofield, 1994, American Journal of Physics 62, 129). Noise adds with random phases, so it nearly
-    vanishes. ``dot_of_pixel`` is (H, W) int, -1 for no dot; times are in us, polarity 1 is ON.
+    vanishes. ``dot_of_pixel`` is (H, W) int, -1 for no dot.
     """
-    dots = dot_of_pixel.ravel()
+    (t_us, x, y, p), dots = events, dot_of_pixel.ravel()
     pixel = y.astype(np.int64) * dot_of_pixel.shape[1] + x
     angle = 2.0 * np.pi * frequencies_hz[dots[pixel]] * 1e-6 * t_us
     sign = np.where(p == 1, 1.0, -1.0)

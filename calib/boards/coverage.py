@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import Array, Bools
+from calib.arrays import Array, Bools, rms_length
 from calib.boards.board import Board
 from calib.model.homography import fit_homography
 
@@ -86,7 +86,7 @@ def shift_px(one: Seen, other: Seen, board: Board) -> float:
     Own measure; for a board that looks the same after half a turn, of the nearer order.
     """
     orders = [other.points_px, other.points_px[::-1]] if board.symmetric else [other.points_px]
-    return min(float(np.sqrt(np.mean(np.sum((one.points_px - order) ** 2, axis=1)))) for order in orders)
+    return min(rms_length(one.points_px - order) for order in orders)
 
 
 def advice(seen: Sequence[Seen], board: Board) -> str:

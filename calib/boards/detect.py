@@ -99,18 +99,13 @@ def find_board(grey: Bytes, board: Board) -> Array:
 def _found(grey: Bytes, board: Board) -> Array | None:
     """Return (N, 2) points of the board, bright on dark or dark on bright, or None."""
     size = (board.columns, board.rows)
-    for shown in (grey, np.asarray(255 - grey, np.uint8)):
-        if board.kind == "checkerboard":
-            ok, points = cv2.findChessboardCornersSB(shown, size, flags=_SECTORS)
-        else:
-            ok, points = cv2.findCirclesGrid(
-                shown, size, flags=_circle_flags(board), blobDetector=_blobs(grey.shape)
-            )
-        if ok:
-            return np.asarray(points, np.float64).reshape(-1, 2)
-        if board.kind == "checkerboard":
-            break  # the finder takes either contrast
-    return None
+    if board.kind == "checkerboard":  # its finder takes either contrast
+        tried = iter([cv2.findChessboardCornersSB(grey, size, flags=_SECTORS)])
+    else:
+        flags, blobs = _circle_flags(board), _blobs(grey.shape)
+        both = (grey, np.asarray(255 - grey, np.uint8))
+        tried = (cv2.findCirclesGrid(shown, size, flags=flags, blobDetector=blobs) for shown in both)
+    return next((np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok), None)
 
 
 def _circle_flags(board: Board) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
 from calib.diagnosis.gross_stars import noise_px
 from calib.diagnosis.shifted_views import find_other_origins, find_shifted_ids
 from calib.errors import InputMismatch
@@ -59,9 +59,7 @@ def check_adjustment(
     # A star behind the camera cannot be compared with others.
     shifted = find_shifted_ids(views, bundle, parameters) if projected else ""
     other = find_other_origins(views, bundle, parameters) if projected and not shifted else ""
-    size = ""
-    if "cx" in sigma and "cy" in sigma:
-        size = check_image_size(views, parameters.camera, (sigma["cx"], sigma["cy"]))
+    size = check_image_size(views, parameters.camera, (sigma["cx"], sigma["cy"]))
     return tuple(one for one in (shifted, other, size) if one)
 
 
@@ -75,7 +73,7 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
     for one, other in _alike(views):
         _, here, there = np.intersect1d(one.ids, other.ids, return_indices=True)
         apart = one.points_px[here] - other.points_px[there]
-        rms = float(np.sqrt((apart**2).sum(axis=1).mean()))
+        rms = rms_length(apart)
         both, stars = f"Views {one.name} and {other.name}", f"their {len(here)} common stars"
         if rms <= SAME_PX:
             found.append(

@@ -21,11 +21,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.adjustment.bundle import Bundle
+from calib.adjustment.bundle import Bundle, ViewEquations
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
 from calib.diagnosis.gross_stars import typical_noise_px
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
@@ -258,7 +258,7 @@ def _plain_bundle(bundle: Bundle, stars: int) -> Bundle:
 def _rms_px(bundle: Bundle, parameters: AdjustmentParameters) -> float:
     """Return the rms length of the residual vectors, px; infinite if a star cannot be projected."""
     with np.errstate(invalid="ignore", over="ignore"):
-        rms = float(np.sqrt((bundle.residuals_px(parameters) ** 2).sum(axis=1).mean()))
+        rms = rms_length(bundle.residuals_px(parameters))
     return rms if np.isfinite(rms) else float("inf")
 
 
@@ -276,50 +276,31 @@ def _independent_components(bundle: Bundle, rms: float, noise_px: float) -> floa
 def _shift_equations(bundle: Bundle, parameters: AdjustmentParameters, *, of_image: bool) -> _ShiftEquations:
     """Return the equations of shifts of the image points of each view, px, or of its target positions, mm.
 
-    Of a bundle of `_plain_bundle`. Gauss and Newton's linearisation; the free parameters are eliminated by the Schur
-    complement (Triggs et al., 2000, section 6.1). A shift of the target is the opposite shift of the centre.
-    """
-    squares, gram, score = _without_turns(bundle, parameters, of_image=of_image)
-    n, count = len(gram), len(bundle.names)
-    gradient, coupling = score[:, count:], gram[:, count:, :count]
-    information = np.zeros((n, 2, n, 2))
-    information[np.arange(n), :, np.arange(n)] = gram[:, count:, count:]
-    if count:
-        shared = gram[:, :count, :count].sum(axis=0)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
-        flat = coupling.reshape(2 * n, count) * scale
-        inverse = np.linalg.pinv(shared * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-        right = scale * score[:, :count].sum(axis=0)
-        squares -= float(right @ inverse @ right)
-        gradient = gradient - (flat @ inverse @ right).reshape(n, 2)
-        information = information - (flat @ inverse @ flat.T).reshape(n, 2, n, 2)
-    return _ShiftEquations(max(squares, 0.0), gradient, information)
-
-
-def _without_turns(
-    bundle: Bundle, parameters: AdjustmentParameters, *, of_image: bool
-) -> tuple[float, Array, Array]:
-    """Return sum of squares, normal matrices (n, G + 2, G + 2) and gradients (n, G + 2) of n views.
-
-    They are of the shared parameters and two shifts a view; its rotation is eliminated as in `_shift_equations`.
+    Of a bundle of `_plain_bundle`. Gauss and Newton's linearisation; the rotations, then the shared parameters, are
+    eliminated by the Schur complement (Triggs et al., 2000, section 6.1).
     """
     count = len(bundle.names)
     # A shift of the image is one of the principal point; a shift of the target is the opposite one of the centre.
     names = (*bundle.names, "cx", "cy") if of_image else bundle.names
-    freed = replace(bundle, names=names, free_centres=not of_image)
-    equations = freed.equations(parameters, Loss("l2"))
-    normal, gradient = equations.normal, equations.right
-    shift, turn = ((0, 1), (2, 3, 4)) if of_image else ((3, 4), (0, 1, 2))
-    kept, turned = [*range(count), *(count + k for k in shift)], [count + k for k in turn]
-    sign = np.ones(count + 2)
-    sign[count:] = 1.0 if of_image else -1.0
-    coupling = sign[:, None] * normal[:, kept][:, :, turned]
-    inverse = np.linalg.pinv(normal[:, turned][:, :, turned], hermitian=True)
-    answer = coupling @ inverse
-    own = gradient[:, turned]
+    freed = replace(bundle, names=names, free_centres=not of_image).equations(parameters, Loss("l2"))
+    order = np.r_[0:count, count + np.array((0, 1, 2, 3, 4) if of_image else (3, 4, 0, 1, 2))]
+    sign = np.ones(count + 5)
+    sign[count : count + 2] = 1.0 if of_image else -1.0
+    normal = np.outer(sign, sign) * freed.normal[:, order[:, None], order]
+    whole = ViewEquations(normal, sign * freed.right[:, order], count + 2)
+    views = whole.eliminated()
     squares = float((bundle.weighted_residuals(parameters) ** 2).sum())
-    return (
-        squares - float(np.einsum("ni,nij,nj->", own, inverse, own)),
-        np.outer(sign, sign) * normal[:, kept][:, :, kept] - answer @ np.swapaxes(coupling, 1, 2),
-        sign * gradient[:, kept] - (answer @ own[:, :, None])[:, :, 0],
-    )
+    squares -= float((whole.right[:, count + 2 :] * views.own).sum())
+    gram, score, n = views.information, views.score, len(views.score)
+    gradient, coupling = score[:, count:], gram[:, count:, :count]
+    information = np.zeros((n, 2, n, 2))
+    information[np.arange(n), :, np.arange(n)] = gram[:, count:, count:]
+    shared = gram[:, :count, :count].sum(axis=0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
+    flat = coupling.reshape(2 * n, count) * scale
+    inverse = np.linalg.pinv(shared * np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    right = scale * score[:, :count].sum(axis=0)
+    squares -= float(right @ inverse @ right)
+    gradient = gradient - (flat @ inverse @ right).reshape(n, 2)
+    information = information - (flat @ inverse @ flat.T).reshape(n, 2, n, 2)
+    return _ShiftEquations(max(squares, 0.0), gradient, information)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Array32, Bools, Bytes, Ints
+from calib.arrays import Array, Array32, Bools, EventArrays, Ints
 from calib.compiled import KERNEL
 from calib.errors import TooFewEvents
 from calib.events.flicker import EventTimes, Flicker, event_times, folded
@@ -128,19 +128,14 @@ class PixelSums(NamedTuple):
 
 
 def accumulate(
-    t: Ints,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: Bytes,
-    size: tuple[int, int],
-    start_us: float,
-    period_us: float,
+    events: EventArrays, size: tuple[int, int], start_us: float, period_us: float
 ) -> tuple[PixelSums, BurstWindow]:
     """Find the bursts in the period, and sum up the events of each pixel; return also the window of the ON burst.
 
     The phase 0 of the lock-in sum (synchronous detection; Meade, 1983) is that of the first Fourier coefficient: the ON
-    rate minus the OFF rate of the whole image is largest there. Times are (N >= 1,) us, ascending; 1 is ON.
+    rate minus the OFF rate of the whole image is largest there. There is at least one event.
     """
+    t, x, y, p = events
     times = event_times(t, p)
     off_rate, on_rate = folded_rate(times, start_us, period_us)
     on_window = burst_window(on_rate, start_us, period_us)

@@ -88,40 +88,17 @@ class SliceFacts:
 class EventImages:
     """Images of one pose, all (H, W), and the facts of their slice of events."""
 
-    last_polarity: NDArray[np.int8]  # int8, +1 ON, -1 OFF, 0 if the pixel never fired
-    # on_count, off_count: uint32, number of events of each polarity.
-    on_count: NDArray[np.uint32]
-    off_count: NDArray[np.uint32]
-    # on_fired, off_fired: uint16, number of edges on which the pixel fired within the burst.
-    on_fired: NDArray[np.uint16]
-    off_fired: NDArray[np.uint16]
-    lock_in: Array32  # float32, in-phase sum at the flicker's frequency, dimensionless
+    sums: PixelSums
     # bool, pixels that fire far more often than their surroundings. `best` and most images of `named` replace
     # them by the median of their surroundings.
     hot: Bools
     facts: SliceFacts
-    sums: PixelSums
-
-    @property
-    def count(self) -> NDArray[np.uint32]:
-        """(H, W) uint32, number of events of both polarities."""
-        return self.on_count + self.off_count
-
-    @property
-    def fired(self) -> Bools:
-        """(H, W) bool, whether a pixel sent any event."""
-        return self.last_polarity != 0
-
-    @cached_property
-    def on_latency_us(self) -> Array32:
-        """(H, W) float32, us, mean latency of the first ON event of a burst; nan if there was none."""
-        return self.sums.mean_latency_us()
 
     @cached_property
     def fired_per_edge(self) -> Array32:
         """(H, W) float32, 0 to 1, share of the edges on which the pixel fired; hot pixels are replaced."""
         edges = 2.0 * self.facts.periods
-        share = (self.on_fired.astype(np.float32) + self.off_fired) / np.float32(edges)
+        share = (self.sums.on_fired.astype(np.float32) + self.sums.off_fired) / np.float32(edges)
         return without_hot_pixels(share, self.hot)
 
     def best(self, *, one_phase: bool = True) -> ChosenImage:
@@ -139,7 +116,7 @@ class EventImages:
             reason = (
                 f"{rate:.2f} events per edge, {LOCK_IN_MIN_EVENTS} or more: their number carries grey levels."
             )
-            return ChosenImage("lock-in", without_hot_pixels(self.lock_in, self.hot), reason)
+            return ChosenImage("lock-in", self.named("lock-in"), reason)
         reason = (
             f"{rate:.2f} events per edge, fewer than {LOCK_IN_MIN_EVENTS}: "
             "only whether a pixel fired is reliable."
@@ -152,12 +129,15 @@ class EventImages:
         Names: ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` and ``on-latency``. The latter is
         1 minus the latency in units of the burst's length, and 0 where no ON event came.
         """
+        sums = self.sums
         makers = {
-            "last-polarity": lambda: self.last_polarity.astype(np.float32),
-            "any": lambda: self.fired.astype(np.float32),
-            "count": lambda: without_hot_pixels(self.count.astype(np.float32), self.hot),
+            "last-polarity": lambda: sums.last_polarity.astype(np.float32),
+            "any": lambda: (sums.last_polarity != 0).astype(np.float32),
+            "count": lambda: without_hot_pixels(
+                (sums.on_count + sums.off_count).astype(np.float32), self.hot
+            ),
             "fired-per-edge": lambda: self.fired_per_edge,
-            "lock-in": lambda: without_hot_pixels(self.lock_in, self.hot),
+            "lock-in": lambda: without_hot_pixels(sums.lock_in, self.hot),
             "on-latency": self._inverted_latency,
         }
         if name not in makers:
@@ -165,8 +145,8 @@ class EventImages:
         return makers[name]()
 
     def _inverted_latency(self) -> Array32:
-        length = np.float32(self.facts.on_window.length_us)
-        return np.where(np.isnan(self.on_latency_us), np.float32(0), 1.0 - self.on_latency_us / length)
+        length, latency_us = np.float32(self.facts.on_window.length_us), self.sums.mean_latency_us()
+        return np.where(np.isnan(latency_us), np.float32(0), 1.0 - latency_us / length)
 
 
 def make_images(
@@ -225,20 +205,11 @@ def make_images(
                 f"No event lies between {start:.0f} and {end:.0f} us.", remedy="Check light and aperture."
             )
     inside = slice(first, last)
-    sums, on_window = accumulate(t[inside], x[inside], y[inside], p[inside], size, start, flicker.period_us)
+    events = t[inside], x[inside], y[inside], p[inside]
+    sums, on_window = accumulate(events, size, start, flicker.period_us)
     hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole)
     facts = _facts(sums, hot, (start, end, whole), last - first, on_window)
-    return EventImages(
-        last_polarity=sums.last_polarity,
-        on_count=sums.on_count,
-        off_count=sums.off_count,
-        on_fired=sums.on_fired,
-        off_fired=sums.off_fired,
-        lock_in=sums.lock_in,
-        hot=hot,
-        facts=facts,
-        sums=sums,
-    )
+    return EventImages(sums, hot, facts)
 
 
 def _facts(

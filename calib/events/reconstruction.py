@@ -28,9 +28,8 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.arrays import Array, Array32, Bytes, Ints
+from calib.arrays import Array, Array32, EventArrays
 from calib.errors import InputMismatch, TooFewEvents
 
 DEFAULT_CUTOFF_HZ = 10.0
@@ -41,9 +40,6 @@ FORGOTTEN = 0.01
 _LEAST_ACTIVE = 0.002
 _HOT_FACTOR, _HOT_OFFSET = 2.5, 8.0
 _MOST_PX = 10_000
-
-EventArrays = tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], Bytes]
-"""Times, us; columns; rows; polarities, 1 = ON."""
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
 
 def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Array]) -> tuple[BudgetRow, ...]:
     """Return the rows of the budget from (5, S) gradients and (5,) variances by group; their squares add up."""
-    whole = sum(parts.values())
+    whole = np.asarray(sum(parts.values()))
     statements = posterior.optimum.marginal.problem.knowledge.statements
     stated: dict[str, list[Statement]] = {}
     for one in statements:
@@ -115,13 +115,7 @@ def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Arra
     rows = []
     for group, part in parts.items():
         kind, source = _SOURCES.get(group, ("B", stated[group][0].source if group in stated else "station"))
-        row = BudgetRow(
-            group,
-            "A" if kind == "A" else "B",
-            source,
-            contribution=_named(np.sqrt(np.maximum(part, 0.0))),
-            share=_named(part / np.where(whole > 0, whole, 1.0)),
-        )
+        row = BudgetRow.of(group, "A" if kind == "A" else "B", source, part, whole)
         witness = [one for one in stated.get(group, ()) if one.unit and len(one.values) == 1]
         rows.append(_with_value(row, witness[0], slopes) if len(witness) == 1 else row)
     return tuple(rows)
@@ -149,8 +143,3 @@ def _with_value(row: BudgetRow, one: Statement, slopes: Array) -> BudgetRow:
         degrees_of_freedom=freedom if np.isfinite(freedom) else None,
         sensitivity=sensitivity,
     )
-
-
-def _named(values: Array | Sequence[float]) -> Mapping[str, float]:
-    """Return values by quantity."""
-    return dict(zip(ROW_QUANTITIES, map(float, values), strict=True))

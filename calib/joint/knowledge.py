@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -97,19 +98,15 @@ class Statement:
     @cached_property
     def _informations(self) -> dict[str, Array]:
         """The inverse covariances by fault."""
-        return {fault: self._information(fault) for fault in ("", MISJUDGED, WRONG)}
+        covariances = dict.fromkeys(("", MISJUDGED, WRONG), self.covariance)
+        if self.free is not None:
+            wider = MISJUDGED_TIMES**2 * self.covariance if self.misjudged is None else self.misjudged
+            covariances |= {MISJUDGED: wider, WRONG: self.free}
+        return {fault: np.asarray(np.linalg.inv(one)) for fault, one in covariances.items()}
 
     def information(self, fault: str = "") -> Array:
         """Return the (k, k) inverse covariance; ``fault`` is `MISJUDGED`, `WRONG`, or empty if the statement holds."""
         return self._informations[fault]
-
-    def _information(self, fault: str) -> Array:
-        covariance = self.covariance
-        if self.free is not None and fault == MISJUDGED:
-            covariance = MISJUDGED_TIMES**2 * covariance if self.misjudged is None else self.misjudged
-        elif self.free is not None and fault == WRONG:
-            covariance = self.free
-        return np.asarray(np.linalg.inv(covariance))
 
 
 @dataclass(frozen=True)
@@ -125,28 +122,31 @@ class Knowledge:
         return {one.name: one for one in self.statements if one.free is not None}
 
 
-def _scalar(
-    layout: Layout,
-    name: str,
-    group: str,
-    source: str,
-    terms: Mapping[str, float],
-    stated: tuple[float, float],
-    free: float | None = None,
-    unit: str = "",
-    term: TypeBTerm | None = None,
-) -> Statement:
-    """Return a statement about a sum of unknowns, each times its factor in ``terms``.
+class _Source(NamedTuple):
+    """Who states something, and the row of the budget that it belongs to."""
 
-    ``stated`` is value and 1-sigma; ``free`` the 1-sigma if nobody had stated it.
-    """
-    row = np.zeros((1, len(layout.names)))
-    for key, factor in terms.items():
-        row[0, layout.index[key]] = factor
-    wide = None if free is None else np.array([[max(free, stated[1]) ** 2]])
-    return Statement(
-        name, group, source, row, np.array([stated[0]]), np.array([[stated[1] ** 2]]), wide, None, unit, term
-    )
+    layout: Layout
+    group: str
+    name: str
+
+    def says(
+        self,
+        what: str,
+        terms: Mapping[str, float],
+        stated: tuple[float, float],
+        free: float | None = None,
+        unit: str = "",
+        term: TypeBTerm | None = None,
+    ) -> Statement:
+        """Return a statement about a sum of unknowns, each times its factor in ``terms``.
+
+        ``stated`` is value and 1-sigma; ``free`` the 1-sigma if nobody had stated it.
+        """
+        row = np.zeros((1, len(self.layout.names)))
+        row[0, self.layout.places(tuple(terms))] = list(terms.values())
+        wide = None if free is None else np.array([[max(free, stated[1]) ** 2]])
+        values, covariance = np.array([stated[0]]), np.array([[stated[1] ** 2]])
+        return Statement(what, self.group, self.name, row, values, covariance, wide, None, unit, term)
 
 
 def gather(
@@ -155,21 +155,7 @@ def gather(
     """Return all that is known beside the stars; ``start``, near the solution, scales the weak limits."""
     statements = [*_camera(layout, image_size, start), *_limits(layout, image_size, start)]
     passport = options.passport
-    terms = [term for term in options.budget if term.name in layout.terms]
-    statements += [
-        _scalar(
-            layout,
-            term.name,
-            term.name,
-            term.source,
-            {term.name: 1.0},
-            (0.0, max(term.standard_uncertainty, 1e-12)),
-            _FREE_TERMS.get(term.kind),
-            term.unit,
-            term,
-        )
-        for term in terms
-    ]
+    statements += [_of_term(layout, term) for term in options.budget if term.name in layout.terms]
     if passport is not None and passport.is_certificate:
         statements.append(_certificate(layout, options, passport))
     elif passport is not None:
@@ -180,54 +166,37 @@ def gather(
     if layout.gimbal and options.gimbal:
         statements += _gimbal(layout, options.gimbal)
     if options.radial_sigma is not None and not set(layout.passport) & set(RADIAL):
-        ratio = {"radial": 1.0, "radial_4": RADIAL_RATIO}
+        station = _Source(layout, rows.PRIORS, "station: bow and distortion")
+        sigmas = zip(RADIAL, (options.radial_sigma, options.radial_sigma * RADIAL_RATIO), strict=True)
         statements += [
-            _scalar(
-                layout,
-                "distortion of the target's map",
-                rows.PRIORS,
-                "station: bow and distortion",
-                {name: 1.0},
-                (0.0, options.radial_sigma * ratio[name]),
-            )
-            for name in RADIAL
+            station.says("distortion of the target's map", {name: 1.0}, (0.0, sigma))
+            for name, sigma in sigmas
         ]
     return Knowledge(tuple(statements), bound is not None)
+
+
+def _of_term(layout: Layout, term: TypeBTerm) -> Statement:
+    """Return the statement of a type B term."""
+    stated, free = (0.0, max(term.standard_uncertainty, 1e-12)), _FREE_TERMS.get(term.kind)
+    source = _Source(layout, term.name, term.source)
+    return source.says(term.name, {term.name: 1.0}, stated, free, term.unit, term)
 
 
 def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
     """Return what is known of every camera: square pixels, a focal length that stays, a lens that is not absurd."""
     f = float(np.sqrt(start["fx"] * start["fy"]))
-    aspect = _scalar(
-        layout,
-        ASPECT,
-        rows.PRIORS,
-        "pixels are square",
-        {"fx": 1.0 / f, "fy": -1.0 / f},
-        (0.0, _ASPECT_SIGMA),
-        _FREE_ASPECT,
-    )
-    steady = _scalar(
-        layout,
-        STEADY,
-        rows.PRIORS,
-        "nothing changes while the poses are recorded",
-        {DRIFT: 1.0},
-        (0.0, _DRIFT_SIGMA),
-        _FREE_DRIFT,
-    )
-    corner = 0.5 * float(np.hypot(*image_size)) / f
-    found = [aspect, steady]
-    for name in layout.camera[4:]:
-        if name == "skew":
-            sigma = _SKEW_PX
-        elif name in _DENOMINATOR:
-            sigma = _DENOMINATOR[name] * corner ** (-2.0 * (int(name[1]) - 3))
-        else:
-            continue
-        found.append(
-            _scalar(layout, rows.LENS, rows.LENS, "expected sizes", {name: 1.0}, (0.0, float(sigma)))
-        )
+    square = _Source(layout, rows.PRIORS, "pixels are square")
+    still = _Source(layout, rows.PRIORS, "nothing changes while the poses are recorded")
+    found = [
+        square.says(ASPECT, {"fx": 1.0 / f, "fy": -1.0 / f}, (0.0, _ASPECT_SIGMA), _FREE_ASPECT),
+        still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT),
+    ]
+    corner, lens = 0.5 * float(np.hypot(*image_size)) / f, _Source(layout, rows.LENS, "expected sizes")
+    sigmas = {name: one * corner ** (-2.0 * (int(name[1]) - 3)) for name, one in _DENOMINATOR.items()}
+    sigmas["skew"] = _SKEW_PX
+    found += [
+        lens.says(rows.LENS, {name: 1.0}, (0.0, sigmas[name])) for name in layout.camera[4:] if name in sigmas
+    ]
     return found
 
 
@@ -238,10 +207,8 @@ def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     limits = {"cx": (float(middle[0]), wide), "cy": (float(middle[1]), wide)}
     limits |= {name: (start[name], start[name]) for name in ("fx", "fy")}
     limits |= {name: (start[name], start["r"]) for name in CENTRE}
-    return [
-        _scalar(layout, rows.PRIORS, rows.PRIORS, "expected sizes", {name: 1.0}, stated)
-        for name, stated in limits.items()
-    ]
+    expected = _Source(layout, rows.PRIORS, "expected sizes")
+    return [expected.says(rows.PRIORS, {name: 1.0}, stated) for name, stated in limits.items()]
 
 
 def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
@@ -249,17 +216,8 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
     r_mm = float(passport.values_by_name["r"])
     terms = {term.name: r_mm for term in options.budget if term.kind in RADII and term.name in layout.terms}
     sigma = max(float(np.sqrt(passport.covariance[0, 0])), _EXACT * r_mm)
-    source = options.passport_source or "certificate of the collimator"
-    return _scalar(
-        layout,
-        CERTIFICATE,
-        rows.PASSPORT,
-        source,
-        {"r": 1.0, **terms},
-        (r_mm, sigma),
-        _FREE_RADIUS * r_mm,
-        "mm",
-    )
+    source = _Source(layout, rows.PASSPORT, options.passport_source or "certificate of the collimator")
+    return source.says(CERTIFICATE, {"r": 1.0, **terms}, (r_mm, sigma), _FREE_RADIUS * r_mm, "mm")
 
 
 def stated_names(passport: Passport, layout: Layout) -> tuple[str, ...]:
@@ -338,61 +296,34 @@ def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float, unbounded: floa
     names = [layout.names[k] for k in layout.parallax]
     unit = amp.UNIT_TURN
     value, sigma = stated[0], max(stated[1], 1e-9)
-    source = "station: pupil_off_pivot_mm and defocus"
+    station = _Source(layout, rows.PARALLAX, "station: pupil_off_pivot_mm and defocus")
     free = max(_FREE_PARALLAX * unbounded, 5.0 * sigma)
     along = {names[0]: 0.5 / unit, names[3]: 0.5 / unit}
-    found = [_scalar(layout, PARALLAX, rows.PARALLAX, source, along, (value, sigma), free, "1")]
     other = 0.2 * sigma + 2e-5
-    for terms in (
-        {names[0]: 0.5 / unit, names[3]: -0.5 / unit},
-        {names[1]: 1.0 / unit},
-        {names[2]: 1.0 / unit},
-    ):
-        found += [_scalar(layout, PARALLAX, rows.PARALLAX, source, terms, (0.0, other))]
-    for name in ASIDE:
-        found += [_scalar(layout, PARALLAX, rows.PARALLAX, source, {name: 1.0}, (0.0, aside))]
-    return found
+    alike = ({names[0]: 0.5 / unit, names[3]: -0.5 / unit}, {names[1]: 1.0 / unit}, {names[2]: 1.0 / unit})
+    return [
+        station.says(PARALLAX, along, (value, sigma), free, "1"),
+        *(station.says(PARALLAX, terms, (0.0, other)) for terms in alike),
+        *(station.says(PARALLAX, {name: 1.0}, (0.0, aside)) for name in ASIDE),
+    ]
 
 
 def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
     """Return what is known of the gimbal's axes."""
-    found = [
-        _scalar(layout, rows.GIMBAL_AXES, rows.GIMBAL_AXES, "expected sizes", {name: 1.0}, (0.0, 1.0))
-        for name in (*MOUNTING, *STANDING)
-    ]
-    found.append(
-        _scalar(
-            layout,
-            ORTHOGONAL,
-            rows.GIMBAL_AXES,
-            "expected sizes",
-            {NON_ORTHOGONALITY: 1.0},
-            (0.0, float(np.radians(_SKEW_DEG))),
-            0.1,
-        )
+    expected = _Source(layout, rows.GIMBAL_AXES, "expected sizes")
+    station = _Source(
+        layout, rows.GIMBAL_SCALE, f"station: {readings.source}" if readings.source else "station"
     )
+    square, scale = float(np.radians(_SKEW_DEG)), (1.0, max(readings.scale_sigma, _EXACT))
     eccentric = max(float(np.radians(readings.eccentricity_deg)), 1e-9)
-    source = f"station: {readings.source}" if readings.source else "station"
+    found = [expected.says(rows.GIMBAL_AXES, {name: 1.0}, (0.0, 1.0)) for name in (*MOUNTING, *STANDING)]
+    found.append(expected.says(ORTHOGONAL, {NON_ORTHOGONALITY: 1.0}, (0.0, square), 0.1))
     for name in layout.gimbal:
         if name in SCALES:
-            axis = name.removeprefix("scale_")
-            stated = (1.0, max(readings.scale_sigma, _EXACT))
-            found.append(
-                _scalar(
-                    layout,
-                    SCALE_OF.format(axis),
-                    rows.GIMBAL_SCALE,
-                    source,
-                    {name: 1.0},
-                    stated,
-                    FREE_SCALE,
-                    "1",
-                )
-            )
+            what = SCALE_OF.format(name.removeprefix("scale_"))
+            found.append(station.says(what, {name: 1.0}, scale, FREE_SCALE, "1"))
         elif name.startswith("eccentricity"):
-            found.append(
-                _scalar(layout, rows.GIMBAL_SCALE, rows.GIMBAL_SCALE, source, {name: 1.0}, (0.0, eccentric))
-            )
+            found.append(station.says(rows.GIMBAL_SCALE, {name: 1.0}, (0.0, eccentric)))
     return found
 
 

@@ -113,13 +113,6 @@ def rotation_errors(found: Posterior) -> RotationErrors:
     return RotationErrors(names, found.mean, found.covariance, prior, pull, by_shared, own)
 
 
-def rotation_covariance(found: Posterior) -> Array:
-    """Return the (3 m, 3 m) joint covariance of the rotation vectors on the camera's side, rad^2."""
-    by_shared, own = _follow(found.optimum, np.exp(2.0 * found.optimum.eta))
-    flat = by_shared @ found.covariance @ by_shared.T + own
-    return np.asarray(0.5 * (flat + flat.T))
-
-
 def _follow(optimum: Optimum, squares: Array) -> tuple[Array, Array]:
     """Return (3 m, S) how the rotations follow the shared unknowns, and (3 m, 3 m) the covariance that views add."""
     marginal, solution = optimum.marginal, optimum.solution

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
 from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
@@ -45,7 +45,7 @@ def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
     of_poses = found.of_views
     middles = np.array([disc.centre_mm for disc in of_poses])
     aside = middles - np.array([disc.expected_mm for disc in of_poses])
-    wander = _rms(aside - aside.mean(axis=0))
+    wander = rms_length(aside - aside.mean(axis=0))
     n = len(middles)
     about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
     differences = about @ found.covariance_mm2 @ about
@@ -57,8 +57,3 @@ def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
     covariance += _SAME**2 * (np.eye(2 * n) - about)
     shown = as_turns * (middles - middles.mean(axis=0))
     return Pupils(shown, np.asarray(np.linalg.inv(covariance)))
-
-
-def _rms(vectors: Array) -> float:
-    """Return the RMS length of (n, 2) vectors."""
-    return float(np.sqrt((vectors**2).sum(axis=1).mean()))

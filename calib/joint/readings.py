@@ -62,19 +62,25 @@ class Readings:
                     found[f"{ENCODER}_{axis}_{angle:g}"] = (k, np.isin(range(len(order)), views))
         return found
 
+    @cached_property
+    def errors(self) -> Mapping[str, tuple[int, Array]]:
+        """By the name of an error of an encoder: its axis, and (m,) the error of each reading for a unit of it."""
+        found, angles = {}, np.radians(self.angles_deg)
+        for name in ECCENTRICITY:
+            axis, part = name.split("_")[1:]
+            k = AXES.index(f"{axis}_deg")
+            found[name] = k, np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
+        return found | {name: (k, views.astype(float)) for name, (k, views) in self.at_angles.items()}
+
     def start(self, rotations: Array) -> Gimbal:
         """Return the gimbal that fits given rotations with unit scales."""
         return aligned_gimbal(rotations, self.angles_deg)
 
     def true_angles_deg(self, shared: Mapping[str, float]) -> Array:
         """Return (m, 3) the readings with the encoders' errors of one period, before the scales."""
-        angles = np.radians(self.angles_deg)
-        errors = np.zeros_like(angles)
-        for k, axis in enumerate(("pan", "tilt", "roll")):
-            sine, cosine = (shared.get(f"eccentricity_{axis}_{part}", 0.0) for part in ("sin", "cos"))
-            errors[:, k] = sine * np.sin(angles[:, k]) + cosine * (np.cos(angles[:, k]) - 1.0)
-        for name, (k, views) in self.at_angles.items():
-            errors[views, k] += shared.get(name, 0.0)
+        errors = np.zeros_like(self.angles_deg)
+        for name, (k, error) in self.errors.items():
+            errors[:, k] += shared.get(name, 0.0) * error
         return self.angles_deg + np.degrees(errors)
 
     def off(self, gimbal: Gimbal, shared: Mapping[str, float], rotations: Array) -> Array:
@@ -97,12 +103,7 @@ class Readings:
                 columns.append(axes[:, :, k] * angles[:, k : k + 1])
             elif name == NON_ORTHOGONALITY:
                 columns.append(leaning)
-            elif name in self.at_angles:
-                k, views = self.at_angles[name]
-                columns.append(axes[:, :, k] * views[:, None])
             else:
-                axis, part = name.split("_")[1:]
-                k = AXES.index(f"{axis}_deg")
-                wave = np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
-                columns.append(axes[:, :, k] * wave[:, None])
+                k, error = self.errors[name]
+                columns.append(axes[:, :, k] * error[:, None])
         return np.stack(columns, axis=2)

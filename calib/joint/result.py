@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
-from calib.calibration import Calibration, CalibrationOptions, ViewSummary
+from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_and_mean
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
@@ -20,34 +20,19 @@ from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.layout import CENTRE, RADIAL
-from calib.joint.left_out import left_out_rms, rotation_covariance, rotation_errors
+from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.solve import Optimum
-from calib.joint.words import contradiction, notes, require_determined
+from calib.joint.words import notes, require_determined
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
 from calib.model.result_parts import WORST_CORNER, Amplitude, GimbalEstimate, Witness
 from calib.view import View
 
-#: Amplitudes that are factors or coefficients, not directions.
-_PLAIN = (
-    amp.STAR,
-    amp.READING,
-    amp.ENCODER,
-    amp.RADIAL,
-    amp.SHIFTED,
-    amp.CURVATURE_TURN,
-    amp.SCALE_TURN_2,
-    amp.PARALLAX,
-    amp.ASIDE,
-    amp.DISTORTION,
-    amp.TANGENTIAL,
-    amp.PRISM,
-    amp.RIM,
-    amp.ALONG,
-)
+#: Amplitudes that are given in microradians of a direction; all others are factors or coefficients.
+_DIRECTIONS = (*amp.POSE, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.DISCS, amp.CHANGE)
 #: Readings that scatter this many times more than stated contradict the stars, and do not enter.
 _MOST_SCATTER = 3.0
 #: Nor if a scale differs by this many times what a wrong statement is expected to.
@@ -57,29 +42,21 @@ _FARTHEST_SCALE = 3.0
 def calibrate_jointly(
     views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
 ) -> tuple[Calibration, AdjustmentParameters]:
-    """Return the result without the checks of wrong data, and its parameters for these; wrong stars take no part."""
+    """Return the result without the checks of wrong data, and its parameters for these; wrong stars take no part.
+
+    Nor do readings of the gimbal that contradict the stars.
+    """
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    found, contradicted = _posterior(kept, options)
-    if contradicted is not None:
-        options = replace(options, gimbal=None)
+    found = posterior(adjust(kept, options), options.max_iterations)
     parameters = _parameters(found)
+    gimbal = _gimbal(found, parameters, options)
+    if gimbal is not None and not gimbal.entered:
+        options = replace(options, gimbal=None)
+        found = posterior(adjust(kept, options), options.max_iterations)
+        parameters = _parameters(found)
     require_determined(found, kept, parameters, options)
-    result = _calibration(found, views, used, parameters, options)
-    if contradicted is not None:
-        result = replace(result, gimbal=contradicted, notes=(*result.notes, contradiction(contradicted)))
-    return result, parameters
-
-
-def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Posterior, GimbalEstimate | None]:
-    """Return the posterior without readings that contradict the stars, and what was found out about these."""
-    found = posterior(adjust(views, options), options.max_iterations)
-    if options.gimbal is None:
-        return found, None
-    gimbal = _gimbal(found, _parameters(found), options)
-    if gimbal is None or gimbal.entered:
-        return found, None
-    return posterior(adjust(views, replace(options, gimbal=None)), options.max_iterations), gimbal
+    return _calibration(found, views, used, parameters, gimbal), parameters
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:
@@ -106,7 +83,7 @@ def _calibration(
     views: Sequence[View],
     used: Sequence[NDArray[np.bool_]],
     parameters: AdjustmentParameters,
-    options: CalibrationOptions,
+    gimbal: GimbalEstimate | None,
 ) -> Calibration:
     marginal = found.optimum.marginal
     bench, hyper = marginal.problem.bench, marginal.problem.hyper
@@ -119,13 +96,14 @@ def _calibration(
     star = float(np.exp(found.optimum.eta[hyper.at(amp.STAR)]))
     residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
-    together = np.concatenate(lengths)
+    rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
     size = len(bench.layout.camera)
     gradients = row_gradients(found, found.covariance[:size, :size])
     parts = variances(found, np.concatenate([unit, gradients]))
     corner = float(np.sqrt(gradients[-1] @ found.covariance @ gradients[-1]))
     budget = {group: np.sqrt(np.maximum(part[: len(at)], 0.0)) for group, part in parts.items()}
     rows = budget_rows(found, gradients, {group: part[len(at) :] for group, part in parts.items()})
+    errors = rotation_errors(found)
     result = Calibration(
         model="joint",
         camera=parameters.camera,
@@ -137,14 +115,14 @@ def _calibration(
         covariance=covariance,
         residuals_px=residuals,
         weights=weights,
-        rms_px=_rms(together),
-        mean_px=float(together.mean()),
+        rms_px=rms_px,
+        mean_px=mean_px,
         variance_factor=star**2,
         degrees_of_freedom=max(
             round(marginal.freedom(np.exp(2.0 * found.optimum.eta), found.optimum.solution)), 1
         ),
         views=tuple(
-            ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
+            ViewSummary(view.name, len(own), *rms_and_mean(own))
             for view, own in zip(views, lengths, strict=True)
         ),
         converged=found.optimum.converged,
@@ -152,10 +130,10 @@ def _calibration(
         birge_ratio=_disagreement(found),
         coverage_factor=factors[0],
         left_out_rms_px=left_out_rms(found.optimum),
-        rotation_covariance=rotation_covariance(found),
-        rotation_errors=rotation_errors(found),
+        rotation_covariance=errors.joint_covariance,
+        rotation_errors=errors,
         budget={group: dict(zip(names, part.tolist(), strict=True)) for group, part in budget.items()},
-        gimbal=_gimbal(found, parameters, options),
+        gimbal=gimbal,
         boresight=boresight(found, parameters.camera, parameters.gimbal),
         poses=tuple(int(pose) for pose in bench.poses),
         budget_rows=rows,
@@ -203,20 +181,11 @@ def _witnesses(found: Posterior) -> tuple[Witness, ...]:
     """Return the statements against what all others say."""
     witnesses = []
     for one in found.innovations():
-        single = len(one.statement.values) == 1
-        witnesses.append(
-            Witness(
-                one.name,
-                one.statement.source,
-                one.statement.unit,
-                float(one.statement.values[0]) if single else None,
-                float(np.sqrt(one.statement.covariance[0, 0])) if single else None,
-                float(one.expected[0]) if single else None,
-                float(one.sigma[0]) if single else None,
-                one.normalised,
-                one.probability,
-            )
-        )
+        said, together = one.statement, len(one.statement.values) > 1
+        numbers = (said.values[0], np.sqrt(said.covariance[0, 0]), one.expected[0], one.sigma[0])
+        stated, sigma, expected, spread = (None if together else float(number) for number in numbers)
+        what = one.name, said.source, said.unit
+        witnesses.append(Witness(*what, stated, sigma, expected, spread, one.normalised, one.probability))
     marginal = found.optimum.marginal
     if marginal.uses_readings:
         witnesses.append(_size(found, READINGS, "station: reading_sigma_deg", amp.READING))
@@ -244,7 +213,7 @@ def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
     ):
         if name == amp.RIM and not layout.rim:
             continue
-        unit, times = ("1", 1.0) if name in _PLAIN else ("urad", 1e6)
+        unit, times = ("urad", 1e6) if name in _DIRECTIONS else ("1", 1.0)
         answer.append(
             Amplitude(name, times * float(np.exp(eta)), float(spread), unit, times * float(np.exp(middle)))
         )
@@ -304,8 +273,3 @@ def _gimbal(
         scatter=times,
         source=options.gimbal.source,
     )
-
-
-def _rms(lengths: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(lengths**2)))

@@ -18,7 +18,7 @@ from calib.joint.knowledge import READINGS
 from calib.joint.posterior import Posterior
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING
-from calib.model.result_parts import GimbalEstimate, Witness
+from calib.model.result_parts import Witness
 from calib.model.rotation import exp_map
 from calib.view import View
 
@@ -31,6 +31,9 @@ _WEAK_FOCAL_SIGMA = 0.01
 _BACKWARDS = (
     "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
     "tilt) is probably wrong."
+)
+_TOGETHER = (
+    "These statements contradict each other or the stars. What cannot be decided is in the uncertainties."
 )
 _BINDS = {
     "r": "a certificate of the collimator, readings of the gimbal, or poses turned farther",
@@ -78,31 +81,22 @@ def _free_unknown(found: Posterior, at: int) -> str:
 
 def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
-    sentences = _lens(found) or _weakness(result, found)
-    named = [one for one in result.witnesses if one.name != READINGS and _is_doubted(one)]
+    named = [one for one in result.witnesses if one.name != READINGS and one.fault_probability >= _DOUBTED]
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
-    sentences += [_doubt(one) for one in named]
-    if len(named) > 1:
-        sentences.append(
-            "These statements contradict each other or the stars. What cannot be decided is in the uncertainties."
-        )
-    return (*sentences, *_readings(result), *_alone(result))
+    together = "" if len(named) < 2 else _TOGETHER
+    sentences = [_lens(found) or _weakness(result, found), *map(_doubt, named), together]
+    return tuple(filter(None, [*sentences, _readings(result), _alone(result), _contradiction(result)]))
 
 
-def _lens(found: Posterior) -> list[str]:
-    """Return a note if the other family of lenses explains the views far better."""
+def _lens(found: Posterior) -> str:
+    """Return a note if the other family of lenses explains the views far better; empty if not, as all here."""
     better = found.optimum.better_lens
     if not better:
-        return []
-    text = (
+        return ""
+    return (
         f"The lens is of another model: the distortion {better} explains these views far better, so this camera is "
         "probably wrong. Calibrate again with that distortion."
     )
-    return [text]
-
-
-def _is_doubted(one: Witness) -> bool:
-    return one.fault_probability >= _DOUBTED
 
 
 def _doubt(one: Witness) -> str:
@@ -118,41 +112,42 @@ def _doubt(one: Witness) -> str:
     )
 
 
-def _weakness(result: Calibration, found: Posterior) -> list[str]:
+def _weakness(result: Calibration, found: Posterior) -> str:
     """Return a note if a focal length is poorly determined."""
     sigma = result.sigma
     relative = {name: sigma[name] / getattr(result.camera, name) for name in ("fx", "fy")}
     name = max(relative, key=lambda one: relative[one])
     if relative[name] < _WEAK_FOCAL_SIGMA:
-        return []
+        return ""
     k = result.coverage_factors[name]
     free = _free_unknown(found, 0)
-    text = (
+    return (
         f"Weak geometry: {name} is known only to ±{100.0 * k * relative[name]:.1f} % (k = {k:.1f}). "
         f"{_BINDS[free][0].upper()}{_BINDS[free][1:]} would bind it."
     )
-    return [text]
 
 
-def _readings(result: Calibration) -> list[str]:
+def _readings(result: Calibration) -> str:
     """Return what the reader must know about the gimbal's readings."""
     gimbal = result.gimbal
-    if gimbal is None:
-        return []
+    if gimbal is None or not gimbal.entered:
+        return ""
     mounting = exp_map(np.radians([gimbal.values[name] for name in MOUNTING]))
     if mounting[2, 2] < 0:
-        return [_BACKWARDS]
+        return _BACKWARDS
     if gimbal.scatter < _SCATTER:
-        return []
-    text = (
+        return ""
+    return (
         f"The gimbal's readings scatter {gimbal.scatter:.1f} times more than stated. They entered with "
         f"{gimbal.reading_sigma_deg:.4f} degrees each."
     )
-    return [text]
 
 
-def contradiction(gimbal: GimbalEstimate) -> str:
-    """Return the sentence on readings that did not enter."""
+def _contradiction(result: Calibration) -> str:
+    """Return a note on readings that did not enter."""
+    gimbal = result.gimbal
+    if gimbal is None or gimbal.entered:
+        return ""
     return (
         f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
         f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Check the "
@@ -162,13 +157,12 @@ def contradiction(gimbal: GimbalEstimate) -> str:
     )
 
 
-def _alone(result: Calibration) -> list[str]:
+def _alone(result: Calibration) -> str:
     """Return a note if the focal length rests on one statement alone."""
     shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows if row.type == "B"}
-    if shares.get(rows.UNBOUNDED_PARALLAX, 0.0) > 0.5:
-        text = (
-            "What is stated of collimator and gimbal does not determine the focal length: it rests on how large a "
-            "parallax is expected of such a collimator, and the uncertainties include it."
-        )
-        return [text]
-    return []
+    if shares.get(rows.UNBOUNDED_PARALLAX, 0.0) <= 0.5:
+        return ""
+    return (
+        "What is stated of collimator and gimbal does not determine the focal length: it rests on how large a "
+        "parallax is expected of such a collimator, and the uncertainties include it."
+    )

@@ -16,21 +16,6 @@ from calib.arrays import Array, Array32, Ints
 from calib.errors import InputMismatch
 from calib.model.lens import BROWN, FISHEYE, distort_with_jacobians, is_fisheye
 
-__all__ = [
-    "BROWN",
-    "DISTORTION_SETS",
-    "FISHEYE",
-    "PINHOLE",
-    "SKEW",
-    "CameraModel",
-    "Undistortion",
-    "distortion_names",
-    "nearest_lens",
-    "require_image_size",
-    "straightness_px",
-    "undistort",
-]
-
 PINHOLE = ("fx", "fy", "cx", "cy")
 #: Name of the skew: the element K[0, 1] of the camera matrix, px. MATLAB can estimate it; OpenCV's model has none. It
 #: is estimated beside coefficients of Brown's model.

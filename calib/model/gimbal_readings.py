@@ -51,11 +51,8 @@ class ParallaxBound:
         that. Uncertainty of a product of two independent quantities: Goodman (1960).
         """
         d, off = self.defocus, self.pupil_off_pivot_mm
-        sigma = np.sqrt(
-            (d * self.pupil_off_pivot_sigma_mm) ** 2
-            + (off * self.defocus_sigma) ** 2
-            + (self.defocus_sigma * self.pupil_off_pivot_sigma_mm) ** 2
-        )
+        d_sigma, off_sigma = self.defocus_sigma, self.pupil_off_pivot_sigma_mm
+        sigma = np.linalg.norm([d * off_sigma, off * d_sigma, d_sigma * off_sigma])
         return -d * off / r_mm, float(sigma / r_mm)
 
     def aside_sigma(self, r_mm: float) -> float:

@@ -49,6 +49,15 @@ class BudgetRow:
     # For each quantity the share of the source in the combined variance.
     share: Mapping[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, name: str, kind: Literal["A", "B"], source: str, variances: Array, whole: Array) -> BudgetRow:
+        """Return the row of a source that adds (5,) variances of `ROW_QUANTITIES` to (5,) those of the result."""
+        sigmas, shares = np.sqrt(np.maximum(variances, 0.0)), variances / np.where(whole > 0, whole, 1.0)
+        contribution, share = (
+            dict(zip(ROW_QUANTITIES, one.tolist(), strict=True)) for one in (sigmas, shares)
+        )
+        return cls(name, kind, source, contribution=contribution, share=share)
+
 
 @dataclass(frozen=True)
 class Witness:
@@ -179,3 +188,9 @@ class RotationErrors:
     prior_pull: Array  # (S,) that information times (what was known - means)
     by_shared: Array  # (3 m, S) rad for a unit of each
     own: Array  # (3 m, 3 m) covariance of what each view adds, rad^2
+
+    @property
+    def joint_covariance(self) -> Array:
+        """(3 m, 3 m) covariance of all rotation vectors, rad^2."""
+        whole = self.by_shared @ self.covariance @ self.by_shared.T + self.own
+        return np.asarray(0.5 * (whole + whole.T))

@@ -89,7 +89,7 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
             continue
         white_here = np.where(np.isfinite(modules), sign * modules > (white + black) / 2.0, False)
         for quarter, turn in enumerate(_QUARTER_TURNS):
-            right = np.rot90(white_here, -quarter) == (target.layout.tag_modules > 0)
+            right = np.rot90(white_here, -quarter) == (target.tag_print > 0)
             share = float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
             shift = np.round(centre - turn @ middle).astype(np.int64)
             found.append((share, StarLabels(turn, shift)))

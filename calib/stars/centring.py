@@ -355,16 +355,8 @@ def refine_by_symmetry(
 
 
 #: Neighbours of a star in the stencil, and their weights.
-_STENCIL = {
-    (1, 0): -0.5,
-    (-1, 0): -0.5,
-    (0, 1): -0.5,
-    (0, -1): -0.5,
-    (1, 1): 0.25,
-    (1, -1): 0.25,
-    (-1, 1): 0.25,
-    (-1, -1): 0.25,
-}
+_STENCIL = dict.fromkeys([(1, 0), (-1, 0), (0, 1), (0, -1)], -0.5)
+_STENCIL |= dict.fromkeys([(1, 1), (1, -1), (-1, 1), (-1, -1)], 0.25)
 #: Number of surrounded stars from which their scatter alone is used; below it, the typical factor is mixed in.
 TRUSTED_FROM = 30
 #: Largest normalised square that takes part: chi-square of two degrees of freedom exceeds it 1 in 22,000 times.

@@ -95,6 +95,7 @@ def blur_circle(
     steps = (np.arange(ALONG) + 0.5) / ALONG * 2.0 * COMPARED - COMPARED
     places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     pitch = _pitch_px(homography, middle)
+    in_focus = round(IN_FOCUS_PX / pitch, 3)
     cells = np.rint((places + HALF_SIDE) * PER_PITCH - 0.5).astype(np.int64)
     best: BlurCircle | None = None
     for scale in enlarged:
@@ -105,17 +106,9 @@ def blur_circle(
         values = np.nan_to_num(image[at[inside, 1], at[inside, 0]].astype(np.float32))
         if values.std() == 0.0:
             return None
-        explained = np.array(
-            [
-                _explained(
-                    values,
-                    _blurred_print(target, round(c / pitch, 3), round(IN_FOCUS_PX / pitch, 3))[
-                        cells[inside, 1], cells[inside, 0]
-                    ],
-                )
-                for c in CIRCLES_PX
-            ]
-        )
+        columns, rows = cells[inside].T
+        prints = (_blurred_print(target, round(circle / pitch, 3), in_focus) for circle in CIRCLES_PX)
+        explained = np.array([_explained(values, one[rows, columns]) for one in prints])
         if best is None or explained.max() > best.explained:
             best = BlurCircle(_vertex(explained), float(explained.max()))
     return best if best is not None and best.explained >= MIN_EXPLAINED else None

@@ -12,6 +12,7 @@ corners of a square gives the directions of the grid. It does not identify stars
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -70,15 +71,13 @@ class StarGrid:
     """Stars found so far, by their nodes."""
 
     # Image point, (2,) float64, px, of each node (column, row).
-    points: dict[tuple[int, int], Array] = field(default_factory=dict)
-    tries: dict[tuple[int, int], int] = field(default_factory=dict)
+    points: dict[tuple[int, ...], Array] = field(default_factory=dict)
+    tries: Counter[tuple[int, ...]] = field(default_factory=Counter)
 
     def record(self, tried: Ints, found: Ints, places: Array) -> None:
         """Add a search: (M, 2) nodes tried, (N, 2) nodes at which a star was found, and these stars' places, px."""
-        for column, row in tried:
-            key = (int(column), int(row))
-            self.tries[key] = self.tries.get(key, 0) + 1
-        self.points.update({(int(c), int(r)): place for (c, r), place in zip(found, places, strict=True)})
+        self.tries.update(map(tuple, tried.tolist()))
+        self.points.update(zip(map(tuple, found.tolist()), places, strict=True))
 
     def nodes(self) -> Ints:
         """Return the (N, 2) nodes, columns and rows, of the stars found."""
@@ -163,7 +162,7 @@ def _grow(
         at = predict_locally(h, grown.nodes().astype(float), grown.places(), grid)
         linear = linear_at(h, grid)
         pitch = np.sqrt(np.abs(np.linalg.det(linear)))
-        seen = (pitch >= MIN_PITCH_PX) & _inside(at, image.shape)
+        seen = (pitch >= MIN_PITCH_PX) & ((at >= 0) & (at < image.shape[::-1])).all(axis=1)
         found, score = search_stars(image, at[seen], linear[seen], reach * pitch[seen], template, start.sign)
         good = score >= MIN_CORRELATION
         if not good.any():
@@ -189,16 +188,9 @@ def _refitted(h: Array, start: GrowthStart, grown: StarGrid) -> Array:
 def _neighbours(nodes: Ints, grown: StarGrid, exists: Callable[[Ints], Bools]) -> Ints:
     """Return the (M, 2) nodes next to some stars that have no star yet and may be searched again."""
     around = {(c + i, r + j) for c, r in nodes.tolist() for i, j in _AROUND}
-    open_ = [key for key in around if key not in grown.points and grown.tries.get(key, 0) < MAX_TRIES]
+    open_ = [key for key in around if key not in grown.points and grown.tries[key] < MAX_TRIES]
     next_to = np.array(sorted(open_), np.int64).reshape(-1, 2)
     return next_to[exists(next_to)]
-
-
-def _inside(points: Array, shape: tuple[int, ...]) -> Bools:
-    """Return whether points lie in the image."""
-    return np.asarray(
-        (points[:, 0] >= 0) & (points[:, 1] >= 0) & (points[:, 0] < shape[1]) & (points[:, 1] < shape[0])
-    )
 
 
 #: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.

@@ -67,17 +67,17 @@ class PredictedGrid(NamedTuple):
 
 
 class _Observations(NamedTuple):
-    """Earlier views: gimbal readings, and the (25, 2) grid positions that each view shows at the image points."""
+    """Earlier views: gimbal rotations, and the (25, 2) grid positions that each view shows at the image points."""
 
     image_size: tuple[int, int]
     pitch_mm: float
     points: Array
-    readings: Sequence[Mapping[str, float]]
+    turns: Sequence[Array]
     nodes: Sequence[Array]
 
-    def grid(self, values: Array, reading_deg: Mapping[str, float]) -> Array:
+    def grid(self, values: Array, turn: Array) -> Array:
         """Return H of the head of the module, (3, 3), for values of the unknowns (arXiv:2512.16092, eqs. 1 to 3)."""
-        rotation = exp_map(values[_MOUNTING]) @ _gimbal_rotation(reading_deg) @ exp_map(values[_BASE])
+        rotation = exp_map(values[_MOUNTING]) @ turn @ exp_map(values[_BASE])
         centre = np.array([*values[_CENTRE], -np.exp(values[_LOG_R])])
         matrix = _matrix(float(np.exp(values[_LOG_F])), self.image_size)
         return grid_homography(matrix, rotation, centre, self.pitch_mm)
@@ -89,8 +89,8 @@ class _Observations(NamedTuple):
         """
         sigma_px = MODEL_SIGMA_PX * np.sqrt(len(self.points) / POINTS_PER_VIEW)
         views = [
-            (apply_homography(self.grid(values, reading), nodes) - self.points).ravel() / sigma_px
-            for reading, nodes in zip(self.readings, self.nodes, strict=True)
+            (apply_homography(self.grid(values, turn), nodes) - self.points).ravel() / sigma_px
+            for turn, nodes in zip(self.turns, self.nodes, strict=True)
         ]
         return np.concatenate([*views, values[_MOUNTING] / np.radians(MOUNTING_SIGMA_DEG)])
 
@@ -122,10 +122,11 @@ def predict_grid(
         )
     points = _image_points(image_size)
     nodes = [apply_homography(np.asarray(np.linalg.inv(s.grid)), points) for s in seen]
-    observed = _Observations(image_size, pitch_mm, points, [s.reading_deg for s in seen], nodes)
-    starts = (_first_values(seen[0], observed, ratio * image_size[0]) for ratio in FIRST_FOCAL_LENGTHS)
+    turns = [_gimbal_rotation(s.reading_deg) for s in seen]
+    observed = _Observations(image_size, pitch_mm, points, turns, nodes)
+    starts = (_first_values(seen[0].grid, observed, ratio * image_size[0]) for ratio in FIRST_FOCAL_LENGTHS)
     fit = min((_fitted(observed, start) for start in starts), key=lambda f: f.cost)
-    prediction = _predicted(observed, fit, reading_deg)
+    prediction = _predicted(observed, fit, _gimbal_rotation(reading_deg))
     if not prediction.sigma_pitches <= MAX_SIGMA_PITCHES:
         raise DegenerateViews(
             f"{len(seen)} earlier views with the tag predict the stars from the gimbal's reading to "
@@ -157,13 +158,13 @@ def _gimbal_rotation(reading_deg: Mapping[str, float]) -> Array:
     return euler_zxy(*(reading_deg.get(axis, 0.0) for axis in ("pan", "tilt", "roll")))
 
 
-def _first_values(first: LabelledView, observed: _Observations, focal_px: float) -> Array:
-    """Return start values of the unknowns from the first view and a focal length.
+def _first_values(grid: Array, observed: _Observations, focal_px: float) -> Array:
+    """Return start values of the unknowns from the grid of the first view and a focal length.
 
     Zhang (2000), section 3.1, with the centre c of arXiv:2512.16092, eq. 3: K^-1 H is proportional to [r1 r2 -R c].
     """
     per_mm = np.diag([1.0 / observed.pitch_mm, 1.0 / observed.pitch_mm, 1.0])
-    grid, middle_mm = first.grid @ per_mm, observed.nodes[0][len(observed.points) // 2] * observed.pitch_mm
+    grid, middle_mm = grid @ per_mm, observed.nodes[0][len(observed.points) // 2] * observed.pitch_mm
     in_front = np.sign(grid[2] @ np.append(middle_mm, 1.0))
     poses = poses_from_homographies(in_front * grid[None], _matrix(focal_px, observed.image_size))
     rotation, centre = poses[0][0], poses[1][0]
@@ -171,7 +172,7 @@ def _first_values(first: LabelledView, observed: _Observations, focal_px: float)
     values[_LOG_F] = np.log(focal_px)
     values[_CENTRE] = centre[:2]
     values[_LOG_R] = np.log(max(-centre[2], 1.0))
-    values[_BASE] = log_map(_gimbal_rotation(first.reading_deg).T @ rotation)
+    values[_BASE] = log_map(observed.turns[0].T @ rotation)
     return values
 
 
@@ -190,11 +191,11 @@ def _fitted(observed: _Observations, values: Array) -> _Fit:
     return _Fit(np.asarray(found.x), covariance, cost, factor)
 
 
-def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:
-    """Return the grid at a reading, with its uncertainty propagated from the fit (JCGM 100:2008, section 5.2)."""
-    grid = observed.grid(fit.values, reading_deg)
+def _predicted(observed: _Observations, fit: _Fit, turn: Array) -> PredictedGrid:
+    """Return the grid at a rotation of the gimbal, with the uncertainty by the fit (JCGM 100:2008, section 5.2)."""
+    grid = observed.grid(fit.values, turn)
     nodes = apply_homography(np.asarray(np.linalg.inv(grid)), observed.points)
-    jacobian = _jacobian(lambda v: apply_homography(observed.grid(v, reading_deg), nodes).ravel(), fit.values)
+    jacobian = _jacobian(lambda v: apply_homography(observed.grid(v, turn), nodes).ravel(), fit.values)
     propagated = np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian)
     variance = propagated + fit.variance_factor * MODEL_SIGMA_PX**2
     pitch = np.linalg.norm(apply_homography(grid, nodes + np.array([1.0, 0.0])) - observed.points, axis=1)

@@ -42,17 +42,11 @@ class EdgeMap(NamedTuple):
 
 def render_star(target: StarTarget, pitch_px: float) -> Array32:
     """Draw the print around a star with all eight neighbours, (S, S) brightness 0 to 1, on the grid of an `EdgeMap`."""
-    columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
-    surrounded = np.ones(columns.shape, bool)
-    for dc in (-1, 0, 1):
-        for dr in (-1, 0, 1):
-            surrounded &= target.id_at(columns + dc, rows + dr) >= 0
-    at = int(np.argmax(surrounded))
+    x, y = (float(place) for place in next(iter(target.surrounded), (1, 1)))
     steps = _steps(pitch_px)
     v, u = np.meshgrid(steps[: len(steps) // 2 + 1], steps, indexing="ij")
-    x, y, pitch_mm = float(columns.ravel()[at]), float(rows.ravel()[at]), target.layout.pitch_mm
-    one = target.reflectance((x + u) * pitch_mm, (y + v) * pitch_mm)
-    other = target.reflectance((x - u) * pitch_mm, (y - v) * pitch_mm)
+    one = target.reflectance((x + u) * target.pitch_mm, (y + v) * target.pitch_mm)
+    other = target.reflectance((x - u) * target.pitch_mm, (y - v) * target.pitch_mm)
     # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the star symmetric.
     upper = (0.5 * (one + other)).astype(np.float32)
     return np.concatenate([upper, upper[-2::-1, ::-1]])

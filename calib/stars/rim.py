@@ -296,12 +296,9 @@ def _print_offsets(target: StarTarget, along: int, clearance: float) -> tuple[Ar
     places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     turn = np.arange(12) * np.pi / 6.0
     around = np.vstack([[[0.0, 0.0]], clearance * np.column_stack([np.cos(turn), np.sin(turn)])])
-    nodes = target.node_of(target.ids)
-    beside = nodes[:, None, :] + np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
-    inner = nodes[(target.id_at(beside[..., 0], beside[..., 1]) >= 0).all(axis=1)]
-    if not len(inner):
+    if not len(target.surrounded):
         return np.zeros((0, 2)), np.zeros((0, 2))
-    at = (inner[0] + places[:, None, :] + around) * target.pitch_mm
+    at = (target.surrounded[0] + places[:, None, :] + around) * target.pitch_mm
     bright = target.reflectance(at[..., 0], at[..., 1])
     return places[(bright > 0.5).all(axis=1)], places[(bright < 0.5).all(axis=1)]
 

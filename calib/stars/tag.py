@@ -138,7 +138,7 @@ def modules_correlation(picture: AnyArray, scale: float, homography: Array, targ
     seen = _values(np.asarray(picture, np.float32), scale, at)
     if seen.std() == 0.0:
         return 0.0
-    return float(np.corrcoef(seen, target.layout.tag_modules.ravel())[0, 1])
+    return float(np.corrcoef(seen, target.tag_print.ravel())[0, 1])
 
 
 def _refined_corners(picture: Array32, scale: float, corners: Array, target: StarTarget) -> Array:
@@ -270,13 +270,8 @@ _NORMALS: dict[Border, Array] = {
 def _borders(points: NDArray[Any], shape: tuple[int, ...]) -> tuple[Border, ...]:
     """Return the borders of the frame that points lie at, to two cells."""
     (left, upper), (right, lower) = points.min(axis=0), points.max(axis=0)
-    room: dict[Border, int] = {
-        "left": int(left),
-        "right": int(shape[1] - 1 - right),
-        "upper": int(upper),
-        "lower": int(shape[0] - 1 - lower),
-    }
-    return tuple(border for border, cells in room.items() if cells <= 2)
+    room = (left, shape[1] - 1 - right, upper, shape[0] - 1 - lower)
+    return tuple(border for border, cells in zip(_NORMALS, room, strict=True) if cells <= 2)
 
 
 def _is_tag_like(whole: Bytes, dark: Bools, side: float) -> bool:

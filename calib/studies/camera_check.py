@@ -123,13 +123,11 @@ def check_camera(
     require_image_size(stated, found.image_size, "these views have")
     grid = sensor_grid(found.image_size, _POINTS_ACROSS).reshape(-1, 2)
     offset = camera_difference(found, stated, _POINTS_ACROSS).offset_px.reshape(-1, 2)
-    allowed, slopes = np.zeros((_DRAWS, len(grid), 2)), {}
-    covariances = {"stated": (stated, stated_covariance), "found": (found, found_covariance)}
-    for name, (camera, covariance) in covariances.items():
+    allowed, slope = np.zeros((_DRAWS, len(grid), 2)), np.zeros(0)
+    for camera, covariance in ((stated, stated_covariance), (found, found_covariance)):
         derivatives, at = projection_derivatives(camera, _POINTS_ACROSS)
         slope = np.full((len(grid), 2, derivatives.shape[2]), np.nan)
         slope[at] = derivatives
-        slopes[name] = slope
         if covariance is not None:
             drawn = rng.multivariate_normal(np.zeros(len(covariance)), covariance, _DRAWS, method="eigh")
             allowed += np.einsum("pik,dk->dpi", slope, drawn)
@@ -141,7 +139,7 @@ def check_camera(
         _regions(grid[seen], length, factor * spread, found.image_size),
         float(np.sqrt(np.mean(length**2))),
         factor,
-        _shares(found, slopes["found"][seen], offset[seen]),
+        _shares(found, slope[seen], offset[seen]),
     )
 
 

@@ -84,8 +84,8 @@ class Explanation:
 
     @property
     def excess_rad(self) -> float:
-        """Scatter of each component of a rotation that the stated covariance does not explain, 1 sigma, rad."""
-        return float(np.sqrt(self.scatter.excess))
+        """Scatter of each component of a rotation that the stated covariance does not explain, 1 sigma, rad, or 0."""
+        return float(np.sqrt(self.scatter.excess)) if self.scattered else 0.0
 
 
 @dataclass(frozen=True, eq=False)

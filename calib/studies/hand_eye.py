@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, angles_of
@@ -63,7 +63,7 @@ class HandEyeCheck:
     @property
     def rms_arcsec(self) -> float:
         """Root mean square angle between rotations and readings, arc seconds."""
-        return float(np.sqrt((self.residuals_arcsec**2).sum(axis=1).mean()))
+        return rms_length(self.residuals_arcsec)
 
 
 @on_one_thread
@@ -116,19 +116,19 @@ def check_hand_eye(
         mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
-    found = _findings(seen, last, mirrored)
     found = replace(
-        found,
-        names=tuple(names),
+        _findings(seen, last, mirrored),
+        names=names,
         faults=faults,
         focal_uncertainty=focal_uncertainty,
         birge_ratio=birge_ratio,
     )
+    known = [AXES[axis] for axis in found.axes] if found.scale_known else []
     return HandEyeCheck(
-        {AXES[axis]: value for axis, value in found.scale.items()} if found.scale_known else {},
-        {AXES[axis]: value for axis, value in found.scale_sigma.items()} if found.scale_known else {},
+        dict(zip(known, found.scale.tolist(), strict=False)),
+        dict(zip(known, found.scale_sigma.tolist(), strict=False)),
         ARCSEC * first.fit.off.reshape(-1, 3),
-        ARCSEC * last.excess_rad if last.scattered else 0.0,
+        ARCSEC * last.excess_rad,
         found.pairs,
         faults,
         judge(found),
@@ -147,23 +147,22 @@ def _findings(seen: SeenRotations, last: Explanation, mirrored: bool) -> Finding
     scatter = max(fit.off @ fit.off / max(freedom, 1), float(np.median(np.linalg.eigvalsh(covariance))))
     own = np.sqrt(scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)])
     values = fit.values[: len(free)]
-    difference = 0.0
-    if len(free) > 1:
-        apart = np.zeros(len(free))
-        apart[int(values.argmax())] += 1.0
-        apart[int(values.argmin())] -= 1.0
-        difference = float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0)))
+    apart = np.zeros(len(free))
+    if free:
+        apart[values.argmax()] += 1.0
+        apart[values.argmin()] -= 1.0
     whole = freedom == len(fit.off) - fit.jacobian.shape[1]
     return Findings(
-        {axis: float(values[k]) for k, axis in enumerate(free)},
-        {axis: float(sigma[k]) for k, axis in enumerate(free)},
-        {axis: float(own[k]) for k, axis in enumerate(free)},
-        difference,
+        free,
+        values,
+        sigma,
+        own,
+        float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0))),
         pair_ratios(seen.rotations, fit.model, fit.values),
         bool(free)
         and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
-        float(np.rad2deg(last.excess_rad)) if last.scattered else 0.0,
+        float(np.rad2deg(last.excess_rad)),
         freedom,
     )
 

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.model.likelihood_ratio import DECISIVE
 from calib.studies.gimbal_faults import GimbalFault
 from calib.studies.gimbal_model import FaultKind, PairRatios
@@ -38,6 +39,15 @@ _DISAGREE = 1.5
 #: A common ratio this near to 1 and within the U of the focal length is agreement.
 _SMALL = 1e-3
 
+_WRONG_SIGN = (
+    "The sign of {} is reversed: as they are, the readings fit no mounting in which the camera looks forward. Check "
+    "the signs of the axes in the station file."
+)
+_AMBIGUOUS = (
+    "Different mountings of the camera explain the rotations equally well, so no scale is stated. Add poses that turn "
+    "the camera about another axis."
+)
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -56,12 +66,12 @@ class Verdict:
 class Findings:
     """What the verdict is made of."""
 
-    # scale, scale_sigma: True angle over reading and 1-sigma, by index of the axis; empty if no scale was
-    # estimated.
-    scale: Mapping[int, float]
-    scale_sigma: Mapping[int, float]
-    # 1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
-    own_sigma: Mapping[int, float]
+    axes: tuple[int, ...]  # Those of which a scale was estimated, by their indices
+    # scale, scale_sigma: (a,) true angle over reading and 1-sigma.
+    scale: Array
+    scale_sigma: Array
+    # (a,) 1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
+    own_sigma: Array
     difference_sigma: float  # 1-sigma of the largest difference between the scales of two axes
     pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
     ambiguous: bool  # Whether another optimum fits nearly as well
@@ -83,36 +93,20 @@ class Findings:
     @property
     def scale_known(self) -> bool:
         """Whether a scale may be stated."""
-        return bool(self.scale) and not self.ambiguous
+        return bool(self.axes) and not self.ambiguous
 
 
 def judge(found: Findings) -> Verdict:
     """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
-    kinds: list[VerdictKind] = []
-    says: list[str] = []
-    for fault in found.faults:
-        kind, sentence = _fault(found, fault)
-        says.append(sentence)
-        kinds.append(kind)
+    judged = [_fault(found, fault) for fault in found.faults]
     if found.reversed_axes:
-        kinds.append("wrong_sign")
-        says.append(
-            f"The sign of {found.reversed_axes} is reversed: as they are, the readings fit no mounting in which the "
-            "camera looks forward. Check the signs of the axes in the station file."
-        )
+        judged.append(("wrong_sign", _WRONG_SIGN.format(found.reversed_axes)))
     if found.ambiguous:
-        kinds.append("ambiguous")
-        says.append(
-            "Different mountings of the camera explain the rotations equally well, so no scale is stated. Add poses "
-            "that turn the camera about another axis."
-        )
-    for judged in (_scale(found), _scatter(found)):
-        if judged is not None:
-            kinds.append(judged[0])
-            says.append(judged[1])
-    kinds.sort(key=lambda kind: kind == "agrees")
+        judged.append(("ambiguous", _AMBIGUOUS))
+    judged += filter(None, (_scale(found), _scatter(found)))
+    kinds = sorted((kind for kind, _ in judged), key=lambda kind: kind == "agrees")
     first = [kind for name in _KINDS.values() for kind in kinds if kind == name]
-    return Verdict((first or kinds or ["agrees"])[0], tuple(says))
+    return Verdict((first or kinds or ["agrees"])[0], tuple(sentence for _, sentence in judged))
 
 
 def angle(degrees: float) -> str:
@@ -199,7 +193,7 @@ def _common_to_pairs(found: Findings) -> float:
 
     With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
     """
-    if found.pairs is None or found.pairs.count < len(found.scale) + 1:
+    if found.pairs is None or found.pairs.count < len(found.axes) + 1:
         return 0.0
     off = abs(found.pairs.ratio - 1)
     return off if off > 3 * found.pairs.spread else 0.0
@@ -209,18 +203,15 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
     """Return what the scales show, or what the pairs show if no scale is known."""
     if not found.scale_known:
         return ("agrees", _of_pairs(found)) if found.pairs is not None else None
-    axes = list(found.scale)
-    values = np.array([found.scale[axis] for axis in axes])
-    own = np.array([max(found.own_sigma[axis], 1e-12) for axis in axes])
+    values, own = found.scale, np.maximum(found.own_sigma, 1e-12)
     common = float(np.average(values, weights=own**-2))
-    common_sigma = float(np.min([found.scale_sigma[axis] for axis in axes]))
+    common_sigma = float(found.scale_sigma.min())
     focal = found.focal_uncertainty if found.focal_uncertainty is not None else 2 * common_sigma
     differ = _significant(found, float(np.ptp(values)), found.difference_sigma)
     off = float(np.abs(values - 1).max()) if differ else abs(common - 1)
     by_axis = ", ".join(
-        f"{AXIS_NAMES[axis]} {_ratio(value, 2 * found.scale_sigma[axis])} ± "
-        f"{_ratio(2 * found.scale_sigma[axis], 2 * found.scale_sigma[axis])}"
-        for axis, value in zip(axes, values, strict=True)
+        f"{AXIS_NAMES[axis]} {_ratio(value, 2 * sigma)} ± {_ratio(2 * sigma, 2 * sigma)}"
+        for axis, value, sigma in zip(found.axes, values, found.scale_sigma, strict=True)
     )
     seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(found)}"
     seen_off = _common_to_pairs(found)

@@ -94,14 +94,13 @@ def calibrate_once(
     Draws: JCGM 101:2008. Seed of the study and number of the run give the run's seed. ``drift_mm`` is 1-sigma per axis
     of each view's centre; ``outliers`` is the share of stars with an error of 2 px (1 sigma per axis).
     """
-    truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     rng = np.random.default_rng([seed, run])
     try:
         result = calibrate(_noisy(bench, poses_deg, rng, drift_mm, outliers), options)
     except CalibrationError as error:
         return Repetition(failed=str(error))
     names, sigmas = result.parameter_names, list(result.sigma.values())
-    off = (result.values - [truth.get(name, 0.0) for name in names]) / sigmas
+    off = (result.values - _truth(bench, names)) / sigmas
     chi_square = float(off @ np.linalg.solve(result.correlation, off))
     factors = tuple(result.coverage_factors.get(name, result.coverage_factor) for name in names)
     return Repetition(tuple(names), tuple(result.values.tolist()), tuple(sigmas), factors, chi_square)
@@ -116,16 +115,15 @@ def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarlo
             f"None of the {len(outcomes)} calibrations has a result. The first one: {failed[0]}",
             remedy="Give less noise, fewer outliers, or more poses.",
         )
+    names, kinds = good[-1].names, ("values", "sigmas", "factors", "chi_square")
+    values, sigmas, factors, squares = (np.array([getattr(one, kind) for one in good]) for kind in kinds)
+    return MonteCarloStudy(names, _truth(bench, names), values, sigmas, factors, squares, failed)
+
+
+def _truth(bench: ExpectedBench, names: Sequence[str]) -> Array:
+    """Return the (G,) true values of parameters; what the bench does not have is zero."""
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
-    names = good[-1].names
-    true = np.array([truth.get(name, 0.0) for name in names])
-    numbers = (
-        np.array([one.values for one in good]),
-        np.array([one.sigmas for one in good]),
-        np.array([one.factors for one in good]),
-        np.array([one.chi_square for one in good]),
-    )
-    return MonteCarloStudy(names, true, *numbers, failed)
+    return np.array([truth.get(name, 0.0) for name in names])
 
 
 def _noisy(

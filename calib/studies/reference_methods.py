@@ -16,7 +16,7 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
-from calib.calibration import Calibration, CalibrationOptions
+from calib.calibration import Calibration, CalibrationOptions, rms_and_mean
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged, TooFewStars
 from calib.fit import fit_model, initialize
 from calib.model.camera import PINHOLE, SKEW, CameraModel
@@ -72,15 +72,8 @@ def reference_results(
 
 def starbench_result(calibration: Calibration) -> MethodResult:
     """Return a calibration of Starbench in the form of a method's result."""
-    name = f"Starbench, {calibration.model} model"
-    return MethodResult(
-        name,
-        calibration.camera,
-        calibration.sigma,
-        calibration.rms_px,
-        calibration.mean_px,
-        calibration.left_out_rms_px,
-    )
+    name, one = f"Starbench, {calibration.model} model", calibration
+    return MethodResult(name, one.camera, one.sigma, one.rms_px, one.mean_px, one.left_out_rms_px)
 
 
 def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
@@ -136,8 +129,7 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
 
 def _rms_and_mean(bundle: Bundle, parameters: AdjustmentParameters) -> tuple[float, float]:
     """Return the root mean square and the mean length of the residuals, px."""
-    lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
-    return float(np.sqrt(np.mean(lengths**2))), float(lengths.mean())
+    return rms_and_mean(np.linalg.norm(bundle.residuals_px(parameters), axis=1))
 
 
 def _opencv_name(options: CalibrationOptions) -> str:
@@ -149,14 +141,9 @@ def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, A
     """Return OpenCV's rms, camera matrix, coefficients and their uncertainties, for Brown's model."""
     objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
     images = [v.points_px.astype(np.float32)[:, None] for v in views]
+    size, flags = views[0].image_size, _brown_flags(names)
     rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
-        objects,
-        images,
-        views[0].image_size,
-        np.eye(3),
-        np.zeros(5),
-        flags=_brown_flags(names),
-        criteria=_STOP,
+        objects, images, size, np.eye(3), np.zeros(5), flags=flags, criteria=_STOP
     )
     return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.asarray(spread, float)
 

@@ -12,7 +12,7 @@ the sensor's fixed pattern.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from calib.adjustment.bundle import Bundle, ViewScores
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters, members
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
 from calib.model.result_parts import POSE_FIELDS, STARS
@@ -45,14 +45,14 @@ class Uncertainty:
     degrees_of_freedom: int
     # How many times more than star noise explains the estimates of the views differ (Birge, 1932); 1 is
     # agreement.
-    birge_ratio: float = 1.0
+    birge_ratio: float
     # Whether the ratio is more than chance allows; the covariance is then enlarged.
-    inconsistent: bool = False
+    inconsistent: bool
     # Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the
     # views.
-    effective_degrees_of_freedom: float = float("inf")
+    effective_degrees_of_freedom: float
     # (G, G) float64 covariances of the parameters by source; they add up to the covariance.
-    parts: Mapping[str, Array] = field(default_factory=dict)
+    parts: Mapping[str, Array]
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -193,8 +193,6 @@ def views_of_poses(bundle: Bundle) -> list[list[int]]:
 def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
     """Return the (P, G, G) information and (P, G) score of each pose: the sums over its views."""
     poses = views_of_poses(bundle)
-    if len(poses) == len(scores.score):
-        return scores.information, scores.score
     return (
         np.array([scores.information[views].sum(axis=0) for views in poses]),
         np.array([scores.score[views].sum(axis=0) for views in poses]),
@@ -216,7 +214,7 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     for views in views_of_poses(bundle):
         others = without_pose(bundle, views, parameters, loss)
         residuals += [predicted_residuals(bundle, i, parameters, others) for i in views]
-    return float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
+    return rms_length(np.concatenate(residuals))
 
 
 def without_pose(

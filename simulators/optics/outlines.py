@@ -56,7 +56,7 @@ def _on_cell(angle: float) -> FloatArray:
 def _black_modules(target: StarTarget) -> FloatArray:
     """Return the black modules of the tag, (N, 4, 2), mm."""
     side = target.pitch_mm * target.tag_squares / target.tag_modules
-    rows, columns = np.nonzero(target.layout.tag_modules == 0)
+    rows, columns = np.nonzero(target.tag_print == 0)
     corner = target.tag_corners_mm[0] + side * np.column_stack([columns, rows])
     ring = side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     return np.asarray(corner[:, None] + ring[None])

@@ -31,9 +31,9 @@ def test_every_event_is_counted_in_its_pixel(recording):
     on = np.zeros((raw.height, raw.width), int)
     np.add.at(on, (events.y[events.p == 1], events.x[events.p == 1]), 1)
     assert len(events.t) == 82_469
-    assert (made.on_count == on).all()
-    assert made.count.sum() == len(events.t)
-    assert (made.fired == (made.count > 0)).all()
+    assert (made.sums.on_count == on).all()
+    assert (made.sums.on_count + made.sums.off_count).sum() == len(events.t)
+    assert ((made.named("any") > 0) == (made.sums.on_count + made.sums.off_count > 0)).all()
 
 
 def test_a_steady_scene_is_no_target(recording):

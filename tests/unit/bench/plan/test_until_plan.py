@@ -14,7 +14,8 @@ from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.plan.plan_text import render_plan
 from bench.stations.station import OpenCvCameraConfig
 from calib.calibration import LossName, ModelName
-from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE, SKEW
+from calib.model.camera import DISTORTION_SETS, SKEW
+from calib.model.lens import BROWN, FISHEYE
 from sequences import solve_schema as schema
 from sequences.reader import check_document, find_document
 from sequences.schema import Sequence

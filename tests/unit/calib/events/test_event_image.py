@@ -46,16 +46,16 @@ def test_each_image_holds_its_events():
     made = images(lit_square(burst=3))
     inside = np.zeros((12, 16), bool)
     inside[3:9, 4:10] = True
-    assert (made.on_count[inside] == 6).all()
-    assert (made.off_count[inside] == 6).all()
-    assert (made.count[~inside] == 0).all()
-    assert (made.on_fired[inside] == 2).all()
-    assert (made.off_fired[inside] == 2).all()
+    assert (made.sums.on_count[inside] == 6).all()
+    assert (made.sums.off_count[inside] == 6).all()
+    assert (made.named("any")[~inside] == 0).all()
+    assert (made.sums.on_fired[inside] == 2).all()
+    assert (made.sums.off_fired[inside] == 2).all()
     assert (made.fired_per_edge == inside).all()
-    assert (made.last_polarity[inside] == -1).all()
-    assert (made.last_polarity[~inside] == 0).all()
-    assert np.isnan(made.on_latency_us[~inside]).all()
-    assert 0 < made.on_latency_us[inside].min() <= made.on_latency_us[inside].max() < 450
+    assert (made.sums.last_polarity[inside] == -1).all()
+    assert (made.sums.last_polarity[~inside] == 0).all()
+    assert np.isnan(made.sums.mean_latency_us()[~inside]).all()
+    assert 0 < made.sums.mean_latency_us()[inside].min() <= made.sums.mean_latency_us()[inside].max() < 450
 
 
 def test_any_is_one_where_a_pixel_fired_at_all_and_latency_is_brightest_where_it_fired_first():
@@ -73,12 +73,12 @@ def test_lock_in_adds_on_and_off_events_in_phase():
     made = images(lit_square(burst=2, spread=1))
     # 4 ON and 4 OFF events, bursts half a period apart, two events 700 us apart each
     expected = 8 * np.cos(np.pi * 700 / PERIOD)
-    assert made.lock_in[5, 6] == pytest.approx(expected, rel=1e-3)
+    assert made.sums.lock_in[5, 6] == pytest.approx(expected, rel=1e-3)
 
 
 def test_an_event_between_the_bursts_counts_for_no_edge():
     made = images([*lit_square(), (4000, 0, 0, 1), (9000, 1, 0, 0)])
-    assert made.count[0, 0] == 1
+    assert made.sums.on_count[0, 0] + made.sums.off_count[0, 0] == 1
     assert made.fired_per_edge[0, :2].tolist() == [0, 0]
 
 
@@ -129,8 +129,8 @@ def test_a_hot_pixel_is_masked_and_filled_from_its_surroundings():
 def test_events_beyond_the_last_whole_period_are_left_out():
     made = images(lit_square(periods=3), window_us=(0, 26_000))
     assert made.facts.periods == 2
-    assert made.count.sum() == 144
-    assert made.on_count.max() == 2
+    assert (made.sums.on_count + made.sums.off_count).sum() == 144
+    assert made.sums.on_count.max() == 2
 
 
 def test_33_ms_at_60_hz_count_as_two_periods():
