@@ -110,6 +110,8 @@ def _alike(views: Sequence[View]) -> Iterator[tuple[View, View]]:
 
 Size = tuple[int, int]
 
+#: What may be in another unit.
+_TARGET, _CERTIFICATE = "target positions", "lengths of the certificate"
 #: Millimetres in units that are taken for millimetres by mistake.
 _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
 #: Pitches and radii outside of these ranges are implausible, mm.
@@ -128,32 +130,33 @@ def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None
     only implausible numbers count.
     Raises InputMismatch: If the positions contradict the known radius, and another unit explains that.
     """
-    why, unit = _doubt_of_unit(views, known_r_mm)
+    why, what, unit = _doubt_of_unit(views, known_r_mm)
     if unit and known_r_mm is not None:
         # Without this refusal, the adjustment would end in an obscure one.
-        raise InputMismatch(
-            f"{why} The target positions look like {unit}.",
-            where="target positions",
-            remedy="Give them in mm.",
-        )
+        raise InputMismatch(f"{why} The {what} look like {unit}.", where=what, remedy="Give them in mm.")
     if unit:
-        return f"{why} The target positions look like {unit}; give them in mm."
-    return f"{why} Check that the target positions are in mm." if why else ""
+        return f"{why} The {what} look like {unit}; give them in mm."
+    return f"{why} Check that the {what} are in mm." if why else ""
 
 
-def _doubt_of_unit(views: Sequence[View], known_r_mm: float | None) -> tuple[str, str]:
-    """Return what is implausible, a sentence, and the unit that would explain it; both may be empty."""
+def _doubt_of_unit(views: Sequence[View], known_r_mm: float | None) -> tuple[str, str, str]:
+    """Return what is implausible, a sentence, whose lengths are, and the unit that would explain it, or nothing."""
     r_mm = None if known_r_mm is None else closed_form_radius(views)
-    if r_mm is not None and known_r_mm is not None and (unit := _unit(known_r_mm / r_mm)):
-        return f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known.", unit
+    plausible = r_mm is not None and PLAUSIBLE_R_MM[0] <= r_mm <= PLAUSIBLE_R_MM[1]
+    if r_mm is not None and known_r_mm is not None:
+        why = f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known."
+        if plausible and (unit := _unit(r_mm / known_r_mm)) and unit != "micrometres":
+            return why, _CERTIFICATE, unit
+        if unit := _unit(known_r_mm / r_mm):
+            return why, _TARGET, unit
     pitch = min(neighbours_of(view).spacing for view in views)
     if not PLAUSIBLE_PITCH_MM[0] <= pitch <= PLAUSIBLE_PITCH_MM[1]:
         why = f"Neighbouring stars of the target are {pitch:.3g} mm apart, which is implausible."
-        return why, "metres" if pitch < 1.0 else "micrometres"
-    if r_mm is not None and not PLAUSIBLE_R_MM[0] <= r_mm <= PLAUSIBLE_R_MM[1]:
+        return why, _TARGET, "metres" if pitch < 1.0 else "micrometres"
+    if r_mm is not None and not plausible:
         why = f"The views give a collimator radius of {r_mm:.3g} mm, which is implausible."
-        return why, "metres" if r_mm < 1.0 else "micrometres" if r_mm > 1e5 else ""
-    return "", ""
+        return why, _TARGET, "metres" if r_mm < 1.0 else "micrometres" if r_mm > 1e5 else ""
+    return "", "", ""
 
 
 def closed_form_radius(views: Sequence[View]) -> float | None:

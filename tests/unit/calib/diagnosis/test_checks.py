@@ -181,6 +181,14 @@ def test_another_unit_than_the_known_radius_shows_is_named_and_refused(views, un
         check_views(in_unit(views, length), known_r_mm=255.0)
 
 
+@pytest.mark.parametrize(("unit", "length"), UNITS[:3])
+def test_a_certificate_in_another_unit_is_named_and_refused(views, unit, length):
+    with pytest.raises(
+        InputMismatch, match=rf"lengths of the certificate: .* look like {unit}\. Give them in mm\."
+    ):
+        check_views(views, known_r_mm=255.0 / length)
+
+
 @pytest.mark.parametrize(("unit", "length"), [("metres", 1000.0), ("micrometres", 0.001)])
 def test_an_implausible_pitch_needs_no_known_radius(views, unit, length):
     found = check_target_units(in_unit(views, length))
