@@ -35,6 +35,9 @@ class RimPoints:
             raise InputMismatch("The rim holds numbers that are not finite.", where="rim points")
 
 
+_ARRAYS = {"ids": np.int64, **dict.fromkeys(("points_px", "target_mm", "covariances_px2"), np.float64)}
+
+
 @dataclass(frozen=True)
 class View:
     """Stars of one pose.
@@ -72,6 +75,10 @@ class View:
     _remembered: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        # A file gives lists, and a frozen class takes what it is given.
+        for name, kind in _ARRAYS.items():
+            object.__setattr__(self, name, np.asarray(getattr(self, name), kind))
+        object.__setattr__(self, "image_size", tuple(self.image_size))
         n = len(self.ids)
         shapes = (self.points_px.shape, self.target_mm.shape, self.covariances_px2.shape)
         if shapes != ((n, 2), (n, 2), (n, 2, 2)):
