@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.records.results import GimbalCheckData, GimbalFaultData, GimbalPairs, HalvesData, MountFaceData
 from bench.stations.station import Station
+from bench.stations.station_budget import GimbalConfig
 from bench.views.expected_grid import engine_angles_deg
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
@@ -48,11 +49,11 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> Halv
 
 
 def gimbal_check(
-    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]], reading_sigma_deg: float = 0.0
+    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]], stated: GimbalConfig | None = None
 ) -> GimbalCheckData | None:
     """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
 
-    ``reading_sigma_deg`` is what the station states of a reading, 1 sigma.
+    Within what the station states of the gimbal, nothing is a fault; over few degrees, an eccentricity is a scale.
     None with too few poses, or if an axis did not move.
     """
     try:
@@ -60,7 +61,10 @@ def gimbal_check(
             calibration.rotations,
             calibration.rotation_covariance,
             [engine_angles_deg(pose) for pose in readings_deg],
-            reading_sigma_deg=reading_sigma_deg,
+            reading_sigma_deg=stated.reading_sigma_deg if stated else 0.0,
+            scale_sigma=math.hypot(stated.scale_sigma, math.radians(stated.eccentricity_deg))
+            if stated
+            else 0.0,
             focal_uncertainty=_focal_uncertainty(calibration),
             birge_ratio=calibration.birge_ratio,
             names=[view.name for view in calibration.views],

@@ -173,10 +173,9 @@ def solve_run(
     options = solve_options(job, step, readings)
     notes = _notes(job, step, history, measurements)
     calibration, planar = calibrated(views, options, words_for(job.board), notes, check)
-    stated = job.station.gimbal
     checks: dict[str, Any] = {
         "halves": split_half_check(views, options),
-        "gimbal": gimbal_check(calibration, readings, stated.reading_sigma_deg if stated else 0.0),
+        "gimbal": gimbal_check(calibration, readings, job.station.gimbal),
         "parallax": parallax_check(calibration, views, job.station, str(history.started["sequence"])),
         "mount_faces": mount_faces(calibration, job.station),
     }

@@ -73,6 +73,7 @@ def check_hand_eye(
     readings_deg: Sequence[Mapping[str, float]],
     *,
     reading_sigma_deg: float = 0.0,
+    scale_sigma: float = 0.0,
     focal_uncertainty: float | None = None,
     birge_ratio: float = 1.0,
     names: Sequence[str] = (),
@@ -83,8 +84,8 @@ def check_hand_eye(
     Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
     covariance: Paule and Mandel (1982). Rotations, covariance (of `Calibration.rotation_covariance`) and Birge ratio
     are those of a `Calibration`. ``reading_sigma_deg`` is what is stated of each reading, 1 sigma: scatter below it is
-    no fault. ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the
-    1-sigma of the scales.
+    no fault. ``scale_sigma`` is what is stated of the scale of each axis, 1 sigma: a ratio within it is none either.
+    ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the 1-sigma of the scales.
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """
@@ -117,7 +118,7 @@ def check_hand_eye(
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
     found = replace(
-        _findings(seen, last, mirrored),
+        _findings(seen, last, mirrored, scale_sigma),
         names=names,
         faults=faults,
         focal_uncertainty=focal_uncertainty,
@@ -135,7 +136,7 @@ def check_hand_eye(
     )
 
 
-def _findings(seen: SeenRotations, last: Explanation, mirrored: bool) -> Findings:
+def _findings(seen: SeenRotations, last: Explanation, mirrored: bool, scale_sigma: float) -> Findings:
     """Collect what the rotations show; names, faults, focal length and the views' agreement are given elsewhere."""
     fit, covariance = last.fit, last.scatter.covariance
     free = fit.model.free
@@ -145,7 +146,7 @@ def _findings(seen: SeenRotations, last: Explanation, mirrored: bool) -> Finding
     freedom = fit.degrees_of_freedom()
     # Shared errors have few, large eigenvalues; the median is the variance that is a rotation's own.
     scatter = max(fit.off @ fit.off / max(freedom, 1), float(np.median(np.linalg.eigvalsh(covariance))))
-    own = np.sqrt(scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)])
+    alone = scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)]
     values = fit.values[: len(free)]
     apart = np.zeros(len(free))
     if free:
@@ -156,8 +157,8 @@ def _findings(seen: SeenRotations, last: Explanation, mirrored: bool) -> Finding
         free,
         values,
         sigma,
-        own,
-        float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0))),
+        np.sqrt(alone + scale_sigma**2),
+        float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0) + 2.0 * scale_sigma**2)),
         pair_ratios(seen.rotations, fit.model, fit.values),
         bool(free)
         and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),

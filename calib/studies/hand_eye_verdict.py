@@ -70,9 +70,10 @@ class Findings:
     # scale, scale_sigma: (a,) true angle over reading and 1-sigma.
     scale: Array
     scale_sigma: Array
-    # (a,) 1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
+    # (a,) 1-sigma of each scale's difference from 1: what is stated of it, and the scatter of the rotations alone,
+    # without errors that all rotations share.
     own_sigma: Array
-    difference_sigma: float  # 1-sigma of the largest difference between the scales of two axes
+    difference_sigma: float  # The same of the largest difference between the scales of two axes
     pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
     ambiguous: bool  # Whether another optimum fits nearly as well
     # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.

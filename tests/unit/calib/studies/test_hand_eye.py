@@ -224,6 +224,16 @@ def test_a_common_ratio_within_the_uncertainty_of_the_focal_length_is_not_the_gi
     assert "the scale of the gimbal is in question" in " ".join(known.verdict.says)
 
 
+def test_a_scale_within_what_is_stated_of_the_axes_is_no_fault():
+    bench = quiet(5, scale_error=5e-4)
+    given = bench.rotations, bench.covariance, bench.readings
+    assert check_hand_eye(*given, focal_uncertainty=1e-4).verdict.kind == "scale_or_parallax"
+    assert check_hand_eye(*given, focal_uncertainty=1e-4, scale_sigma=5e-4).verdict.kind == "agrees"
+    assert (
+        check_hand_eye(*given, focal_uncertainty=1e-4, scale_sigma=5e-5).verdict.kind == "scale_or_parallax"
+    )
+
+
 def test_a_small_ratio_can_be_parallax_too():
     bench = draw_gimbal(12, **NINE, focal_error=0.008, focal_sigma=1e-4)
     found = check_hand_eye(
