@@ -14,7 +14,8 @@ from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geome
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, State, ViewStars, turns_of
+from calib.joint.curvature import best_amplitudes
+from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term_shapes, wavefront
 from calib.joint.layout import Layout
@@ -22,7 +23,7 @@ from calib.joint.marginal import Marginal, Problem
 from calib.joint.posterior import odds_of
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.readings import Readings
-from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved
+from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, weighed_as
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -33,6 +34,8 @@ from calib.view import View
 #: The other family of lenses is taken if twice the logarithm of its odds exceeds this: strong evidence (Kass and
 #: Raftery, 1995).
 _EVIDENCE = 10.0
+#: Largest number of steps to the best amplitudes of the other family.
+_STEPS = 20
 #: Tangent of the angle at the sensor's corner from which on the lens must be of the right family: at 45 degrees, three
 #: radial terms of the tangent miss a fisheye lens by several U of fx.
 _WIDE_FIELD = 0.8
@@ -75,10 +78,13 @@ def posed(
     start: AdjustmentParameters,
     lens: Sequence[str],
     discs: Discs | None = None,
+    *,
+    by_hand: bool = True,
 ) -> tuple[Problem, State]:
     """Return the problem and its first state, with the visible discs of the poses.
 
     A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
+    ``by_hand`` is whether the camera may be moved by hand, if the discs say so.
     """
     passport = options.passport
     centre = start.collimator
@@ -92,7 +98,7 @@ def posed(
     names = (*PINHOLE, *lens)
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
     moving = None if bounded else discs
-    pupils = pupils_of(moving, centre.r) if moving else None
+    pupils = pupils_of(moving, centre.r) if moving and by_hand else None
     pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if moving else amp.Pupil.HELD
     layout = Layout(
         names,
@@ -133,7 +139,7 @@ def posed(
         readings,
         turns,
         axes,
-        pupils.shown if pupils else turns,
+        pupils.shown if pupils else sines_of(turns),
         tuple(rims),
     )
     gimbal = readings.start(start.rotations) if readings else None
@@ -155,9 +161,14 @@ def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
         other = _adjusted(views, options, DISTORTION_SETS[other_set])
     except CalibrationError:  # these views cannot be those of such a lens
         return found
-    if other.solution.value > found.solution.value - _EVIDENCE:
+    if found.solution.value - _value_as_weighed(other, found) < _EVIDENCE:
         return found
     return other if options.compares_lenses else replace(found, better_lens=other_set)
+
+
+def _value_as_weighed(other: Optimum, found: Optimum) -> float:
+    """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then."""
+    return best_amplitudes(weighed_as(other, found), other.eta, _STEPS)[1].value
 
 
 def _is_wide(found: Optimum) -> bool:
@@ -167,30 +178,54 @@ def _is_wide(found: Optimum) -> bool:
 
 
 def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...]) -> Optimum:
-    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry."""
+    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry.
+
+    If poor discs cannot tell whether a hand moves the camera, the more probable answer is taken.
+    """
     start = first_parameters(views, options, lens)
+    discs = discs_of_poses(views, np.array(poses_of(start.rotations), np.int64))
     try:
-        return _searched(views, options, lens, start)
-    except NotConverged as error:
+        found = _searched(views, options, lens, start, discs)
+    except (NotConverged, np.linalg.LinAlgError) as error:
         why = explain_weak_geometry(views, start)
         if not why:
-            raise
+            raise NotConverged("The joint adjustment cannot be solved.") from error
         raise DegenerateViews(
             f"These views do not determine the camera. {why}",
             remedy="Add views turned about other axes, with the stars elsewhere in the image.",
         ) from error
+    pupils = found.marginal.problem.pupils
+    if pupils is None or pupils.certain:
+        return found
+    try:
+        turned = _searched(views, options, lens, start, discs, by_hand=False)
+        return turned if _value_as_weighed(turned, found) < found.solution.value else found
+    except (CalibrationError, np.linalg.LinAlgError):  # this is no gimbal
+        return found
 
 
 def _approached(problem: Problem, start: State, options: CalibrationOptions) -> State:
-    """Return a state near the optimum. The certificate takes no part, unless the views need it."""
+    """Return a state near the optimum. The certificate takes no part, unless the views need it.
+
+    One whose radius is far from what the views alone show is another collimator's, and is refused: camera, lens and
+    fields would take up even twice the radius.
+    """
     equations, knowledge = first_equations(problem, start), problem.knowledge
     others = tuple(one for one in knowledge.statements if one.name != CERTIFICATE)
     free = replace(problem, knowledge=replace(knowledge, statements=others))
     try:
         near = approached(free, start, equations, options.max_iterations)
+        stated = _certified_radius(options)
+        if stated is not None and _is_far(free, near, stated):
+            near = search(free, near, options.max_iterations).state
+            if _is_far(free, near, stated):
+                seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
+                raise InputMismatch(
+                    f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}.",
+                    remedy="Give the certificate of the collimator that was used, or leave it out.",
+                )
     except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations, options.max_iterations)
-    _refuse_other_collimator(free, near, options)
     return near
 
 
@@ -200,40 +235,33 @@ def _certified_radius(options: CalibrationOptions) -> float | None:
     return passport.values_by_name["r"] if passport is not None and passport.is_certificate else None
 
 
-def _refuse_other_collimator(free: Problem, near: State, options: CalibrationOptions) -> None:
-    """Refuse a certificate whose radius is far from what the views alone show: it is another collimator's.
-
-    Camera, lens and fields would take up even twice the radius. Views that show too little of it say nothing.
-    """
-    stated, at = _certified_radius(options), free.bench.layout.index["r"]
-    if stated is None:
-        return
-    seen = float(near.shared[at])
+def _is_far(free: Problem, near: State, stated: float) -> bool:
+    """Tell whether a radius, mm, is not that of a state, even if errors are larger than expected."""
+    at = free.bench.layout.index["r"]
+    away = abs(stated - float(near.shared[at]))
     share = _OTHER_RADIUS_BY_HAND if free.bench.layout.by_hand else _OTHER_RADIUS
-    if abs(stated - seen) <= share * seen:
-        return
-    try:
-        large = free.hyper.mean + np.sqrt(np.diag(free.hyper.covariance))
-        found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), large)
-    except (NotConverged, np.linalg.LinAlgError):
-        return
-    if abs(stated - seen) > _CLEARLY * float(np.sqrt(found.covariance[at, at])):
-        raise InputMismatch(
-            f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen:.3g} mm.",
-            remedy="Give the certificate of the collimator that was used, or leave it out.",
-        )
+    if away <= share * float(near.shared[at]):
+        return False
+    large = free.hyper.mean + np.sqrt(np.diag(free.hyper.covariance))
+    found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), large)
+    return away > _CLEARLY * float(np.sqrt(found.covariance[at, at]))
 
 
 def _searched(
-    views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], start: AdjustmentParameters
+    views: Sequence[View],
+    options: CalibrationOptions,
+    lens: tuple[str, ...],
+    start: AdjustmentParameters,
+    discs: Discs | None,
+    *,
+    by_hand: bool = True,
 ) -> Optimum:
-    discs = discs_of_poses(views, np.array(poses_of(start.rotations), np.int64))
-    problem, state = posed(views, options, start, lens, discs)
+    problem, state = posed(views, options, start, lens, discs, by_hand=by_hand)
     near = _approached(problem, state, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    problem, state = posed(views, options, start, lens, discs)
+    problem, state = posed(views, options, start, lens, discs, by_hand=by_hand)
     found = search(problem, state, options.max_iterations)
     return _without_wrong_certificate(found, state, options)
 

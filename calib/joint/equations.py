@@ -163,7 +163,7 @@ class Bench:
     # target. They are data, so that no step changes them.
     turns: Array
     axes: Array
-    # (n, 2) place of the pupil in the beam, in tangents of a turn that would bring it there.
+    # (n, 2) place of the pupil in the beam, in sines of a turn that would bring it there.
     pupils: Array
     discs: tuple[Disc, ...] = ()  # Visible disc of each view, if the rim is in view
 
@@ -478,3 +478,8 @@ def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:
     first = np.unique(poses, return_index=True)[1]
     own = rotations[first]
     return own[:, 2, :2] / own[:, 2, 2:], own[:, :2, :2]
+
+
+def sines_of(turns: Array) -> Array:
+    """Return the (n, 2) sines of turns from their tangents: so a pupil before the pivot moves across the beam."""
+    return np.asarray(turns / np.sqrt(1.0 + (turns**2).sum(axis=1, keepdims=True)))

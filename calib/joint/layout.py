@@ -40,7 +40,7 @@ RIM_OWN = 0.2 * np.array([1.0, _RIM_RATIO])
 _LENS_RATIOS = {"k1": 1.0, "k2": 0.4, "k3": 0.15, "kb1": 1.0, "kb2": 0.4, "kb3": 0.15, "kb4": 0.05}
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
-#: Change of the radius by the tangents of the turns along X and Y, as a share: a pupil that is beside the pivot moves
+#: Change of the radius by the sines of the turns along X and Y, as a share: a pupil that is beside the pivot moves
 #: along the axis when the camera turns.
 ASIDE = ("aside_x", "aside_y")
 #: radial_4 is typically so many times radial.
@@ -192,13 +192,15 @@ class Layout:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.
 
         turns: (n, 2) tangents of the turns along X and Y. axes: (n, 2, 2) the camera's x and y axes on the target.
-        pupils: (n, 2) what the fields by turn follow: the turns, or the places of a pupil that is moved by hand.
+        pupils: (n, 2) what the fields by turn follow: the sines of the turns, or the places of a pupil that is moved by
+          hand.
         """
         k, r_mm = len(self.camera), self.basis.reference[2]
+        cosines = 1.0 / np.sqrt(1.0 + (turns**2).sum(axis=1))
         found = np.zeros((len(turns), self.size, len(self.names)))
         found[:, range(k), range(k)] = 1.0
         found[:, k, self.index["r"]] = 1.0
-        found[:, k, self.places(ASIDE)] = r_mm * turns
+        found[:, k, self.places(ASIDE)] = r_mm * turns * cosines[:, None]
         if self.by_hand:
             found[:, k, self.places(self.along)] = r_mm * np.eye(len(turns))
         found[:, range(k + 1, self.field), self.places(self.rim)] = 1.0
@@ -208,6 +210,9 @@ class Layout:
         found[:, field + self.common, self.places([f"{FIELD}{j}" for j in self.common])] = 1.0
         by_turn = self.by_turn
         found[:, by_turn.rows, by_turn.columns] = by_turn.sizes(pupils)
+        if not self.by_hand:  # a pupil before the pivot also moves back along the beam
+            back = r_mm * (cosines - 1.0) / amp.UNIT_TURN
+            found[:, k, self.parallax[[0, 3]]] = 0.5 * back[:, None]
         if self.by_hand:
             found[:, self.own_by_turn.rows, self.own_by_turn.columns] = self.own_by_turn.sizes(turns)
         times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)

@@ -24,7 +24,7 @@ _COUNTED = 0.1
 class Places:
     """The linear equations of the places of n poses, with all other unknowns eliminated."""
 
-    step: Array  # (n, 2) to the most probable places, tangents
+    step: Array  # (n, 2) to the most probable places, sines
     spread: Array  # (S, S) covariance of the shared unknowns that comes from the uncertainty of the discs
 
 
@@ -66,15 +66,19 @@ def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
 def _of_determinant(marginal: Marginal, found: Solution, stars: Array) -> tuple[Array, Array]:
     """Return (n, 2), (n, 2, 2) half of gradient and curvature of log det of the shared information by the places.
 
-    Without them the places would follow fields that are hardly known. Readings have no part in them. stars: (n, B, B)
+    Without them the places would follow fields that are hardly known. Readings have no part in them. Where a pose alone
+    determines the fields, its place changes hardly any determinant: only what others know of it bends. stars: (n, B, B)
     information of the bases.
     """
     bench, layout = marginal.problem.bench, marginal.problem.bench.layout
     by_turn, own = layout.by_turn, layout.pose_places
     slopes = by_turn.slopes(bench.pupils)
     left = stars - stars[:, :, own] @ found.own @ stars[:, own]
-    together = left @ marginal.equations.maps @ found.covariance[:, by_turn.columns]
+    maps = marginal.equations.maps
+    spread = maps @ found.covariance
+    together = left @ spread[:, :, by_turn.columns]
     gradient = (slopes @ together[:, by_turn.rows, range(len(by_turn.rows)), None])[:, :, 0]
     known = found.covariance[by_turn.columns[:, None], by_turn.columns]
-    curved = left[:, by_turn.rows[:, None], by_turn.rows] * known
+    others = left - left @ (spread @ maps.swapaxes(1, 2)) @ left
+    curved = others[:, by_turn.rows[:, None], by_turn.rows] * known
     return gradient, slopes @ curved @ slopes.swapaxes(1, 2)

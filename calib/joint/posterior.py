@@ -25,7 +25,7 @@ from calib.joint.marginal import Marginal, Solution
 from calib.joint.places import places_of
 from calib.joint.prior import NO_FAULT, Faults, block_diagonal
 from calib.joint.samples import Node, log_odds, nodes_about, trusted
-from calib.joint.solve import Optimum, beside, relative_step
+from calib.joint.solve import Optimum, beside, relative_step, weighed_as
 from calib.model.result_parts import GIMBAL_SCALE
 
 #: Share of the posterior that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
@@ -201,14 +201,9 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
 
 
 def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
-    """Return how much more probable faults are, by the equations of their state, than none is at an optimum.
-
-    The stars have the weights of the optimum: where they fit badly, they would not count.
-    """
-    problem = there.marginal.problem
-    same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
-    again = Marginal(problem, same, there.state)
+    """Return how much more probable faults are, by the equations of their state, than none is at an optimum."""
     assert there.fault_eta is not None
+    again = weighed_as(there, than)
     eta, found = best_amplitudes(again, there.fault_eta, _FAULT_STEPS, faults)
     log = 0.5 * (than.solution.value - found.value) * _share_of_stars(again, eta, found, faults)
     return math.exp(min(log, _LARGEST_LOG)) * math.prod(FAULTS[fault] for _, fault in faults)

@@ -17,10 +17,9 @@ from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
 
-#: A pupil that wanders by this share of the radius is moved by hand; on a gimbal, by less than a quarter of it.
+#: A pupil that wanders by this share of the radius may be moved by hand; on a gimbal with good discs, by less than a
+#: quarter of it. It is moved by hand for certain if it wanders by more than the uncertainty of the discs' differences.
 _WANDERS = 0.01
-#: A wander counts if it is more than this share of the uncertainty of the discs' differences, which is a safe one.
-_SEEN = 1.0 / 3.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
 #: The mean of the places is held to this, tangents: it does what a common field does.
@@ -33,6 +32,7 @@ class Pupils:
 
     shown: Array  # (n, 2) by the discs
     information: Array  # (2 n, 2 n) of that
+    certain: bool  # Whether the discs exclude a gimbal
 
 
 def discs_of_poses(views: Sequence[View], poses: NDArray[np.int64]) -> Discs | None:
@@ -41,7 +41,7 @@ def discs_of_poses(views: Sequence[View], poses: NDArray[np.int64]) -> Discs | N
 
 
 def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
-    """Return the pupils if they wander farther than on a gimbal, where the turn shows them far better than a disc."""
+    """Return the pupils if they may wander as on no gimbal, where the turn shows them far better than a disc."""
     of_poses = found.of_views
     middles = np.array([disc.centre_mm for disc in of_poses])
     aside = middles - np.array([disc.expected_mm for disc in of_poses])
@@ -50,10 +50,10 @@ def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
     about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
     differences = about @ found.covariance_mm2 @ about
     sigma = np.sqrt(np.trace(differences) / n)
-    if wander < max(_WANDERS * r_mm, _SEEN * sigma):
+    if wander < _WANDERS * r_mm:
         return None
     as_turns = _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * (np.eye(2 * n) - about)
     shown = as_turns * (middles - middles.mean(axis=0))
-    return Pupils(shown, np.asarray(np.linalg.inv(covariance)))
+    return Pupils(shown, np.asarray(np.linalg.inv(covariance)), bool(wander > sigma))

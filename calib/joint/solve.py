@@ -73,21 +73,20 @@ class Optimum:
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
     eta, state = first_amplitudes(problem, start), start
-    equations, placed, short_steps = first_equations(problem, start), problem.pupils is None, 0
+    equations, short_steps = first_equations(problem, start), 0
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
         eta, found = _in_round(k, marginal, eta)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
         short_steps += relative_step(marginal, found.step) < _TRUSTED
-        if k > _FIRST_ROUNDS and small(marginal, found, share):
+        placed = problem.pupils is None or short_steps > 1
+        if k > _FIRST_ROUNDS and placed and small(marginal, found, share):
             if k < _LATE:
                 eta, found = better_amplitudes(marginal, eta, found)
             if small(marginal, found, share):
-                if placed:
-                    return Optimum(marginal, eta, found, k + 1, converged=True)
-                placed = True
+                return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
-        if placed and problem.pupils is not None:
+        if short_steps and problem.pupils is not None:
             problem, state, lengths = _placed(marginal, eta, found, state, 1.0 / (1 + k // _LATE))
         spread = robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
@@ -150,6 +149,16 @@ def beside(optimum: Optimum, faults: Faults, rounds: int, start: State | None = 
     eta, found = searched(marginal, optimum.eta, _LONG, enough=FINE)
     iterations = optimum.iterations + there.iterations
     return Optimum(marginal, eta, found, iterations, there.converged, there.eta, optimum.better_lens)
+
+
+def weighed_as(there: Optimum, than: Optimum) -> Marginal:
+    """Return the equations of an optimum with the weights that the stars have at another.
+
+    Only so can the values of two optima be compared: where stars fit badly, they would not count.
+    """
+    problem = there.marginal.problem
+    same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
+    return Marginal(problem, same, there.state)
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:

@@ -53,20 +53,23 @@ def require_determined(
     if options.passport is None:
         require_distinct_poses(parameters)
     sigmas = np.sqrt(np.diag(found.covariance))
-    why = explain_weak_geometry(views, parameters)
+    lens = _lens(found)
+    why = lens or explain_weak_geometry(views, parameters)
     for k, name in enumerate(("fx", "fy")):
         share = float(sigmas[k] / found.mean[k])
         if not 0.0 <= share <= MAX_FOCAL_SIGMA:
             free = _free_unknown(found, k)
             raise DegenerateViews(
                 f"These views determine {name} only to ±{200.0 * share:.0f} % (k = 2). {why}".strip(),
-                remedy=f"Nothing binds {free}: {_BINDS.get(free, 'more poses')} would."
+                remedy=""
+                if lens
+                else f"Nothing binds {free}: {_BINDS.get(free, 'more poses')} would."
                 " Add views turned about other axes, with the stars elsewhere in the image.",
             )
     if not found.optimum.converged:
         raise NotConverged(
             f"The adjustment did not converge within {found.optimum.iterations} steps. {why}".strip(),
-            remedy="Add views from other angles.",
+            remedy="" if lens else "Add views from other angles.",
         )
 
 

@@ -45,9 +45,9 @@ class ParallaxBound:
             raise InputMismatch("The bound of the parallax contains a number that is not finite.")
 
     def mean_and_sigma(self, r_mm: float) -> tuple[float, float]:
-        """Return the expected displacement of the pattern per tangent of the turn, as a share of r, and its 1-sigma.
+        """Return the expected displacement of the pattern per sine of the turn, as a share of r, and its 1-sigma.
 
-        The pupil moves across the beam by off_pivot times the tangent of the turn, and the pattern by -defocus times
+        The pupil moves across the beam by off_pivot times the sine of the turn, and the pattern by -defocus times
         that. Uncertainty of a product of two independent quantities: Goodman (1960).
         """
         d, off = self.defocus, self.pupil_off_pivot_mm
@@ -56,7 +56,7 @@ class ParallaxBound:
         return -d * off / r_mm, float(sigma / r_mm)
 
     def aside_sigma(self, r_mm: float) -> float:
-        """Return the 1-sigma change of the radius per tangent of the turn, as a share, by a pupil beside the pivot."""
+        """Return the 1-sigma change of the radius per sine of the turn, as a share, by a pupil beside the pivot."""
         return float(np.hypot(self.defocus, self.defocus_sigma)) * self.pupil_beside_axes_mm / r_mm
 
 

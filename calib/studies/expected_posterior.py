@@ -23,7 +23,7 @@ from calib.errors import DegenerateViews
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import lens_names, posed
 from calib.joint.curvature import expected_curvature
-from calib.joint.equations import Equations, State, turns_of
+from calib.joint.equations import Equations, State, sines_of, turns_of
 from calib.joint.layout import DRIFT, POSE_PLACES
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.posterior import Posterior
@@ -153,7 +153,7 @@ class PoseGains:
         apart = np.arange(len(views))
         own = replace(problem.bench, poses=apart)
         turns, axes = turns_of(rotations, apart)
-        own = replace(own, turns=turns, axes=axes, pupils=turns)
+        own = replace(own, turns=turns, axes=axes, pupils=sines_of(turns))
         state = replace(state, fields=np.zeros((len(views), len(POSE_PLACES))))
         eta = expected_amplitudes(bench, problem.hyper)
         squares = np.exp(2.0 * eta)

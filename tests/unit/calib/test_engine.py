@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.errors import InputMismatch, NotConverged
+from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
+from calib.view import View
 from tests.unit.calib.conftest import Bench, FisheyeBench
 
 
@@ -94,6 +95,16 @@ def test_views_of_two_image_sizes_are_refused(bench):
     views = bench.views()
     with pytest.raises(InputMismatch, match="640 x 480, 1280 x 720"):
         calibrate([replace(views[0], image_size=(640, 480)), *views[1:]])
+
+
+def test_views_of_lists_as_a_file_gives_them_are_views_of_arrays(bench):
+    views = bench.views(np.random.default_rng(5), 0.05)
+    arrays = ("ids", "points_px", "target_mm", "covariances_px2")
+    read = [
+        View(view.name, list(view.image_size), *(getattr(view, name).tolist() for name in arrays))
+        for view in views
+    ]
+    assert calibrate(read).camera == calibrate(views).camera
 
 
 def test_two_views_of_one_name_are_refused(bench):
@@ -189,9 +200,13 @@ WIDE = {"fx": 420.0, "fy": 420.4, "poses": tuple((p, t) for t in (-20, 0, 20) fo
 )
 def test_in_a_wide_field_the_other_family_of_lenses_is_named_if_it_is_the_right_one(lens, told, named):
     views = lens(**WIDE, k=(-0.05, 0.01)).views(np.random.default_rng(9), 0.03)
-    notes = " ".join(calibrate(views, CalibrationOptions(distortion=told)).notes)
-    assert ("The lens is of another model" in notes) == bool(named)
-    assert f"the distortion {named} explains" in notes or not named
+    try:
+        said = " ".join(calibrate(views, CalibrationOptions(distortion=told)).notes)
+    except DegenerateViews as error:  # of a lens that is so wrong, the focal length may not be determined
+        said = str(error)
+    assert ("The lens is of another model" in said) == bool(named)
+    assert f"the distortion {named} explains" in said or not named
+    assert "Add views" not in said
 
 
 def test_sigmas_of_stars_in_another_unit_change_the_result_little(bench):

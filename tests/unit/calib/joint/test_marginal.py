@@ -9,12 +9,16 @@ from scipy.optimize import minimize
 from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
 from calib.joint.adjust import adjust
+from calib.joint.amplitudes import UNIT_TURN
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
+from calib.joint.equations import sines_of, turns_of
+from calib.joint.fields import COEFFICIENTS
 from calib.joint.knowledge import CERTIFICATE, FAULTS, PARALLAX, WRONG
 from calib.joint.posterior import posterior
 from calib.joint.pupils import discs_of_poses, pupils_of
 from calib.joint.samples import log_odds
+from calib.joint.solve import weighed_as
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.type_b_terms import TypeBTerm
 from tests.benchmarks.worlds import polynomial
@@ -196,6 +200,41 @@ def test_a_statement_of_which_nobody_else_knows_is_not_contradicted(views, exact
     witnesses = calibrate(views, CalibrationOptions("joint", gimbal=exact)).witnesses
     (pupil,) = (one for one in witnesses if one.name == PARALLAX)
     assert abs(pupil.innovation) < 1.5
+
+
+def test_a_pupil_before_the_pivot_moves_as_the_camera_turns(bench):
+    """Forty degrees, defocus 0.1, 10 mm: across by the sine, and back along the beam."""
+    poses = ((0.0, 0.0), (40.0, 0.0), (-25.0, 20.0))
+    optimum = adjust(
+        bench.views(np.random.default_rng(5), 0.02, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))),
+        CalibrationOptions("joint"),
+    )
+    layout = optimum.marginal.problem.bench.layout
+    turned = np.array([bench.turn(*pose) for pose in poses])
+    turns, axes = turns_of(turned, np.arange(3))
+    maps = layout.maps(turns, axes, sines_of(turns))
+    share = np.zeros(len(layout.names))  # of r, for a full sine: minus defocus times 10 mm
+    r_mm = layout.basis.reference[2]
+    share[layout.parallax[[0, 3]]] = -0.1 * 10.0 / r_mm * UNIT_TURN
+    found = maps @ share
+    pupils = 10.0 * turned[:, 2] - [0.0, 0.0, 10.0]  # from where it is at rest, mm
+    half = COEFFICIENTS // 2
+    shift = r_mm * found[:, [layout.field, layout.field + half]]
+    assert shift == pytest.approx(-0.1 * pupils[:, :2], abs=1e-9)
+    assert found[:, len(layout.camera)] == pytest.approx(-0.1 * pupils[:, 2], abs=1e-9)
+
+
+def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views):
+    """A lens of the wrong family gives up the stars that it does not fit; its own value does not count these."""
+    optimum = adjust(views, KNOWN)
+    spoiled = [
+        replace(view, points_px=view.points_px + 5.0 * (view.ids % 20 == 0)[:, None]) for view in views
+    ]
+    other = adjust(spoiled, KNOWN)
+    assert weighed_as(optimum, optimum).solve(optimum.eta).value == pytest.approx(
+        optimum.solution.value, rel=1e-6
+    )
+    assert weighed_as(other, optimum).solve(other.eta).value > other.solution.value + 100.0
 
 
 def test_statements_that_agree_are_not_doubted(views):

@@ -15,7 +15,7 @@ from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.result_parts import PUPILS
 from tests.benchmarks.worlds.catalogue import WORLDS
-from tests.benchmarks.worlds.knowledge import views_of
+from tests.benchmarks.worlds.knowledge import options_for, views_of
 from tests.support.drawn_benches import NINE, THREE, draw_bench
 
 
@@ -76,13 +76,20 @@ def test_a_search_that_begins_badly_ends_where_the_camera_is():
     assert found.sigma["fx"] < 100.0
 
 
+def test_a_gimbal_whose_discs_are_hardly_shown_is_not_taken_for_a_mount_moved_by_hand():
+    """The discs of three poses wander by 3.7 of 10 mm uncertainty; fx would be 2 U wrong."""
+    bench = WORLDS["raytraced"](515, 3, 1, 0)
+    found = calibrate(views_of(bench), options_for(bench, "0"))
+    assert abs(found.camera.fx - bench.camera.values["fx"]) < found.coverage_factors["fx"] * found.sigma["fx"]
+
+
 def test_places_elsewhere_come_back(optimum):
     at = optimum.marginal.problem.bench.pupils
     moved = at + 0.02 * np.random.default_rng(1).normal(size=at.shape)
     marginal = with_pupils(optimum, moved)
     back = moved + places_of(marginal, optimum.eta, marginal.solve(optimum.eta)).step
     assert doubt(optimum, back) < doubt(optimum, moved) - 1.0
-    assert np.abs(back - at).max() < 0.5 * np.abs(moved - at).max()
+    assert np.abs(back - at).max() < 0.1 * np.abs(moved - at).max()
 
 
 def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
