@@ -291,10 +291,10 @@ def record(
         lasting = np.random.default_rng((seed, 3, other_camera, *pose_key(pose)))
         fresh = np.random.default_rng((seed, 4, other_camera, *pose_key(pose), again))
         rotation = now.gimbal.rotation(np.array(pose, float), 0.002 * lasting.normal(size=2))
-        axis = rotation[2, :2] / rotation[2, 2]
+        axis = rotation[2, :2]
         wander = now.mount.wander_mm * lasting.normal(size=3)
         pupil = (now.mount.aside_mm + wander[:2] - now.mount.off_pivot_mm * axis) / now.glass.r
-        along = wander[2] + now.mount.beside_mm @ axis
+        along = wander[2] + now.mount.beside_mm @ axis + now.mount.off_pivot_mm * (rotation[2, 2] - 1.0)
         seen, rho = now.glass.seen_mm(nominal, pupil, along / now.glass.r)
         h = (seen - now.glass.foot_mm) / now.glass.r
         own = Waves.draw(lasting, 6, (0.2, 1.2)).at(h) * now.pose_field_px / now.camera.values["fx"]
