@@ -20,6 +20,8 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 #: Name of the skew: the element K[0, 1] of the camera matrix, px. MATLAB can estimate it; OpenCV's model has none. It
 #: is estimated beside coefficients of Brown's model.
 SKEW = "skew"
+#: A fold of the distortion is looked for at so many places along a line.
+_ALONG = 1000
 #: Sets of distortion coefficients, by the names that the command line accepts.
 DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -266,7 +268,7 @@ class CameraModel:
         normalised = wanted.copy()
         for _ in range(30):
             distorted, slope, _ = distort_with_jacobians(normalised, self.distortion)
-            determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+            determinant = _determinants(slope)
             # The distortion has folded back if the determinant is not positive.
             error = (wanted - distorted) / np.where(determinant > 0, determinant, np.nan)[:, None]
             step = np.column_stack(
@@ -279,9 +281,19 @@ class CameraModel:
             if not (np.abs(step) > 1e-14).any():
                 break
         inverted = np.abs(distort_with_jacobians(normalised, self.distortion)[0] - wanted).max(axis=1) < 1e-9
+        inverted &= np.hypot(*normalised.T) < self._fold(np.hypot(*normalised[inverted].T).max(initial=0.0))
         rays = np.column_stack([normalised, np.ones(len(normalised))])
         rays[~inverted] = np.nan
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def _fold(self, reach: float) -> float:
+        """Return the tangent from the axis at which the distortion folds back; infinite if it is beyond a reach.
+
+        Beyond it a step can end where the distortion rises again.
+        """
+        along = np.linspace(0.0, reach, _ALONG)
+        slope = distort_with_jacobians(np.column_stack([along, np.zeros(_ALONG)]), self.distortion)[1]
+        return float(along[_determinants(slope) <= 0.0].min(initial=np.inf))
 
     def to_dict(self) -> dict[str, float]:
         """Return the parameters by name.
@@ -292,6 +304,11 @@ class CameraModel:
             Focal lengths and principal point, px, and the distortion coefficients.
         """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
+
+
+def _determinants(slopes: Array) -> Array:
+    """Return the (N,) determinants of (N, 2, 2) matrices."""
+    return np.asarray(slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0])
 
 
 def require_image_size(camera: CameraModel, size: tuple[int, int], who: str) -> None:

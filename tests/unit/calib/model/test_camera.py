@@ -61,6 +61,14 @@ def test_rays_beyond_the_fold_of_the_distortion_are_nan():
     assert np.isfinite(model.rays(np.array([[700.0, 355.0]]))).all()
 
 
+def test_a_point_that_a_lens_reaches_again_far_beyond_its_fold_has_no_ray():
+    """The lens folds at a tangent of 1.05; at 2.4 it comes back to this point."""
+    model = CameraModel(476.0, 476.0, 639.5, 359.5, (1280, 720), {"k1": -0.386, "k2": 0.045})
+    near, far = model.rays(np.array([[639.5 + 250.0, 359.5], [639.5 + 346.0, 359.5]]))
+    assert model.project(near[None])[0] == pytest.approx([889.5, 359.5])
+    assert np.isnan(far).all()
+
+
 def test_a_point_behind_the_camera_has_no_image():
     assert np.isnan(camera().project(np.array([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0]]))).all()
 
