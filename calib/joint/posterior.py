@@ -26,7 +26,7 @@ from calib.joint.places import places_of
 from calib.joint.prior import NO_FAULT, Faults, block_diagonal
 from calib.joint.samples import Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step, weighed_as
-from calib.model.result_parts import GIMBAL_SCALE
+from calib.model.result_parts import GIMBAL_SCALE, PASSPORT
 
 #: Share of the posterior that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
 COVERAGE = 0.9545
@@ -343,13 +343,14 @@ def _usual(optimum: Optimum) -> Array:
 def _possible(marginal: Marginal, starts: Sequence[Array], base: Node) -> list[tuple[str, ...]]:
     """Return the statements that contradict all others, for at least one of the given amplitudes.
 
-    One source states the scales of all axes, so they can be wrong together.
+    One source states the scales of all axes, so they can be wrong together. So can all that a passport says of a glass:
+    if it is another one, its radius is as unknown as what shows this.
     """
     at_fault = dict(base.faults)
     found = [one for eta in starts for one in _innovations(marginal, eta, base.faults)]
     away = {one.name for one in found if abs(one.normalised) > _AGREES}
     undoubted = [one for name, one in marginal.problem.knowledge.witnesses.items() if name not in at_fault]
     doubted = [one.name for one in undoubted if one.name in away]
-    scales = tuple(one.name for one in undoubted if one.group == GIMBAL_SCALE)
-    together = [scales] if len(scales) > 1 and doubted else []
+    sources = [[one.name for one in undoubted if one.group == group] for group in (GIMBAL_SCALE, PASSPORT)]
+    together = [tuple(names) for names in sources if len(names) > 1 and doubted]
     return [*((name,) for name in doubted), *together]

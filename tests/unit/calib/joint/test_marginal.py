@@ -309,6 +309,16 @@ def test_passport_of_another_glass_is_named_and_its_uncertainty_covers_the_camer
     assert max(map(abs, [*over, line["lens_over"]["k1"]])) < 1.3
 
 
+def test_proof_that_a_glass_is_another_one_frees_its_radius_too():
+    """Axis and radial terms of this glass are others; with its passport's radius, fx was 3.3 U wrong."""
+    first, other = polynomial.draw_world(5), polynomial.draw_world(5, other_camera=1)
+    other = replace(other, glass=polynomial.draw_world(15).glass)
+    before = polynomial.record(first, 5, NINE), "cr"
+    line = judged(polynomial.record(other, 5, THREE, other_camera=1), "passport", "shipped", before)
+    assert any("'change of the radius since the passport'" in note for note in line["notes"])
+    assert abs(line["error"]["fx"]) < 2.0 * line["U"]["fx"]
+
+
 def test_scale_of_the_print_is_expected_of_nobody_without_a_certificate(bench):
     views = bench.views(np.random.default_rng(62), 0.02)
     term = TypeBTerm("scale of the print", "print_scale", 2e-5, "station", "rectangular")
