@@ -46,10 +46,14 @@ _LOWER, _HIGHER = 2.5, 1.0
 _APART = 2.0
 #: The equations hold for steps of this share of focal length and radius.
 _NEAR = 0.01
+#: What lies beside such a state still counts if it is so near that the equations show where it is.
+_REACHED = 0.05
 #: A fault that leads farther is looked at if its odds against none are more than this.
 _COUNTS = 0.05
 #: Nodes whose fx is known only to this many U count half in the variances.
 _FAR = 2.0
+#: What one source states can be wrong together, with this share of the probability of a single fault.
+_TOGETHER = {GIMBAL_SCALE: 1.0, PASSPORT: 0.1}
 #: Within this number of sigma of the others, a fault is at most 1.25 times more probable than it was: 0.5 %.
 _AGREES = 1.5
 
@@ -191,13 +195,32 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
         curvature_there, modes_there = _modes(there)
         near_there = [one for one in modes_there if _holds(there, one)]
         if near_there:
-            return _mixture(there, curvature_there, near_there)
+            others = _also(there, modes_there, near, likeliest.faults, odds)
+            return _mixture(there, curvature_there, [*near_there, *others])
         odds = 0.0
     share = min(odds / likeliest.weight, 1.0)
     kept = [
         replace(one, weight=share * one.weight) if away else one for one, away in zip(modes, far, strict=True)
     ]
     return _mixture(optimum, curvature, kept)
+
+
+def _also(
+    there: Optimum, modes: Sequence[Node], near: Sequence[Node], faults: Faults, odds: float
+) -> list[Node]:
+    """Return the modes that were near at the first optimum, by the equations of the state that a fault leads to.
+
+    They may be nearly as probable: then nothing decides between this fault and theirs. ``odds`` are those of the fault.
+    """
+    found = {one.faults: one for one in modes if relative_step(there.marginal, one.solution.step) < _REACHED}
+    if faults not in found:
+        return []
+    whole = found[faults].weight / odds
+    return [
+        replace(found[one.faults], weight=whole * one.weight)
+        for one in near
+        if one.faults in found and not _holds(there, found[one.faults])
+    ]
 
 
 def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
@@ -281,7 +304,7 @@ def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
             marginal, base.eta, _FAULT_STEPS, base.faults, found=behind, curvature=known
         )[1]
     none = max(0.0, log_odds(marginal, behind, base.solution))
-    for names in possible:
+    for names, usual in possible:
         for fault, probability in FAULTS.items():
             faults: Faults = (*base.faults, *((name, fault) for name in names))
             start, eta = min(
@@ -298,7 +321,7 @@ def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
             log *= _share_of_stars(marginal, eta, ended, faults)
             log += math.log(trusted(marginal, ended, base.solution))
             if log > 0.0:
-                odds = base.weight * probability * math.expm1(min(log, _LARGEST_LOG))
+                odds = base.weight * usual * probability * math.expm1(min(log, _LARGEST_LOG))
                 found.append(Node(faults, eta, ended, odds))
     likeliest = max(found, key=_by_weight, default=base)
     beside = _faults(optimum, curvature, likeliest) if likeliest.weight > base.weight else []
@@ -340,17 +363,18 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(marginal: Marginal, starts: Sequence[Array], base: Node) -> list[tuple[str, ...]]:
+def _possible(marginal: Marginal, starts: Sequence[Array], base: Node) -> list[tuple[tuple[str, ...], float]]:
     """Return the statements that contradict all others, for at least one of the given amplitudes.
 
+    Each with the share of the probabilities of `FAULTS` that it has beforehand.
     One source states the scales of all axes, so they can be wrong together. So can all that a passport says of a glass:
-    if it is another one, its radius is as unknown as what shows this.
+    if it is another one, its radius is as unknown as what shows this. A reticle moves more often.
     """
     at_fault = dict(base.faults)
     found = [one for eta in starts for one in _innovations(marginal, eta, base.faults)]
     away = {one.name for one in found if abs(one.normalised) > _AGREES}
     undoubted = [one for name, one in marginal.problem.knowledge.witnesses.items() if name not in at_fault]
     doubted = [one.name for one in undoubted if one.name in away]
-    sources = [[one.name for one in undoubted if one.group == group] for group in (GIMBAL_SCALE, PASSPORT)]
-    together = [tuple(names) for names in sources if len(names) > 1 and doubted]
-    return [*((name,) for name in doubted), *together]
+    sources = {group: tuple(one.name for one in undoubted if one.group == group) for group in _TOGETHER}
+    together = [(names, _TOGETHER[group]) for group, names in sources.items() if len(names) > 1 and doubted]
+    return [*(((name,), 1.0) for name in doubted), *together]
