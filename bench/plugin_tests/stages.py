@@ -46,7 +46,7 @@ class ContractClock(SystemClock):
 
 
 class DeviceTime:
-    """Time of a simulated device, s. While it is held it passes by steps, so a busy computer does not lose any."""
+    """Time of a simulated device, s. While it is held, only the test moves it on: a busy computer changes nothing."""
 
     def __init__(self) -> None:
         self._behind_s = 0.0

@@ -481,5 +481,5 @@ def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def sines_of(turns: Array) -> Array:
-    """Return the (n, 2) sines of turns from their tangents: so a pupil before the pivot moves across the beam."""
+    """Return the (n, 2) sines of turns, from their tangents. A pupil before the pivot moves in proportion to them."""
     return np.asarray(turns / np.sqrt(1.0 + (turns**2).sum(axis=1, keepdims=True)))

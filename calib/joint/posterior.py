@@ -208,9 +208,9 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
 def _also(
     there: Optimum, modes: Sequence[Node], near: Sequence[Node], faults: Faults, odds: float
 ) -> list[Node]:
-    """Return the modes that were near at the first optimum, by the equations of the state that a fault leads to.
+    """Return the modes near the first optimum, as the equations ``there`` show them: where a fault leads.
 
-    They may be nearly as probable: then nothing decides between this fault and theirs. ``odds`` are those of the fault.
+    They count by their weights against the ``odds`` of this fault. If these are alike, the result covers both.
     """
     found = {one.faults: one for one in modes if relative_step(there.marginal, one.solution.step) < _REACHED}
     if faults not in found:
@@ -224,7 +224,7 @@ def _also(
 
 
 def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
-    """Return how much more probable faults are, by the equations of their state, than none is at an optimum."""
+    """Return the odds of faults, seen at the state that they lead to, against no fault at another optimum."""
     assert there.fault_eta is not None
     again = weighed_as(there, than)
     eta, found = best_amplitudes(again, there.fault_eta, _FAULT_STEPS, faults)

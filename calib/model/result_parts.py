@@ -51,7 +51,7 @@ class BudgetRow:
 
     @classmethod
     def of(cls, name: str, kind: Literal["A", "B"], source: str, variances: Array, whole: Array) -> BudgetRow:
-        """Return the row of a source that adds (5,) variances of `ROW_QUANTITIES` to (5,) those of the result."""
+        """Return the row of a source from (5,) its variances of `ROW_QUANTITIES` and (5,) those of the whole result."""
         sigmas, shares = np.sqrt(np.maximum(variances, 0.0)), variances / np.where(whole > 0, whole, 1.0)
         contribution, share = (
             dict(zip(ROW_QUANTITIES, one.tolist(), strict=True)) for one in (sigmas, shares)

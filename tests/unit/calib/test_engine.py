@@ -202,7 +202,7 @@ def test_in_a_wide_field_the_other_family_of_lenses_is_named_if_it_is_the_right_
     views = lens(**WIDE, k=(-0.05, 0.01)).views(np.random.default_rng(9), 0.03)
     try:
         said = " ".join(calibrate(views, CalibrationOptions(distortion=told)).notes)
-    except DegenerateViews as error:  # of a lens that is so wrong, the focal length may not be determined
+    except DegenerateViews as error:  # so wrong a lens may leave the focal length undetermined
         said = str(error)
     assert ("The lens is of another model" in said) == bool(named)
     assert f"the distortion {named} explains" in said or not named
