@@ -26,7 +26,7 @@ REFERENCE_MODELS = ("spherical", "planar")
 #: Models of earlier versions: what they describe is part of the joint adjustment.
 EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: The version of each engine: results of another version are not compared with those of this one.
-ENGINES = {"joint": 8, "reference": 2}
+ENGINES = {"joint": 9, "reference": 2}
 
 
 _ONLY_JOINT = {
@@ -71,8 +71,6 @@ class CalibrationOptions:
         Type B terms of the uncertainty budget.
     passport_source
         Where the passport comes from, for its row of the budget.
-    parallax_sigma
-        Parallax of a collimator with large radial terms, as a share of the focal length, if nothing bounds it.
     compares_lenses
         Whether the data choose the family of the lens; so they do if `distortion` is ``auto``.
 
@@ -93,7 +91,6 @@ class CalibrationOptions:
     radial_sigma: float | None = None
     budget: tuple[TypeBTerm, ...] = ()
     passport_source: str = ""
-    parallax_sigma: float = 0.01
     compares_lenses: bool = False
 
     def __post_init__(self) -> None:
@@ -115,7 +112,7 @@ class CalibrationOptions:
             raise InputMismatch(
                 f"guard_band is {self.guard_band}; it must be above 0 and at most 1 (share of the disc's radius)."
             )
-        for name in ("huber_px", "radial_sigma", "parallax_sigma"):
+        for name in ("huber_px", "radial_sigma"):
             number = getattr(self, name)
             if number is not None and not 0 < number < np.inf:
                 raise InputMismatch(f"{name} is {number}; it must be positive.")

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.initialization import best_start, passport_starts, spherical_starts
-from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geometry, poses_of
+from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geometry
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
@@ -21,14 +21,13 @@ from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term
 from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.posterior import odds_of
-from calib.joint.pupils import discs_of_poses, pupils_of
+from calib.joint.pupils import LEVER, LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, weighed_as
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
-from calib.model.rim_fit import Discs
 from calib.view import View
 
 #: The other family of lenses is taken if twice the logarithm of its odds exceeds this: strong evidence (Kass and
@@ -41,7 +40,7 @@ _STEPS = 20
 _WIDE_FIELD = 0.8
 #: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
 #: alone show, even if all errors are larger than expected by 1-sigma. At the start of a search the views err by up to
-#: 6 % on drawn gimbals, and by 17 % if a hand moves the mount.
+#: 6 % on drawn gimbals, and by 17 % if a hand moves the mount for certain.
 _OTHER_RADIUS, _OTHER_RADIUS_BY_HAND, _CLEARLY = 0.1, 0.3, 6.0
 #: From this difference on, the state is looked at to which the search leads if the certificate is wrong.
 _OTHER_STATE = 0.02
@@ -77,11 +76,11 @@ def posed(
     options: CalibrationOptions,
     start: AdjustmentParameters,
     lens: Sequence[str],
-    discs: Discs | None = None,
+    seen: Poses,
     *,
     by_hand: bool = True,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state, with the visible discs of the poses.
+    """Return the problem and its first state.
 
     A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
     ``by_hand`` is whether the camera may be moved by hand, if the discs say so.
@@ -93,12 +92,13 @@ def posed(
         reference = passport.reference
     radius = passport.conditions.get(FIELD_RADIUS) if passport is not None else None
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
-    poses = np.array(poses_of(start.rotations), np.int64)
+    poses, discs = seen
     readings = Readings.of(options.gimbal) if options.gimbal else None
     names = (*PINHOLE, *lens)
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
     moving = None if bounded else discs
-    pupils = pupils_of(moving, centre.r) if moving and by_hand else None
+    turns, axes = turns_of(start.rotations, poses)
+    pupils = pupils_of(moving, turns, centre.r) if moving and by_hand else None
     pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if moving else amp.Pupil.HELD
     layout = Layout(
         names,
@@ -119,9 +119,9 @@ def posed(
     for name in layout.gimbal:
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
-    hyper = amp.hyperprior(options.parallax_sigma, pupil, passport=bool(layout.passport))
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
-    turns, axes = turns_of(start.rotations, poses)
+    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r) if moving else LEVER
+    hyper = amp.hyperprior(lever, pupil, passport=bool(layout.passport))
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
     blocks = layout.random_blocks(
         hyper,
@@ -183,9 +183,9 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
     If poor discs cannot tell whether a hand moves the camera, the more probable answer is taken.
     """
     start = first_parameters(views, options, lens)
-    discs = discs_of_poses(views, np.array(poses_of(start.rotations), np.int64))
+    seen = seen_poses(views, start.rotations)
     try:
-        found = _searched(views, options, lens, start, discs)
+        found = _searched(views, options, lens, start, seen)
     except (NotConverged, np.linalg.LinAlgError) as error:
         why = explain_weak_geometry(views, start)
         if not why:
@@ -198,7 +198,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
     if pupils is None or pupils.certain:
         return found
     try:
-        turned = _searched(views, options, lens, start, discs, by_hand=False)
+        turned = _searched(views, options, lens, start, seen, by_hand=False)
         return turned if _value_as_weighed(turned, found) < found.solution.value else found
     except (CalibrationError, np.linalg.LinAlgError):  # this is no gimbal
         return found
@@ -239,7 +239,8 @@ def _is_far(free: Problem, near: State, stated: float) -> bool:
     """Tell whether a radius, mm, is not that of a state, even if errors are larger than expected."""
     at = free.bench.layout.index["r"]
     away = abs(stated - float(near.shared[at]))
-    share = _OTHER_RADIUS_BY_HAND if free.bench.layout.by_hand else _OTHER_RADIUS
+    by_hand = free.pupils is not None and free.pupils.certain
+    share = _OTHER_RADIUS_BY_HAND if by_hand else _OTHER_RADIUS
     if away <= share * float(near.shared[at]):
         return False
     large = free.hyper.mean + np.sqrt(np.diag(free.hyper.covariance))
@@ -252,16 +253,16 @@ def _searched(
     options: CalibrationOptions,
     lens: tuple[str, ...],
     start: AdjustmentParameters,
-    discs: Discs | None,
+    seen: Poses,
     *,
     by_hand: bool = True,
 ) -> Optimum:
-    problem, state = posed(views, options, start, lens, discs, by_hand=by_hand)
+    problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
     near = _approached(problem, state, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    problem, state = posed(views, options, start, lens, discs, by_hand=by_hand)
+    problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
     found = search(problem, state, options.max_iterations)
     return _without_wrong_certificate(found, state, options)
 

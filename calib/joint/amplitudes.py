@@ -94,7 +94,7 @@ FAMILIES = (
     Family(TURN_2, smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
     Family(
         (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2, ASIDE),
-        (0.05, 0.5, 1e-3, 4e-4, 4e-6, 3e-4),
+        (0.05, 0.06, 1e-3, 4e-4, 4e-6, 3e-4),
         1.3,
         0.5,
     ),
@@ -113,6 +113,8 @@ FAMILIES = (
 _REACH = 3.0
 #: No field is larger: 1 px at 3345 px.
 _LARGEST_FIELD = 3e-4
+#: That of a pupil 50 mm before the pivot, in a collimator of 250 mm that is out of focus by an eighth.
+_LARGEST_PARALLAX = 0.03
 #: Readings may be those of other poses: degrees beside what they say. Sigmas of stars may be in another unit.
 _NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
 
@@ -149,6 +151,7 @@ class Hyperprior:
         high = self.mean + reach
         fields = [at for at, name in enumerate(self.names) if name in (*POSE, *COMMON, *TURN, *TURN_2)]
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
+        high[self.at(PARALLAX)] = np.log(_LARGEST_PARALLAX)
         high[self.at(READING)], high[self.at(STAR)] = np.log([_NOISIEST_READINGS, _NOISIEST_STARS])
         return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))
 
@@ -170,15 +173,15 @@ def _families(pupil: Pupil, *, passport: bool) -> list[Family]:
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 
-def hyperprior(parallax_sigma: float, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
-    """Return the hyperprior; half of ``parallax_sigma``, a share of r for large radial terms, is typical.
+def hyperprior(lever: float, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
+    """Return the hyperprior; ``lever`` is the way of the pupil across the beam, as a share of r, per unit turn.
 
     ``passport``: whether a passport states the irregular errors of the glass.
     """
     families = _families(pupil, passport=passport)
     names = tuple(name for family in families for name in family.names)
     mean = np.log([median for family in families for median in family.medians])
-    mean[names.index(PARALLAX)] += np.log(parallax_sigma)
+    mean[names.index(PARALLAX)] += np.log(lever)
     glass = np.array([family.glass for family in families for _ in family.names])
     covariance = np.outer(glass, glass)
     begin = 0

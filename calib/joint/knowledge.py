@@ -66,7 +66,7 @@ _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
 #: thermal expansion, the parallax over the one that is expected without a bound.
-_FREE_RADIUS, FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 2.0
+_FREE_RADIUS, FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 0.005
 _FREE_RADIAL = {"radial": 0.05, "radial_4": 0.05 * RADIAL_RATIO}
 _FREE_TERMS = {"thermal": 1e-3, "print_scale": 5e-3}
 _SKEW_DEG = 0.1
@@ -162,7 +162,7 @@ def gather(
         statements += _passport(layout, options, passport)
     bound = options.gimbal.parallax if options.gimbal else None
     if bound is not None:
-        statements += _parallax(layout, bound, start["r"], options.parallax_sigma)
+        statements += _parallax(layout, bound, start["r"])
     if layout.gimbal and options.gimbal:
         statements += _gimbal(layout, options.gimbal)
     if options.radial_sigma is not None and not set(layout.passport) & set(RADIAL):
@@ -290,14 +290,14 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
     return np.asarray(size**2 * shapes @ shapes.T)
 
 
-def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float, unbounded: float) -> list[Statement]:
+def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float) -> list[Statement]:
     """Return what bounds the parallax: its size, how alike it is along both axes, how far the pupil is beside them."""
     stated, aside = bound.mean_and_sigma(r_mm), max(bound.aside_sigma(r_mm), 1e-9)
     names = [layout.names[k] for k in layout.parallax]
     unit = amp.UNIT_TURN
     value, sigma = stated[0], max(stated[1], 1e-9)
     station = _Source(layout, rows.PARALLAX, "station: pupil_off_pivot_mm and defocus")
-    free = max(_FREE_PARALLAX * unbounded, 5.0 * sigma)
+    free = max(_FREE_PARALLAX, 5.0 * sigma)
     along = {names[0]: 0.5 / unit, names[3]: 0.5 / unit}
     other = 0.2 * sigma + 2e-5
     alike = ({names[0]: 0.5 / unit, names[3]: -0.5 / unit}, {names[1]: 1.0 / unit}, {names[2]: 1.0 / unit})

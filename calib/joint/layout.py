@@ -210,6 +210,9 @@ class Layout:
         found[:, field + self.common, self.places([f"{FIELD}{j}" for j in self.common])] = 1.0
         by_turn = self.by_turn
         found[:, by_turn.rows, by_turn.columns] = by_turn.sizes(pupils)
+        if not self.by_hand:  # a pupil before the pivot also moves back along the beam
+            back = r_mm * (cosines - 1.0) / amp.UNIT_TURN
+            found[:, k, self.parallax[[0, 3]]] = 0.5 * back[:, None]
         if self.by_hand:
             found[:, self.own_by_turn.rows, self.own_by_turn.columns] = self.own_by_turn.sizes(turns)
         times = np.linspace(-0.5, 0.5, len(turns)) if len(turns) > 1 else np.zeros(1)

@@ -8,20 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment.parameters import poses_of
 from calib.arrays import Array, rms_length
 from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
 
 #: A pupil that wanders by this share of the radius may be moved by hand; on a gimbal with good discs, by less than a
-#: quarter of it. It is moved by hand for certain if it wanders by more than the uncertainty of the discs' differences.
-_WANDERS = 0.01
+#: quarter of it. It is moved by hand for certain if it wanders by so many sigmas of the discs' differences.
+_WANDERS, _CERTAIN = 0.01, 2.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
+#: A pupil is no nearer to the pivot than this share of r.
+_AT_THE_PIVOT = 0.002
+#: Tangent of a turn below which the way of a pupil does not show.
+_NO_TURN = 1e-3
+LEVER_BY_HAND = 1.0 / _AS_TURNS
+#: 1-sigma of the way of a pupil on a gimbal, as a share of r per unit turn, if no disc shows it.
+LEVER = 0.03
 #: The mean of the places is held to this, tangents: it does what a common field does.
 _SAME = 4e-3
 
@@ -35,25 +44,52 @@ class Pupils:
     certain: bool  # Whether the discs exclude a gimbal
 
 
-def discs_of_poses(views: Sequence[View], poses: NDArray[np.int64]) -> Discs | None:
-    """Return the visible discs of the poses, None if out of view. Repeats of a pose show the same rim."""
-    return discs_of([views[v] for v in np.unique(poses, return_index=True)[1]])
+class Poses(NamedTuple):
+    """The poses of a search: found once, since a view near the limit would change its pose on the way."""
+
+    of_views: NDArray[np.int64]  # (V,) pose of each view
+    discs: Discs | None = None  # Of each pose, if a rim is in view
 
 
-def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
-    """Return the pupils if they may wander as on no gimbal, where the turn shows them far better than a disc."""
-    of_poses = found.of_views
-    middles = np.array([disc.centre_mm for disc in of_poses])
-    aside = middles - np.array([disc.expected_mm for disc in of_poses])
-    wander = rms_length(aside - aside.mean(axis=0))
+def seen_poses(views: Sequence[View], rotations: Array) -> Poses:
+    """Return the poses of views with (V, 3, 3) rotations. Repeats of a pose show the same rim."""
+    poses = np.array(poses_of(rotations), np.int64)
+    return Poses(poses, discs_of([views[v] for v in np.unique(poses, return_index=True)[1]]))
+
+
+def lever_of(found: Discs, turns: Array, r_mm: float) -> float:
+    """Return the way of the pupil across the beam that discs show, as a share of r per unit turn. turns: (n, 2)."""
+    if len(turns) < 2:
+        return LEVER
+    away, differences = _about_their_mean(found)
+    reach = r_mm * max(rms_length(turns - turns.mean(axis=0)), _NO_TURN)
+    variance = np.trace(differences) / len(turns) / reach**2 + _AT_THE_PIVOT**2
+    shown = LEVER**2 / (LEVER**2 + variance)
+    return float(np.sqrt(shown * (shown * (rms_length(away) / reach) ** 2 + variance)))
+
+
+def _about_their_mean(found: Discs) -> tuple[Array, Array]:
+    """Return the (n, 2) middles of discs about their mean, mm, and their covariance."""
+    middles = np.array([disc.centre_mm for disc in found.of_views])
     n = len(middles)
     about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
-    differences = about @ found.covariance_mm2 @ about
+    return middles - middles.mean(axis=0), about @ found.covariance_mm2 @ about
+
+
+def pupils_of(found: Discs, turns: Array, r_mm: float) -> Pupils | None:
+    """Return the pupils if they may wander as on no gimbal, where the turn shows them far better than a disc.
+
+    On a gimbal each moves along X as the turn along X says, and along Y as that along Y.
+    """
+    away, differences = _about_their_mean(found)
+    turned = turns - turns.mean(axis=0)
+    ways = (turned * away).sum(axis=0) / np.maximum((turned**2).sum(axis=0), _NO_TURN**2)
+    wander = rms_length(away - ways * turned)
+    n = len(turns)
     sigma = np.sqrt(np.trace(differences) / n)
     if wander < _WANDERS * r_mm:
         return None
     as_turns = _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
-    covariance += _SAME**2 * (np.eye(2 * n) - about)
-    shown = as_turns * (middles - middles.mean(axis=0))
-    return Pupils(shown, np.asarray(np.linalg.inv(covariance)), bool(wander > sigma))
+    covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))
+    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), bool(wander > _CERTAIN * sigma))

@@ -22,6 +22,8 @@ from calib.joint.prior import Faults
 
 #: Rounds with large robust limits, before the first search of amplitudes.
 _FIRST_ROUNDS = 1
+#: Stars begin as noisy as this share of their residuals there, but not better than stated.
+_FIRST_NOISE = 0.03
 #: Stars are weighed again in so many rounds with a short step, and then no more: a k-step M-estimator (Bickel, 1975).
 #: Where the errors at the rim are no smooth field, the weights would go on to fall for 20 rounds.
 _REWEIGHTED = 7
@@ -164,9 +166,12 @@ def weighed_as(there: Optimum, than: Optimum) -> Marginal:
 def first_amplitudes(problem: Problem, state: State) -> Array:
     """Return (A,) logarithms of amplitudes to begin with: small errors, and readings as noisy as they are here.
 
-    Readings that belong to other poses would otherwise take the state along.
+    Readings that belong to other poses would otherwise take the state along. Stars whose sigmas are in another unit
+    would make the fields grow.
     """
     eta = problem.hyper.stiff.copy()
+    at, spread = problem.hyper.at(amp.STAR), robust_sigma(problem.bench.whitened(state))
+    eta[at] = max(eta[at], np.log(_FIRST_NOISE * spread))
     readings = problem.bench.readings
     if readings is not None and state.gimbal is not None:
         rms = float(np.sqrt(np.mean(problem.bench.readings_off(state) ** 2)))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.parameters import AdjustmentParameters, poses_of
 from calib.arrays import Array, Ints
 from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews
@@ -28,6 +28,7 @@ from calib.joint.layout import DRIFT, POSE_PLACES
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.posterior import Posterior
 from calib.joint.prior import NO_FAULT
+from calib.joint.pupils import Poses
 from calib.joint.samples import Node
 from calib.joint.solve import Optimum
 from calib.model.lens import is_fisheye
@@ -62,7 +63,7 @@ def posed_bench(
         budget=bench.terms,
         radial_sigma=bench.radial_sigma,
     )
-    return posed(views, options, start, lens)
+    return posed(views, options, start, lens, Poses(np.array(poses_of(rotations), np.int64)))
 
 
 def with_distortion(bench: ExpectedBench) -> ExpectedBench:

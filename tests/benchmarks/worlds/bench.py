@@ -42,7 +42,6 @@ class Stated:
     reading_sigma_deg: float = 0.0025
     scale_sigma: float = 2e-4
     eccentricity_deg: float = 0.001
-    parallax_sigma: float = 1e-3  # if nothing bounds it
     bounded: bool = True  # whether defocus and pupil bound the parallax; not on a mount moved by hand
     print_scale: float = 2e-5  # half width, rectangular
     print_bow_mm: float = 0.02  # half width at 40 mm, rectangular

@@ -77,7 +77,6 @@ def options_for(
         passport_source="certificate" if known in ("cr", "c") else "passport" if passport else "",
         gimbal=_readings(bench) if "r" in known else None,
         budget=_budget(stated) if known != "0" else (),
-        parallax_sigma=stated.parallax_sigma,
     )
 
 

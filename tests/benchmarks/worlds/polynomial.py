@@ -195,7 +195,6 @@ def _stated(rng: np.random.Generator, kind: str) -> tuple[Stated, dict[str, Any]
         float(rng.uniform(0.03, 0.1)),
         (0.0, 0.0),
         (0.0, 0.0),
-        parallax_sigma=0.01 if by_hand else 1e-3,
         bounded=not by_hand,
         print_bow_mm=float(np.exp(rng.uniform(np.log(0.005), np.log(0.02)))),
     )

@@ -45,7 +45,6 @@ def draw(
         sigma_r,
         (float(glass.defocus + sigma_defocus * z[1]), float(sigma_defocus)),
         (float(off + 0.5 * z[2]), 0.5),
-        parallax_sigma=0.01 if by_hand else 1e-3,
         bounded=not by_hand,
         print_bow_mm=bow,
     )

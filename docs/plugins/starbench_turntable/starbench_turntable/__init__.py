@@ -160,5 +160,7 @@ class Turntable(WatchedStage[TurntableAxis]):
         return AxisState(position_deg, state == "moving", problem)
 
     def _send_stop(self) -> None:
+        """Stop at once; the reply to that is thrown away, then a stop on a clean line is confirmed."""
         self._line.send_urgent("STOP")
+        self._line.mark_out_of_step()
         self._command("STOP", tries=3)

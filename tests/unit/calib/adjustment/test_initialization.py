@@ -23,6 +23,15 @@ SIZE = (1280, 720)
 #: Three poses, pan, tilt and roll in degrees, that determine a camera without any doubt.
 WELL_SPREAD = np.array([[-5.0, 2.0, 0.0], [0.5, -2.5, 10.0], [5.0, 2.5, -20.0]])
 
+#: So near to each other that a step of the search joins or parts their poses.
+NEARLY_ONE_POSE = np.array(
+    [
+        [0.01257302, -0.01321049, 0.06404227],
+        [0.01049001, -0.05356694, 0.03615951],
+        [0.1304, 0.0947081, -0.07037352],
+    ]
+)
+
 #: Turns of a set of views: anything, the same pose again and again, about one axis, a roll, and all but these.
 ANGLE = st.floats(-12.0, 12.0)
 
@@ -199,3 +208,12 @@ def test_a_turntable_is_enough(bench):
     result = calibrate(views)
     assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
     assert result.sigma["fx"] < 12
+
+
+def test_poses_that_the_search_parts_stay_as_they_were_found():
+    bench = Bench(fx=2000.0, fy=2001.0, half_angle_deg=5.0, poses=tuple(map(tuple, NEARLY_ONE_POSE)))
+    views = bench.views(np.random.default_rng(3), 2.0)
+    with pytest.raises(CalibrationError, match="determine"):
+        calibrate(views, CalibrationOptions(distortion="k1"))
+    result = calibrate(views, CalibrationOptions(distortion="k1", passport=Passport.of_radius(255.0, 0.1)))
+    assert np.isfinite(result.values).all()

@@ -23,7 +23,7 @@ from tests.support.drawn_benches import NINE, THREE, draw_bench
 def optimum():
     """The adjustment of nine poses of a mount that is moved by hand."""
     bench = WORLDS["S1"](3, 9, 1, 0)
-    return adjust(views_of(bench), CalibrationOptions("joint", parallax_sigma=0.01))
+    return adjust(views_of(bench), CalibrationOptions("joint"))
 
 
 def with_pupils(optimum, places):
@@ -71,7 +71,7 @@ def test_prior_information_is_the_inverse_of_the_covariance(optimum):
 def test_a_search_that_begins_badly_ends_where_the_camera_is():
     """Its first steps are long with any amplitudes. If it kept those of the start, fx would be 5 U wrong."""
     bench = WORLDS["S1"](76, 9, 1, 0)
-    found = calibrate(views_of(bench), CalibrationOptions("joint", parallax_sigma=0.01))
+    found = calibrate(views_of(bench), CalibrationOptions("joint"))
     assert abs(found.camera.fx - bench.camera.values["fx"]) < 2.0 * found.sigma["fx"]
     assert found.sigma["fx"] < 100.0
 
