@@ -24,7 +24,7 @@ from calib.view import View
 _WANDERS, _CERTAIN = 0.01, 2.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
-#: A pupil is no nearer to the pivot than this share of r.
+#: 1-sigma of the way of a pupil that the discs show on the pivot: they do not show it better.
 _AT_THE_PIVOT = 0.002
 #: Tangent of a turn below which the way of a pupil does not show.
 _NO_TURN = 1e-3
@@ -85,10 +85,10 @@ def pupils_of(found: Discs, turns: Array, r_mm: float) -> Pupils | None:
     turned = turns - turns.mean(axis=0)
     ways = (turned * away).sum(axis=0) / np.maximum((turned**2).sum(axis=0), _NO_TURN**2)
     wander = rms_length(away - ways * turned)
-    n = len(turns)
-    sigma = np.sqrt(np.trace(differences) / n)
     if wander < _WANDERS * r_mm:
         return None
+    n = len(turns)
+    sigma = np.sqrt(np.trace(differences) / n)
     as_turns = _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))

@@ -219,7 +219,6 @@ class Disc:
     # 1-sigma of the centre along the worse axis, mm, by the points of this view alone, if the edge were a
     # circle of about the radius of the other views. It tells how much of the rim is in view.
     own_sigma_mm: float
-    expected_mm: Array  # (2,) float64, mm, centre by the motion that all discs have in common
 
     @property
     def rim_visible(self) -> bool:
@@ -320,12 +319,10 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
             grid, weights = grid[weights > _LEAST_WEIGHT], weights[weights > _LEAST_WEIGHT]
     sites.precision[:, sigmas.shape[1] :] = 0.0  # Bright points do not show the rim
     own = _own_sigmas(evidence_of(design, distance, sites).information, grid[:, 2], weights, reach_mm)
-    return _discs(rims, found, share, own, middle_mm, common)
+    return _discs(rims, found, share, own, middle_mm)
 
 
-def _discs(
-    rims: Sequence[RimPoints], found: _Posterior, share: Array, own: Array, middle_mm: Array, common: _Common
-) -> Discs:
+def _discs(rims: Sequence[RimPoints], found: _Posterior, share: Array, own: Array, middle_mm: Array) -> Discs:
     """Return the discs from posteriors with (G,) shares, and from the (V,) sigmas of centres by each view alone."""
     shared, shared_covariance = _mixed(share, found.shared, found.shared_covariance)
     motion = DiscMotion(shared[2:6].reshape(2, 2), shared_covariance[2:6, 2:6])
@@ -333,8 +330,7 @@ def _discs(
     covariance += np.diag(np.repeat([rim.level_sigma_mm**2 for rim in rims], 2))
     blocks = [covariance[i : i + 2, i : i + 2] for i in range(0, len(covariance), 2)]
     radii = np.abs(share @ found.mean[..., 2]).tolist()
-    expected = common.designs[:, :2] @ shared + middle_mm
-    columns = (centres.reshape(-1, 2) + middle_mm, radii, blocks, own.tolist(), expected)
+    columns = (centres.reshape(-1, 2) + middle_mm, radii, blocks, own.tolist())
     return Discs([Disc(*one) for one in zip(*columns, strict=True)], covariance, motion)
 
 
