@@ -20,8 +20,9 @@ from calib.model.rim_fit import Discs
 from calib.view import View
 
 #: A pupil that wanders by this share of the radius may be moved by hand; on a gimbal with good discs, by less than a
-#: quarter of it. It is moved by hand for certain if it wanders by so many sigmas of the discs' differences.
-_WANDERS, _CERTAIN = 0.01, 2.0
+#: quarter of it. It is moved by hand for certain if it wanders by so many sigmas of the discs' differences,
+#: which those of three poses on a gimbal do in 1 of 90 cases.
+_WANDERS, _CERTAIN = 0.01, 1.5
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
 #: 1-sigma of the way of a pupil that the discs show on the pivot: they do not show it better.
