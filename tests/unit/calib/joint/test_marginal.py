@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 
 from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
+from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.amplitudes import UNIT_TURN
 from calib.joint.budget import variances
@@ -136,6 +137,19 @@ def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders)
     assert (pupils is not None) == wanders
     if wanders:
         assert pupils.shown[2, 0] - pupils.shown[0, 0] == pytest.approx(12.0 * 2.0 * mm / 255.0, rel=0.3)
+
+
+@pytest.mark.parametrize("off_mm", [4.0, 60.0])
+def test_the_expected_parallax_is_that_of_the_way_that_the_discs_show(bench, off_mm):
+    """Where the pupil is before the pivot, the disc moves along each axis as that turns: no hand does so."""
+    seen = []
+    for view, pose in zip(bench.views(np.random.default_rng(5), 0.02, POSES[:3]), POSES[:3], strict=True):
+        disc = bench.centre[:2] + off_mm * np.tan(np.deg2rad(pose[:2]))
+        seen.append(view.part(np.hypot(*(view.target_mm - disc).T) < 25.0))
+    problem = adjust(seen, CalibrationOptions("joint")).marginal.problem
+    assert problem.pupils is None
+    median = np.exp(problem.hyper.mean[problem.hyper.at(amp.PARALLAX)])
+    assert (median > 0.06 * 0.06) == (off_mm > 15.0)
 
 
 @pytest.mark.parametrize("gimbal", [None, replace(READINGS, angles_deg=ANGLES[:3])])
