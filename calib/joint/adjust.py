@@ -21,7 +21,7 @@ from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term
 from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.posterior import odds_of
-from calib.joint.pupils import LEVER, LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
+from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, weighed_as
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
@@ -120,7 +120,7 @@ def posed(
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
-    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r) if moving else LEVER
+    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r)
     hyper = amp.hyperprior(lever, pupil, passport=bool(layout.passport))
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
     blocks = layout.random_blocks(

@@ -174,7 +174,7 @@ def _families(pupil: Pupil, *, passport: bool) -> list[Family]:
 
 
 def hyperprior(lever: float, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
-    """Return the hyperprior; ``lever`` is the way of the pupil across the beam, as a share of r, per unit turn.
+    """Return the hyperprior. ``lever``: how far the pupil moves across the beam per unit turn, as a share of r.
 
     ``passport``: whether a passport states the irregular errors of the glass.
     """

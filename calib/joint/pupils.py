@@ -20,18 +20,17 @@ from calib.model.rim_fit import Discs
 from calib.view import View
 
 #: A pupil that wanders by this share of the radius may be moved by hand; on a gimbal with good discs, by less than a
-#: quarter of it. It is moved by hand for certain if it wanders by so many sigmas of the discs' differences,
-#: which those of three poses on a gimbal do in 1 of 90 cases.
+#: quarter of it. It is moved by hand for certain if it wanders by so many sigmas of the discs' differences.
+#: Three poses on a gimbal do so by chance in 1 of 90 cases.
 _WANDERS, _CERTAIN = 0.01, 1.5
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
-#: 1-sigma of the way of a pupil that the discs show on the pivot: they do not show it better.
+#: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
+_LEVER, LEVER_BY_HAND = 0.03, 1.0 / _AS_TURNS
+#: Discs show it no better than this.
 _AT_THE_PIVOT = 0.002
-#: Tangent of a turn below which the way of a pupil does not show.
+#: Turns whose tangent is smaller say nothing of how a pupil moves.
 _NO_TURN = 1e-3
-LEVER_BY_HAND = 1.0 / _AS_TURNS
-#: 1-sigma of the way of a pupil on a gimbal, as a share of r per unit turn, if no disc shows it.
-LEVER = 0.03
 #: The mean of the places is held to this, tangents: it does what a common field does.
 _SAME = 4e-3
 
@@ -46,7 +45,7 @@ class Pupils:
 
 
 class Poses(NamedTuple):
-    """The poses of a search: found once, since a view near the limit would change its pose on the way."""
+    """The poses of a search. They are found once: a step of the search could join two poses, or part them."""
 
     of_views: NDArray[np.int64]  # (V,) pose of each view
     discs: Discs | None = None  # Of each pose, if a rim is in view
@@ -58,14 +57,14 @@ def seen_poses(views: Sequence[View], rotations: Array) -> Poses:
     return Poses(poses, discs_of([views[v] for v in np.unique(poses, return_index=True)[1]]))
 
 
-def lever_of(found: Discs, turns: Array, r_mm: float) -> float:
-    """Return the way of the pupil across the beam that discs show, as a share of r per unit turn. turns: (n, 2)."""
-    if len(turns) < 2:
-        return LEVER
+def lever_of(found: Discs | None, turns: Array, r_mm: float) -> float:
+    """Return how far the pupil of a gimbal moves across the beam per unit turn, as a share of r. turns: (n, 2)."""
+    if found is None or len(turns) < 2:
+        return _LEVER
     away, differences = _about_their_mean(found)
     reach = r_mm * max(rms_length(turns - turns.mean(axis=0)), _NO_TURN)
     variance = np.trace(differences) / len(turns) / reach**2 + _AT_THE_PIVOT**2
-    shown = LEVER**2 / (LEVER**2 + variance)
+    shown = _LEVER**2 / (_LEVER**2 + variance)
     return float(np.sqrt(shown * (shown * (rms_length(away) / reach) ** 2 + variance)))
 
 

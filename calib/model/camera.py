@@ -287,7 +287,7 @@ class CameraModel:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def _fold(self, reach: float) -> float:
-        """Return the tangent from the axis at which the distortion folds back; infinite if it is beyond a reach.
+        """Return the tangent of the angle at which the distortion folds back; infinite if it does not within ``reach``.
 
         Beyond it a step can end where the distortion rises again.
         """
