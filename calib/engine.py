@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calib.adjustment.bundle import Bundle, Observations
 from calib.calibration import (
     EARLIER_MODELS,
     REFERENCE_MODELS,
@@ -15,13 +14,11 @@ from calib.calibration import (
     ViewSummary,
 )
 from calib.compiled import on_one_thread
-from calib.diagnosis.checks import check_adjustment, check_views
+from calib.diagnosis.checks import check_image_size, check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, summarize
 from calib.joint.result import calibrate_jointly
-from calib.model.camera import PINHOLE
-from calib.model.collimator import Collimator
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.view import View
@@ -94,7 +91,7 @@ def _jointly(
     views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars], doubts: Sequence[str]
 ) -> Calibration:
     """Return the result of the joint adjustment, with the checks of wrong data."""
-    result, parameters = calibrate_jointly(views, options, wrong)
+    result = calibrate_jointly(views, options, wrong)
     named = [one.sentence for one in wrong if one.sentence]
     remarks = []
     if options.model in EARLIER_MODELS:
@@ -104,12 +101,9 @@ def _jointly(
     if options.compares_lenses:
         lens = "fisheye" if is_fisheye(result.camera.distortion) else "k1k2k3p1p2"
         remarks.append(f"The data chose the lens model {lens}.")
-    kept = without_gross_stars(views, wrong)
-    names = tuple(name for name in result.parameter_names if name in (*PINHOLE, "x", "y", "r"))
-    bundle = Bundle(Observations.from_views(kept), names)
-    ideal = Collimator(parameters.collimator.x, parameters.collimator.y, parameters.collimator.r)
-    shown = replace(parameters, collimator=ideal, gimbal=None)
-    found = check_adjustment(kept, bundle, shown, result.sigma)
+    sigma = result.sigma
+    size = check_image_size(views, result.camera, (sigma["cx"], sigma["cy"]))
+    found = (size,) if size else ()
     notes = (*named, *doubts, *result.notes, *found, *remarks)
     return replace(result, notes=notes, remarks=(*result.remarks, *remarks))
 

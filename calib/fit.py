@@ -23,7 +23,7 @@ from calib.adjustment.parameters import (
 )
 from calib.arrays import RAYLEIGH_MEDIAN, Bools, median
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_and_mean
-from calib.diagnosis.checks import check_adjustment
+from calib.diagnosis.checks import check_image_size
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.errors import DegenerateViews, NotConverged
 from calib.model import result_parts as names
@@ -251,6 +251,4 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
             f"are enlarged by this ratio. The {fitted.model} model is for comparison; the joint adjustment describes "
             "such errors."
         )
-    if fitted.model != "planar":  # only one centre for all shows views that do not fit the others
-        notes += check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, sigma)
-    return tuple(notes)
+    return (*notes, *filter(None, [check_image_size(fitted.kept, camera, (sigma["cx"], sigma["cy"]))]))

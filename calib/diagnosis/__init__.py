@@ -1,4 +1,4 @@
-"""Diagnosis of wrong data: gross errors, shifted ids, duplicate views, wrong units, origins and image sizes.
+"""Diagnosis of wrong data: gross errors, duplicate views, wrong units and image sizes.
 
 Each module answers one question about views. Where the data cannot decide, its sentence says so.
 

@@ -1,4 +1,4 @@
-"""All checks of wrong data: `check_views` before an adjustment of them, `check_adjustment` after it.
+"""Checks of what is stated of views: `check_views` before an adjustment of them, `check_image_size` after it.
 
 The unit of the target positions and the image size are stated beside the points. A wrong unit scales the collimator's
 radius, and nothing else: the camera is the same, and no residual changes. So views alone decide only when the numbers
@@ -8,15 +8,12 @@ the points and the principal point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib.adjustment.bundle import Bundle
-from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array, rms_length
 from calib.diagnosis.gross_stars import noise_px
-from calib.diagnosis.shifted_views import find_other_origins, find_shifted_ids
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.closed_forms import linear_solution
@@ -44,23 +41,6 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
     notes = find_duplicates(views)
     units = check_target_units(views, known_r_mm=known_r_mm)
     return (*notes, units) if units else tuple(notes)
-
-
-def check_adjustment(
-    views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters, sigma: Mapping[str, float]
-) -> tuple[str, ...]:
-    """Return a sentence for each doubt after an adjustment: shifted ids, other origins, image size.
-
-    Other origins are looked for only if no ids are shifted, because shifted ids spoil the comparison. The views have no
-    gross errors; the bundle is of a model in which they share one centre. Of ``sigma``, cx and cy are used, px.
-    """
-    with np.errstate(invalid="ignore", over="ignore"):
-        projected = bool(np.isfinite(bundle.residuals_px(parameters)).all())
-    # A star behind the camera cannot be compared with others.
-    shifted = find_shifted_ids(views, bundle, parameters) if projected else ""
-    other = find_other_origins(views, bundle, parameters) if projected and not shifted else ""
-    size = check_image_size(views, parameters.camera, (sigma["cx"], sigma["cy"]))
-    return tuple(one for one in (shifted, other, size) if one)
 
 
 def find_duplicates(views: Sequence[View]) -> list[str]:

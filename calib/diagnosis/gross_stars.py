@@ -107,9 +107,3 @@ def _noise_px(view: View) -> float:
     """Return the noise of a view, as `noise_px`."""
     mapped = apply_homography(rough_homography(view), view.target_mm)
     return local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view))
-
-
-def typical_noise_px(views: Sequence[View]) -> float:
-    """Return the median 1-sigma per axis, px, that neighbouring stars show; NaN if no view has 8 stars."""
-    known = [sigma for sigma in map(noise_px, views) if np.isfinite(sigma)]
-    return float(np.median(known)) if known else float("nan")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -24,6 +25,7 @@ from calib.joint.posterior import odds_of
 from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, weighed_as
+from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -204,7 +206,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
         return found
 
 
-def _approached(problem: Problem, start: State, options: CalibrationOptions) -> State:
+def _approached(problem: Problem, start: State, views: Sequence[View], options: CalibrationOptions) -> State:
     """Return a state near the optimum. The certificate takes no part, unless the views need it.
 
     One whose radius is far from what the views alone show is another collimator's, and is refused: camera, lens and
@@ -217,12 +219,18 @@ def _approached(problem: Problem, start: State, options: CalibrationOptions) -> 
         near = approached(free, start, equations, options.max_iterations)
         stated = _certified_radius(options)
         if stated is not None and _is_far(free, near, stated):
-            near = search(free, near, options.max_iterations).state
+            alone = search(free, near, options.max_iterations)
+            near = alone.state
             if _is_far(free, near, stated):
+                again = partial(adjust, options=replace(options, passport=None))
+                shifted = find_shifted_ids(alone, views, options.max_iterations, again)
                 seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
                 raise InputMismatch(
-                    f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}.",
-                    remedy="Give the certificate of the collimator that was used, or leave it out.",
+                    f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}. "
+                    f"{shifted}".strip(),
+                    remedy=""
+                    if shifted
+                    else "Give the certificate of the collimator that was used, or leave it out.",
                 )
     except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations, options.max_iterations)
@@ -258,7 +266,7 @@ def _searched(
     by_hand: bool = True,
 ) -> Optimum:
     problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
-    near = _approached(problem, state, options)
+    near = _approached(problem, state, views, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)

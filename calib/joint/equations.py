@@ -137,6 +137,9 @@ class Equations:
     precisions: tuple[Array, ...]  # For each view (N,) of `ViewStars.precision`
     rim: RimNoise
     shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
+    # of_views, right_of_views: (m, B, B) and (m, B) what each view adds to ``squares`` and ``right``
+    of_views: Array
+    right_of_views: Array
 
     @cached_property
     def observed(self) -> float:
@@ -301,19 +304,15 @@ class Bench:
         ]
         shares = before.shares if before else self._shares(found)
         found = found if before else [one.times(share) for one, share in zip(found, shares, strict=True)]
-        squares = np.zeros((self.n_poses, self.layout.size, self.layout.size))
-        right = np.zeros((self.n_poses, self.layout.size))
-        for pose, one in zip(self.poses, found, strict=True):
-            squares[pose] += one.squares
-            right[pose] += one.right
+        squares, right = np.array([one.squares for one in found]), np.array([one.right for one in found])
         turned = np.array([one.turned for one in found])
         off, jacobian = np.zeros((0, 3)), np.zeros((0, 3, 0))
         if self.readings is not None and state.gimbal is not None:
             off = self.readings_off(state) + turned
             jacobian = self.readings.jacobian(state.gimbal, self.named_gimbal(state.shared))
         return Equations(
-            squares,
-            right,
+            self.by_pose(squares),
+            self.by_pose(right),
             sum(one.cost for one in found),
             np.array([one.turn for one in found]),
             np.array([one.coupling for one in found]),
@@ -326,7 +325,17 @@ class Bench:
             precisions,
             rim,
             shares,
+            squares,
+            right,
         )
+
+    def by_pose(self, values: Array) -> Array:
+        """Return (n, ...) the sums over the views of each pose of (m, ...) values."""
+        if len(values) == self.n_poses:
+            return values
+        found = np.zeros((self.n_poses, *values.shape[1:]))
+        np.add.at(found, self.poses, values)
+        return found
 
     def _rim_noise(self, lengths: Sequence[Array]) -> RimNoise:
         """Return `_RIM_ALIKE` times the most probable noise at the rim of the visible discs; none without discs."""

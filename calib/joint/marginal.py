@@ -177,14 +177,6 @@ class Marginal:
         """Numbers of poses, of coefficients of an own field, of shared unknowns."""
         return (*self.own_pull.shape, len(self.pull))
 
-    def _by_pose(self, values: Array) -> Array:
-        """Return (n, ...) the sums over the views of each pose of (m, ...) values."""
-        if len(values) == self.problem.bench.n_poses:
-            return values
-        found = np.zeros((self.problem.bench.n_poses, *values.shape[1:]))
-        np.add.at(found, self._poses, values)
-        return found
-
     # -- priors
     @cached_property
     def rows_observed(self) -> float:
@@ -281,9 +273,9 @@ class Marginal:
         return _Normal(
             normal.information + self.rows.reshape(-1, size).T @ rows,
             normal.pull + self.off.reshape(-1) @ rows,
-            normal.own + self._by_pose(across @ self.own_rows),
-            normal.own_pull + self._by_pose((across @ self.off[:, :, None])[:, :, 0]),
-            normal.between + self._by_pose(across @ self.rows),
+            normal.own + self.problem.bench.by_pose(across @ self.own_rows),
+            normal.own_pull + self.problem.bench.by_pose((across @ self.off[:, :, None])[:, :, 0]),
+            normal.between + self.problem.bench.by_pose(across @ self.rows),
             normal.inside,
             normal.constant
             + float((weights * self.off**2).sum())

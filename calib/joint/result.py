@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.solve import Optimum
 from calib.joint.words import notes, require_determined
+from calib.joint.wrong_views import find_other_origins, find_shifted_ids
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
@@ -41,11 +43,8 @@ _FARTHEST_SCALE = 3.0
 
 def calibrate_jointly(
     views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
-) -> tuple[Calibration, AdjustmentParameters]:
-    """Return the result without the checks of wrong data, and its parameters for these; wrong stars take no part.
-
-    Nor do readings of the gimbal that contradict the stars.
-    """
+) -> Calibration:
+    """Return the result; wrong stars take no part, nor do readings of the gimbal that contradict the stars."""
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     found = posterior(adjust(kept, options), options.max_iterations)
@@ -55,8 +54,11 @@ def calibrate_jointly(
         options = replace(options, gimbal=None)
         found = posterior(adjust(kept, options), options.max_iterations)
         parameters = _parameters(found)
-    require_determined(found, kept, parameters, options)
-    return _calibration(found, views, used, parameters, gimbal), parameters
+    shifted = find_shifted_ids(found.optimum, kept, options.max_iterations, partial(adjust, options=options))
+    require_determined(found, kept, parameters, options, shifted)
+    result = _calibration(found, views, used, parameters, gimbal)
+    other = "" if shifted else find_other_origins(found.optimum, kept)
+    return replace(result, notes=(*notes(result, found), *filter(None, (shifted, other))))
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:
@@ -104,7 +106,7 @@ def _calibration(
     budget = {group: np.sqrt(np.maximum(part[: len(at)], 0.0)) for group, part in parts.items()}
     rows = budget_rows(found, gradients, {group: part[len(at) :] for group, part in parts.items()})
     errors = rotation_errors(found)
-    result = Calibration(
+    return Calibration(
         model="joint",
         camera=parameters.camera,
         collimator=parameters.collimator,
@@ -127,7 +129,7 @@ def _calibration(
         ),
         converged=found.optimum.converged,
         iterations=found.optimum.iterations,
-        birge_ratio=_disagreement(found),
+        birge_ratio=found.optimum.disagreement,
         coverage_factor=factors[0],
         left_out_rms_px=left_out_rms(found.optimum),
         rotation_covariance=errors.joint_covariance,
@@ -145,7 +147,6 @@ def _calibration(
         },
         glass=_glass(found, views),
     )
-    return replace(result, notes=notes(result, found))
 
 
 def _residuals(
@@ -166,15 +167,6 @@ def _residuals(
         precision = one.precision(optimum.marginal.equations.rim)
         weights.append(own * precision * robust_weights(np.sqrt(precision) * length, star))
     return whole.residuals(state), weights
-
-
-def _disagreement(found: Posterior) -> float:
-    """Return how many times more than star noise the poses differ: 1 without own fields (Birge, 1932)."""
-    marginal = found.optimum.marginal
-    fields = found.optimum.state.fields + found.optimum.solution.fields
-    explained = float(np.einsum("nf,nfg,ng->", fields, marginal.own, fields))
-    star = float(np.exp(2.0 * found.optimum.eta[marginal.problem.hyper.at(amp.STAR)]))
-    return float(np.sqrt(1.0 + explained / (fields.size * star)))
 
 
 def _witnesses(found: Posterior) -> tuple[Witness, ...]:
@@ -230,7 +222,7 @@ def _glass(found: Posterior, views: Sequence[View]) -> Passport:
         found.mean[at],
         found.covariance[np.ix_(at, at)],
         layout.basis.reference,
-        _disagreement(found),
+        found.optimum.disagreement,
         tuple(view.name for view in views),
         {FIELD_RADIUS: layout.basis.radius_mm},
     )

@@ -71,6 +71,14 @@ class Optimum:
         """The state of the equations."""
         return self.marginal.state
 
+    @property
+    def disagreement(self) -> float:
+        """How many times more than star noise the poses differ: 1 without own fields (Birge, 1932)."""
+        fields = self.state.fields + self.solution.fields
+        explained = float(np.einsum("nf,nfg,ng->", fields, self.marginal.own, fields))
+        star = float(np.exp(2.0 * self.eta[self.marginal.problem.hyper.at(amp.STAR)]))
+        return float(np.sqrt(1.0 + explained / (fields.size * star)))
+
 
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""

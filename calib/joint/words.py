@@ -47,14 +47,21 @@ _BINDS = {
 
 
 def require_determined(
-    found: Posterior, views: Sequence[View], parameters: AdjustmentParameters, options: CalibrationOptions
+    found: Posterior,
+    views: Sequence[View],
+    parameters: AdjustmentParameters,
+    options: CalibrationOptions,
+    doubt: str = "",
 ) -> None:
-    """Refuse a focal length with 1-sigma above 5 %, naming the free unknown, or an adjustment without an optimum."""
+    """Refuse a focal length with 1-sigma above 5 %, naming the free unknown, or an adjustment without an optimum.
+
+    A ``doubt`` about the data is the cause, if there is one.
+    """
     if options.passport is None:
         require_distinct_poses(parameters)
     sigmas = np.sqrt(np.diag(found.covariance))
-    lens = _lens(found)
-    why = lens or explain_weak_geometry(views, parameters)
+    cause = doubt or _lens(found)
+    why = cause or explain_weak_geometry(views, parameters)
     for k, name in enumerate(("fx", "fy")):
         share = float(sigmas[k] / found.mean[k])
         if not 0.0 <= share <= MAX_FOCAL_SIGMA:
@@ -62,14 +69,14 @@ def require_determined(
             raise DegenerateViews(
                 f"These views determine {name} only to ±{200.0 * share:.0f} % (k = 2). {why}".strip(),
                 remedy=""
-                if lens
+                if cause
                 else f"Nothing binds {free}: {_BINDS.get(free, 'more poses')} would."
                 " Add views turned about other axes, with the stars elsewhere in the image.",
             )
     if not found.optimum.converged:
         raise NotConverged(
             f"The adjustment did not converge within {found.optimum.iterations} steps. {why}".strip(),
-            remedy="" if lens else "Add views from other angles.",
+            remedy="" if cause else "Add views from other angles.",
         )
 
 

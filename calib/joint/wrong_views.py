@@ -1,0 +1,307 @@
+"""Views whose stars are not where they should be: ids shifted on the lattice, points with another origin.
+
+A shift of all stars of a view, on the target or in the image, is two columns of its basis. So the equations say what
+the likelihood gains by any shifts, with all unknowns and with the own fields of the poses (`ViewShifts`). Where they
+promise enough, the shifted views are adjusted, and the likelihood ratio decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.errors import NotConverged
+from calib.joint import amplitudes as amp
+from calib.joint.curvature import best_amplitudes
+from calib.joint.fields import COEFFICIENTS
+from calib.joint.layout import Places
+from calib.joint.marginal import Marginal
+from calib.joint.solve import Optimum, search, weighed_as
+from calib.model.likelihood_ratio import DECISIVE, needed
+from calib.model.local_consistency import local_spacing
+from calib.view import View
+
+#: Shifts of ids up to this number of columns and rows are tried.
+MAX_SHIFT = 2
+_SHIFTS = [
+    (i, j) for i in range(-MAX_SHIFT, MAX_SHIFT + 1) for j in range(-MAX_SHIFT, MAX_SHIFT + 1) if i or j
+]
+#: Largest deviation of a star from a node of the lattice, pitches.
+_ON_LATTICE = 0.05
+#: Stars whose places agree to so many decimals of a millimetre are the same.
+_SAME_STAR = 6
+#: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear, and adjusted if it
+#: falls by the second number with better amplitudes: wrong ids have made the own fields of the poses look large. On
+#: drawn gimbals with right ids it would rise by 300 or more from three poses on.
+_LOOKED_AT, _PROMISED = -5.0, 4.0
+#: Largest number of shifts that are adjusted at a time, and of steps of the amplitudes.
+_ADJUSTED, _STEPS = 4, 20
+#: The ids of a view, which come from its tag, are wrong so often.
+_RARE = 1e-4
+#: An origin at a pixel's corner instead of its centre, px.
+HALF_PX = 0.5
+
+
+@dataclass(frozen=True)
+class ViewShifts:
+    """What the likelihood gains by a shift of each of m views, all unknowns adjusted: 2 g s - s I s."""
+
+    gradient: Array  # (2 m,) g
+    information: Array  # (2 m, 2 m) I
+
+    @classmethod
+    def of(cls, optimum: Optimum, places: Places) -> ViewShifts:
+        """Return the gains at an optimum by shifts along two ``places`` of the views' bases.
+
+        Columns that join a linear model whose posterior is known (Searle, 1971): their own information, less what the
+        own fields and the shared unknowns take up.
+        """
+        marginal, found = optimum.marginal, optimum.solution
+        equations, bench = marginal.equations, marginal.problem.bench
+        squares, own, poses = np.exp(2.0 * optimum.eta), bench.layout.pose_places, bench.poses
+        weight = 1.0 / squares[marginal.problem.hyper.at(amp.STAR)]
+        rows = weight * equations.of_views[:, places]
+        basis = equations.maps @ found.step
+        basis[:, own] += found.fields
+        gradient = weight * equations.right_of_views[:, places] - (rows @ basis[poses][:, :, None])[:, :, 0]
+        direct, by_own, by_shared = rows[:, :, places], rows[:, :, own], rows @ equations.maps[poses]
+        if marginal.uses_readings:
+            turned = marginal.axes @ equations.coupling[:, :, places]
+            weighted = np.swapaxes(marginal.reading_weights(squares)[:, :, None] * turned, 1, 2)
+            left = marginal.off - marginal.rows @ found.step
+            left = left - (marginal.own_rows @ found.fields[poses][:, :, None])[:, :, 0]
+            gradient += (weighted @ left[:, :, None])[:, :, 0]
+            direct = direct + weighted @ turned
+            by_own, by_shared = by_own + weighted @ marginal.own_rows, by_shared + weighted @ marginal.rows
+        m, taken = len(poses), by_own @ np.swapaxes(found.own_root[poses], 1, 2)
+        shared = ((by_shared - taken @ found.between[poses]) @ found.root.T).reshape(2 * m, -1)
+        information = -shared @ shared.T
+        for v, pose in enumerate(poses):
+            for u in np.flatnonzero(poses == pose):
+                information[2 * v : 2 * v + 2, 2 * u : 2 * u + 2] -= taken[v] @ taken[u].T
+            information[2 * v : 2 * v + 2, 2 * v : 2 * v + 2] += direct[v]
+        return cls(gradient.reshape(-1), information)
+
+    def gains(self, shifts: Array) -> Array:
+        """Return (K,) by how much -2 log of the likelihood falls with (K, m, 2) shifts."""
+        flat = shifts.reshape(len(shifts), -1)
+        return np.asarray(2.0 * flat @ self.gradient - ((flat @ self.information) * flat).sum(axis=1))
+
+
+def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
+    """Return by how much -2 log of the likelihood falls with (m, 2) shifts and the best amplitudes then, all linear."""
+    marginal = optimum.marginal
+    problem, equations = marginal.problem, marginal.equations
+    moved = (equations.of_views[:, :, places] @ shifts[:, :, None])[:, :, 0]
+    turned = (equations.coupling[:, :, places] @ shifts[:, :, None])[:, :, 0]
+    right = equations.right_of_views - moved
+    cost = float((shifts * (moved - 2.0 * equations.right_of_views)[:, places]).sum())
+    shifted = replace(
+        equations,
+        right_of_views=right,
+        right=problem.bench.by_pose(right),
+        cost=equations.cost + cost,
+        off=equations.off - turned[: len(equations.off)],
+    )
+    there = Marginal(problem, shifted, optimum.state)
+    return optimum.solution.value - best_amplitudes(there, optimum.eta, _STEPS)[1].value
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """An optimum with some views shifted."""
+
+    shifts: Array  # (m, 2) of the ids, columns and rows
+    gain: float  # By how much -2 log of the likelihood falls
+    optimum: Optimum
+
+
+def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum | None:
+    """Return the optimum with (m, 2) shifts of the views' stars on the target; None if there is none.
+
+    The search starts at the state of another optimum, which is ``near``.
+    """
+    problem, stars = first.marginal.problem, []
+    for one, shift in zip(problem.bench.stars, shifts_mm, strict=True):
+        disc = one.disc and replace(one.disc, centre_mm=one.disc.centre_mm + shift)
+        target = one.target_mm + shift
+        polynomials = problem.bench.layout.basis.polynomials(target)
+        stars.append(replace(one, target_mm=target, polynomials=polynomials, disc=disc))
+    discs = tuple(one.disc for one in stars if one.disc)
+    bench = replace(problem.bench, stars=tuple(stars), discs=discs)
+    start = bench.aligned(near.state, first.marginal.equations.weights)
+    with suppress(NotConverged, np.linalg.LinAlgError):
+        return _ended(search(replace(problem, bench=bench), start, rounds))
+    return None
+
+
+def _ended(optimum: Optimum) -> Optimum:
+    """Return an optimum with the best amplitudes, which a long search does not look for at its end."""
+    eta, solution = best_amplitudes(optimum.marginal, optimum.eta, _STEPS, found=optimum.solution)
+    return replace(optimum, eta=eta, solution=solution)
+
+
+def _gain(first: Optimum, there: Optimum) -> float:
+    """Return by how much -2 log of the likelihood falls from one optimum to another."""
+    return first.solution.value - best_amplitudes(weighed_as(there, first), there.eta, _STEPS)[1].value
+
+
+def find_shifted_ids(
+    optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
+) -> str:
+    """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
+
+    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A sentence,
+    which is empty if the views agree, if no shift explains their errors, or if the stars lie on no lattice. Also if a
+    hand moves the mount: the ends of a search then differ by more than shifts do. A gimbal with wrong ids looks like
+    such a mount; with right ones, with which it is adjusted ``again``, it does not.
+    """
+    pitch = _lattice_pitch(views)
+    if len(views) < 2 or pitch is None:
+        return ""
+    each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(_RARE)
+
+    def cost(one: _Moved) -> float:
+        return each * float(np.count_nonzero(one.shifts.any(axis=1)))
+
+    def worth(one: _Moved) -> float:
+        return one.gain - cost(one)
+
+    optimum = _ended(optimum)
+    best = _Moved(np.zeros((len(views), 2)), 0.0, optimum)
+    every = [best]
+    while found := _shifted(optimum, best, pitch, rounds):
+        every += found
+        better = max(found, key=worth)
+        if worth(better) <= worth(best):
+            break
+        best = better
+    if not best.shifts.any() or _by_hand(again(_renamed(views, pitch * best.shifts))):
+        return ""
+    others = {
+        _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
+    } - {_in_words(views, best)}
+    if len(views) == 2:  # what all views have in common is another centre
+        others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
+    fall = f"-2 log of the likelihood then falls by {best.gain:.0f}, and {cost(best):.0f} would decide"
+    if not others:
+        return (
+            f"The star ids are wrong: shift the ids of {_in_words(views, best)}; {fall}. "
+            "Check the tag or the id file of this view."
+        )
+    return (
+        "The star ids of one view may be shifted; these views cannot decide which: shift the ids of "
+        f"{', or '.join([_in_words(views, best), *sorted(others)])}; {fall}. "
+        "Check the ids of these views, or add views."
+    )
+
+
+def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:
+    """Return the optima with the most promising shifts of one more view, or with another shift of a shifted one."""
+    layout, count = first.marginal.problem.bench.layout, len(best.shifts)
+    full = np.count_nonzero(best.shifts.any(axis=1)) >= max(1, (count - 1) // 2)
+    tried = np.repeat(best.shifts[None], count * len(_SHIFTS), axis=0).reshape(count, len(_SHIFTS), count, 2)
+    for v in range(count):
+        tried[v, :, v] = _SHIFTS
+    open_views = [v for v in range(count) if best.shifts[v].any() or not full]
+    hypotheses = tried[open_views].reshape(-1, count, 2)
+    places = np.array([layout.field, layout.field + COEFFICIENTS // 2])
+    steps = (hypotheses - best.shifts) * pitch / layout.basis.reference[2]
+    gains = ViewShifts.of(best.optimum, places).gains(steps)
+    gains[~steps.any(axis=(1, 2))] = -np.inf
+    found = []
+    for k in np.argsort(-gains)[:_ADJUSTED]:
+        shifts = hypotheses[k]
+        known = bool((best.shifts.any(axis=1) == shifts.any(axis=1)).all())  # only by how much is asked
+        if known or (gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED):
+            there = _moved(first, best.optimum, rounds, pitch * shifts)
+            found += [] if there is None else [_Moved(shifts, _gain(first, there), there)]
+    return found
+
+
+def _by_hand(optimum: Optimum) -> bool:
+    """Tell whether the visible discs show for certain that a hand moves the mount."""
+    pupils = optimum.marginal.problem.pupils
+    return pupils is not None and pupils.certain
+
+
+def _renamed(views: Sequence[View], shifts_mm: Array) -> list[View]:
+    """Return the views with other ids: their stars lie elsewhere on the target by (m, 2) shifts."""
+    pairs = zip(views, shifts_mm, strict=True)
+    return [replace(view, target_mm=view.target_mm + shift) for view, shift in pairs]
+
+
+def _in_words(views: Sequence[View], moved: _Moved) -> str:
+    """Return shifts in words, as "view left by 1 column"."""
+    said = []
+    for view, shift in zip(views, moved.shifts.astype(int).tolist(), strict=True):
+        parts = [
+            f"{number} {name if abs(number) == 1 else name + 's'}"
+            for number, name in zip(shift, ("column", "row"), strict=True)
+            if number
+        ]
+        said += [f"view {view.name} by {' and '.join(parts)}"] if parts else []
+    return " and ".join(said)
+
+
+def _lattice_pitch(views: Sequence[View]) -> float | None:
+    """Return the pitch of the lattice on which all stars lie, mm; None if they lie on none."""
+    if min(len(view) for view in views) < 4:
+        return None
+    every = np.unique(np.round(np.concatenate([view.target_mm for view in views]), _SAME_STAR), axis=0)
+    pitch = local_spacing(every)
+    steps = (every - every[0]) / pitch
+    return pitch if np.abs(steps - np.round(steps)).max() < _ON_LATTICE else None
+
+
+def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
+    """Look for views whose points lie half a pixel away from those of the other views, along both axes.
+
+    Views join the shifted ones, one by one, and the likelihood ratio decides how many of them lie half a pixel off, at
+    most half of them. An offset of another size must not be decisively more likely. One view alone is seldom enough,
+    because its own rotation imitates a shift. It takes three or more views. A sentence, empty if all agree, or if the
+    views cannot decide.
+    """
+    if len(views) < 3:
+        return ""
+    places = np.array([optimum.marginal.problem.bench.layout.index[name] for name in ("cx", "cy")])
+    shifts = ViewShifts.of(optimum, places)
+    ratio, shift = max((_joined(shifts, by) for by in (HALF_PX, -HALF_PX)), key=lambda one: one[0])
+    if ratio < 0.0:
+        return ""
+    # Offsets of the joined views along each axis, in half pixels.
+    pattern = np.einsum("vj,jk->vjk", shift, np.eye(2)).reshape(-1, 2)
+    normal = pattern.T @ shifts.information @ pattern
+    times = np.linalg.solve(normal, pattern.T @ shifts.gradient)
+    if (times - 1.0) @ normal @ (times - 1.0) > DECISIVE:
+        return ""
+    members, sigmas = np.flatnonzero(shift[:, 0]).tolist(), HALF_PX * np.sqrt(np.diag(np.linalg.inv(normal)))
+    names = [views[i].name for i in members]
+    which = f"view {names[0]} lie" if len(names) == 1 else f"views {', '.join(names)} lie"
+    offset = times * shift[members[0]]
+    along = f"{abs(offset[0]):.2f} px {'right' if offset[0] >= 0 else 'left'}"
+    return (
+        f"The points of {which} {along} and {abs(offset[1]):.2f} px {'down' if offset[1] >= 0 else 'up'} of those of "
+        f"the other views (± {2.0 * sigmas.max():.2g} px, k = 2): their origin seems to differ. "
+        "Check --origin, and give all views the same."
+    )
+
+
+def _joined(shifts: ViewShifts, by: float) -> tuple[float, Array]:
+    """Return 2 log(likelihood ratio) of the best group of views, beyond what is needed, and the (m, 2) shifts, px."""
+    views = len(shifts.gradient) // 2
+    shift, best = np.zeros((views, 2)), (-np.inf, np.zeros((views, 2)))
+    for size in range(1, views // 2 + 1):
+        tried = np.array(
+            [np.where(np.eye(views)[i][:, None] > 0, by, shift) for i in range(views) if not shift[i, 0]]
+        )
+        gains = shifts.gains(tried)
+        shift = tried[gains.argmax()]
+        ratio = float(gains.max()) - needed(2 * math.comb(views, size))
+        best = max(best, (ratio, shift), key=lambda one: one[0])
+    return best

@@ -1,0 +1,156 @@
+"""Views whose ids are shifted on the lattice, or whose points have another origin: who is named, and when nobody is."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.calibration import CalibrationOptions
+from calib.engine import calibrate
+from calib.errors import InputMismatch
+from tests.benchmarks.worlds.catalogue import WORLDS
+from tests.benchmarks.worlds.knowledge import options_for, views_of
+from tests.benchmarks.worlds.recordings import read
+from tests.unit.calib.conftest import TARGET, Bench
+
+POSES = (
+    (-5, 2),
+    (0.5, -2.5, 10),
+    (5, 2.5, -20),
+    (0, 0, 45),
+    (-5, -2, 90),
+    (5, -2, 0),
+    (0, 2.5, -60),
+    (-3, 2, 20),
+)
+STEP = st.integers(-2, 2)
+
+
+def bench(seed, noise_px=0.02, count=6):
+    return Bench().views(np.random.default_rng(seed), noise_px, poses=POSES[:count])
+
+
+def misnamed(view, columns, rows):
+    """The stars bear the names of stars that lie columns to the left and rows above."""
+    return replace(view, target_mm=view.target_mm - TARGET.pitch_mm * np.array([columns, rows]))
+
+
+def doubts(views, options=None):
+    said = calibrate(views, options or CalibrationOptions()).notes
+    return [note for note in said if "star ids" in note or "origin" in note]
+
+
+def shifts_of(sentence):
+    """The views that a sentence names, each with its columns and rows."""
+    said = r"view (pose.?\d+) by (?:(-?\d+) columns?)?(?: and )?(?:(-?\d+) rows?)?"
+    return {(view, int(columns or 0), int(rows or 0)) for view, columns, rows in re.findall(said, sentence)}
+
+
+@settings(max_examples=4, deadline=None)
+@given(place=st.integers(0, 4), shift=st.tuples(STEP, STEP).filter(any), seed=st.integers(0, 99))
+def test_the_view_and_the_shift_are_named(place, shift, seed):
+    views = bench(seed, count=5)
+    views[place] = misnamed(views[place], *shift)
+    (found,) = doubts(views)
+    assert found.startswith("The star ids are wrong: shift the ids of view")
+    assert shifts_of(found) == {(f"pose-{place + 1:03d}", *shift)}
+    falls, enough = map(int, re.search(r"falls by (\d+), and (\d+) would decide", found).groups())
+    assert falls > enough
+
+
+@pytest.mark.parametrize("world", ["polynomial", "raytraced", "product"])
+def test_behind_a_real_collimator_a_shifted_view_is_named(world):
+    """Errors of the glass, of the pupil and of each pose could hide the shift."""
+    drawn = WORLDS[world](700, 9, 1, 0)
+    views = views_of(drawn)
+    places = np.unique(np.round(views[0].target_mm, 6)[:, 0])
+    views[2] = replace(views[2], target_mm=views[2].target_mm + np.median(np.diff(places)) * np.array([1, 0]))
+    (found,) = doubts(views, options_for(drawn, "0"))
+    assert found.startswith("The star ids are wrong: shift the ids of view pose 3 by -1 column; ")
+
+
+@settings(max_examples=4, deadline=None)
+@given(count=st.integers(2, 8), seed=st.integers(0, 999), noise_px=st.sampled_from([0.01, 0.05, 0.3]))
+def test_sound_views_are_not_doubted(count, seed, noise_px):
+    assert doubts(bench(seed, noise_px, count)) == []
+
+
+@pytest.mark.parametrize("world", ["polynomial", "raytraced", "product", "S1", "S2"])
+def test_right_ids_behind_a_real_collimator_are_not_doubted(world):
+    for seed, count in ((705, 9), (704, 3)):
+        drawn = WORLDS[world](seed, count, 1, 0)
+        assert doubts(views_of(drawn), options_for(drawn, "0")) == []
+
+
+def test_two_shifted_views_of_six_are_named_together():
+    views = bench(1)
+    views[1], views[4] = misnamed(views[1], 1, 0), misnamed(views[4], 0, -2)
+    (found,) = doubts(views)
+    assert shifts_of(found) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
+
+
+def test_of_two_views_nobody_can_tell_which_is_shifted():
+    views = bench(2, count=2)
+    views[0] = misnamed(views[0], 1, 0)
+    (found,) = doubts(views)
+    assert "cannot decide" in found
+    assert {("pose-001", 1, 0), ("pose-002", -1, 0)} <= shifts_of(found)
+
+
+def test_stars_on_no_lattice_have_no_columns():
+    rng, views = np.random.default_rng(5), bench(4, count=5)
+    views[1] = misnamed(views[1], 1, 0)
+    away = 0.08 * TARGET.pitch_mm
+    scattered = [
+        replace(view, target_mm=view.target_mm + rng.uniform(-away, away, (len(view), 2))) for view in views
+    ]
+    assert doubts(scattered) == []
+
+
+def test_a_certificate_is_not_blamed_for_a_shifted_view():
+    drawn = WORLDS["raytraced"](701, 3, 1, 0)
+    views = views_of(drawn)
+    places = np.unique(np.round(views[0].target_mm, 6)[:, 0])
+    views[0] = replace(views[0], target_mm=views[0].target_mm - np.median(np.diff(places)) * np.array([2, 1]))
+    with pytest.raises(InputMismatch, match="star ids"):
+        calibrate(views, options_for(drawn, "cr"))
+
+
+@pytest.mark.parametrize("chosen", [(1, 5, 9), (0, 3, 7, 11, 15, 19)])
+def test_real_aberrations_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
+    views = read(collimator_recordings)
+    assert doubts([views[i] for i in chosen]) == []
+
+
+def moved(view, by):
+    return replace(view, points_px=view.points_px + by)
+
+
+@pytest.mark.parametrize(("by", "along"), [(0.5, ("right", "down")), (-0.5, ("left", "up"))])
+def test_a_few_views_with_another_origin_are_named(by, along):
+    views = bench(4, 0.005, 8)
+    for place in (1, 4):
+        views[place] = moved(views[place], by)
+    (note,) = doubts(views)
+    said = r"The points of views pose-002, pose-005 lie (\S+) px (\w+) and (\S+) px (\w+) of .* \(± (\S+) px, k = 2\)"
+    x, right, y, down, expanded = re.match(said, note).groups()
+    assert (right, down) == along
+    assert [float(x), float(y)] == pytest.approx([0.5, 0.5], abs=2 * float(expanded))
+
+
+@pytest.mark.parametrize(("noise_px", "named"), [(0.01, True), (0.05, False)])
+def test_an_offset_that_noise_could_explain_is_not_named(noise_px, named):
+    """In the noisier views, half a pixel is less than 3 standard uncertainties."""
+    views = bench(0, noise_px, 8)
+    for place in (1, 4):
+        views[place] = moved(views[place], 0.5)
+    assert bool(doubts(views)) == named
+
+
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 999), count=st.integers(2, 8))
+def test_views_of_one_origin_are_not_doubted(seed, count):
+    assert doubts([moved(view, 0.5) for view in bench(seed, count=count)]) == []
