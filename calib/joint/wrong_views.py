@@ -109,7 +109,7 @@ def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
         off=equations.off - turned[: len(equations.off)],
     )
     there = Marginal(problem, shifted, optimum.state)
-    return optimum.solution.value - best_amplitudes(there, optimum.eta, _STEPS)[1].value
+    return _ended(optimum).solution.value - best_amplitudes(there, optimum.eta, _STEPS)[1].value
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,8 @@ def _ended(optimum: Optimum) -> Optimum:
 
 def _gain(first: Optimum, there: Optimum) -> float:
     """Return by how much -2 log of the likelihood falls from one optimum to another."""
-    return first.solution.value - best_amplitudes(weighed_as(there, first), there.eta, _STEPS)[1].value
+    after = best_amplitudes(weighed_as(there, first), there.eta, _STEPS)[1].value
+    return _ended(first).solution.value - after
 
 
 def find_shifted_ids(
@@ -172,7 +173,6 @@ def find_shifted_ids(
     def worth(one: _Moved) -> float:
         return one.gain - cost(one)
 
-    optimum = _ended(optimum)
     best = _Moved(np.zeros((len(views), 2)), 0.0, optimum)
     every = [best]
     while found := _shifted(optimum, best, pitch, rounds):
