@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.errors import NotConverged
+from calib.errors import CalibrationError, NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import best_amplitudes
 from calib.joint.fields import COEFFICIENTS
@@ -121,8 +121,8 @@ class _Moved:
     optimum: Optimum
 
 
-def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum | None:
-    """Return the optimum with (m, 2) shifts of the views' stars on the target; None if there is none.
+def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum:
+    """Return the optimum with (m, 2) shifts of the views' stars on the target.
 
     The search starts at the state of another optimum, which is ``near``.
     """
@@ -135,9 +135,7 @@ def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Opti
     discs = tuple(one.disc for one in stars if one.disc)
     bench = replace(problem.bench, stars=tuple(stars), discs=discs)
     start = bench.aligned(near.state, first.marginal.equations.weights)
-    with suppress(NotConverged, np.linalg.LinAlgError):
-        return _ended(search(replace(problem, bench=bench), start, rounds))
-    return None
+    return _ended(search(replace(problem, bench=bench), start, rounds))
 
 
 def _ended(optimum: Optimum) -> Optimum:
@@ -181,7 +179,7 @@ def find_shifted_ids(
         if worth(better) <= worth(best):
             break
         best = better
-    if not best.shifts.any() or _by_hand(again(_renamed(views, pitch * best.shifts))):
+    if not best.shifts.any() or _by_hand(views, pitch * best.shifts, again):
         return ""
     others = {
         _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
@@ -218,22 +216,26 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
     for k in np.argsort(-gains)[:_ADJUSTED]:
         shifts = hypotheses[k]
         known = bool((best.shifts.any(axis=1) == shifts.any(axis=1)).all())  # only by how much is asked
-        if known or (gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED):
-            there = _moved(first, best.optimum, rounds, pitch * shifts)
-            found += [] if there is None else [_Moved(shifts, _gain(first, there), there)]
+        with suppress(NotConverged, np.linalg.LinAlgError):
+            if known or (gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED):
+                there = _moved(first, best.optimum, rounds, pitch * shifts)
+                found.append(_Moved(shifts, _gain(first, there), there))
     return found
 
 
-def _by_hand(optimum: Optimum) -> bool:
-    """Tell whether the visible discs show for certain that a hand moves the mount."""
-    pupils = optimum.marginal.problem.pupils
-    return pupils is not None and pupils.certain
+def _by_hand(views: Sequence[View], shifts_mm: Array, again: Callable[[Sequence[View]], Optimum]) -> bool:
+    """Tell whether the discs show for certain that a hand moves the mount, with (m, 2) shifts of the views' stars.
 
-
-def _renamed(views: Sequence[View], shifts_mm: Array) -> list[View]:
-    """Return the views with other ids: their stars lie elsewhere on the target by (m, 2) shifts."""
+    Also if the shifted views cannot be adjusted.
+    """
     pairs = zip(views, shifts_mm, strict=True)
-    return [replace(view, target_mm=view.target_mm + shift) for view, shift in pairs]
+    try:
+        pupils = again(
+            [replace(view, target_mm=view.target_mm + shift) for view, shift in pairs]
+        ).marginal.problem.pupils
+    except CalibrationError:
+        return True
+    return pupils is not None and pupils.certain
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:
