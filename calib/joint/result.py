@@ -58,7 +58,7 @@ def calibrate_jointly(
     require_determined(found, kept, parameters, options, shifted)
     result = _calibration(found, views, used, parameters, gimbal)
     other = "" if shifted else find_other_origins(found.optimum, kept)
-    return replace(result, notes=(*notes(result, found), *filter(None, (shifted, other))))
+    return replace(result, notes=(*filter(None, (shifted, other)), *notes(result, found)))
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:

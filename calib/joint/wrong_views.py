@@ -33,8 +33,6 @@ _SHIFTS = [
 ]
 #: Largest deviation of a star from a node of the lattice, pitches.
 _ON_LATTICE = 0.05
-#: Stars whose places agree to so many decimals of a millimetre are the same.
-_SAME_STAR = 6
 #: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear, and adjusted if it
 #: falls by the second number with better amplitudes: wrong ids have made the own fields of the poses look large. On
 #: drawn gimbals with right ids it would rise by 300 or more from three poses on.
@@ -255,9 +253,8 @@ def _lattice_pitch(views: Sequence[View]) -> float | None:
     """Return the pitch of the lattice on which all stars lie, mm; None if they lie on none."""
     if min(len(view) for view in views) < 4:
         return None
-    every = np.unique(np.round(np.concatenate([view.target_mm for view in views]), _SAME_STAR), axis=0)
-    pitch = local_spacing(every)
-    steps = (every - every[0]) / pitch
+    pitch = min(local_spacing(view.target_mm) for view in views)
+    steps = (np.concatenate([view.target_mm for view in views]) - views[0].target_mm[0]) / pitch
     return pitch if np.abs(steps - np.round(steps)).max() < _ON_LATTICE else None
 
 

@@ -34,8 +34,9 @@ def bench(seed, noise_px=0.02, count=6):
 
 
 def misnamed(view, columns, rows):
-    """The stars bear the names of stars that lie columns to the left and rows above."""
-    return replace(view, target_mm=view.target_mm - TARGET.pitch_mm * np.array([columns, rows]))
+    """The stars bear the names of stars that lie columns to the left and rows above; as in a file, places are rounded."""
+    places = view.target_mm - TARGET.pitch_mm * np.array([columns, rows])
+    return replace(view, target_mm=np.round(places, 5))
 
 
 def doubts(views, options=None):
