@@ -15,7 +15,6 @@ from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geome
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.curvature import best_amplitudes
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term_shapes, wavefront
@@ -24,7 +23,7 @@ from calib.joint.marginal import Marginal, Problem
 from calib.joint.posterior import odds_of
 from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
 from calib.joint.readings import Readings
-from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, weighed_as
+from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, value_as_weighed
 from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
@@ -35,8 +34,6 @@ from calib.view import View
 #: The other family of lenses is taken if twice the logarithm of its odds exceeds this: strong evidence (Kass and
 #: Raftery, 1995).
 _EVIDENCE = 10.0
-#: Largest number of steps to the best amplitudes of the other family.
-_STEPS = 20
 #: Tangent of the angle at the sensor's corner from which on the lens must be of the right family: at 45 degrees, three
 #: radial terms of the tangent miss a fisheye lens by several U of fx.
 _WIDE_FIELD = 0.8
@@ -163,14 +160,9 @@ def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
         other = _adjusted(views, options, DISTORTION_SETS[other_set])
     except CalibrationError:  # these views cannot be those of such a lens
         return found
-    if found.solution.value - _value_as_weighed(other, found) < _EVIDENCE:
+    if found.solution.value - value_as_weighed(other, found) < _EVIDENCE:
         return found
     return other if options.compares_lenses else replace(found, better_lens=other_set)
-
-
-def _value_as_weighed(other: Optimum, found: Optimum) -> float:
-    """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then."""
-    return best_amplitudes(weighed_as(other, found), other.eta, _STEPS)[1].value
 
 
 def _is_wide(found: Optimum) -> bool:
@@ -201,7 +193,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
         return found
     try:
         turned = _searched(views, options, lens, start, seen, by_hand=False)
-        return turned if _value_as_weighed(turned, found) < found.solution.value else found
+        return turned if value_as_weighed(turned, found) < found.solution.value else found
     except (CalibrationError, np.linalg.LinAlgError):  # this is no gimbal
         return found
 

@@ -366,7 +366,7 @@ def _usual(optimum: Optimum) -> Array:
 def _possible(marginal: Marginal, starts: Sequence[Array], base: Node) -> list[tuple[tuple[str, ...], float]]:
     """Return the statements that contradict all others, for at least one of the given amplitudes.
 
-    Each comes with a factor of its probability beforehand, which `FAULTS` states.
+    Each has a factor. A fault's probability beforehand is this factor times that of `FAULTS`.
     One source states the scales of all axes, so they can be wrong together. So can all that a passport says of a glass:
     if it is another one, its radius is as unknown as what shows this. A reticle moves more often.
     """

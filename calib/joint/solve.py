@@ -41,6 +41,8 @@ _LEAST_GAIN = 0.1
 _DAMPING = 4.0
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
+#: Largest number of steps to the best amplitudes of an optimum whose stars have the weights of another.
+_STEPS = 20
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
@@ -169,6 +171,11 @@ def weighed_as(there: Optimum, than: Optimum) -> Marginal:
     problem = there.marginal.problem
     same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
     return Marginal(problem, same, there.state)
+
+
+def value_as_weighed(there: Optimum, than: Optimum) -> float:
+    """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then."""
+    return best_amplitudes(weighed_as(there, than), there.eta, _STEPS)[1].value
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:

@@ -53,9 +53,9 @@ def require_determined(
     options: CalibrationOptions,
     doubt: str = "",
 ) -> None:
-    """Refuse a focal length with 1-sigma above 5 %, naming the free unknown, or an adjustment without an optimum.
+    """Refuse views that know a focal length to no better than 5 % (1-sigma), or an adjustment without an optimum.
 
-    A ``doubt`` about the data is the cause, if there is one.
+    The error names a ``doubt`` about the data as the cause, if there is one; else the unknown that nothing binds.
     """
     if options.passport is None:
         require_distinct_poses(parameters)

@@ -21,7 +21,7 @@ from calib.joint.curvature import best_amplitudes
 from calib.joint.fields import COEFFICIENTS
 from calib.joint.layout import Places
 from calib.joint.marginal import Marginal
-from calib.joint.solve import Optimum, search, weighed_as
+from calib.joint.solve import Optimum, search, value_as_weighed
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
 from calib.view import View
@@ -120,10 +120,7 @@ class _Moved:
 
 
 def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum:
-    """Return the optimum with (m, 2) shifts of the views' stars on the target.
-
-    The search starts at the state of another optimum, which is ``near``.
-    """
+    """Return the optimum with (m, 2) shifts of the views' stars on the target, from the state of a ``near`` one."""
     problem, stars = first.marginal.problem, []
     for one, shift in zip(problem.bench.stars, shifts_mm, strict=True):
         disc = one.disc and replace(one.disc, centre_mm=one.disc.centre_mm + shift)
@@ -143,9 +140,8 @@ def _ended(optimum: Optimum) -> Optimum:
 
 
 def _gain(first: Optimum, there: Optimum) -> float:
-    """Return by how much -2 log of the likelihood falls from one optimum to another."""
-    after = best_amplitudes(weighed_as(there, first), there.eta, _STEPS)[1].value
-    return _ended(first).solution.value - after
+    """Return 2 log of the likelihood ratio of an optimum to the first one."""
+    return _ended(first).solution.value - value_as_weighed(there, first)
 
 
 def find_shifted_ids(
@@ -184,16 +180,16 @@ def find_shifted_ids(
     } - {_in_words(views, best)}
     if len(views) == 2:  # what all views have in common is another centre
         others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
-    fall = f"-2 log of the likelihood then falls by {best.gain:.0f}, and {cost(best):.0f} would decide"
+    ratio = f"twice the logarithm of the likelihood ratio is {best.gain:.0f}, and {cost(best):.0f} is enough"
     if not others:
         return (
-            f"The star ids are wrong: shift the ids of {_in_words(views, best)}; {fall}. "
-            "Check the tag or the id file of this view."
+            f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
+            f"Then the stars fit far better ({ratio}). Check the tag or the id file of this view."
         )
     return (
         "The star ids of one view may be shifted; these views cannot decide which: shift the ids of "
-        f"{', or '.join([_in_words(views, best), *sorted(others)])}; {fall}. "
-        "Check the ids of these views, or add views."
+        f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
+        f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
     )
 
 

@@ -58,8 +58,8 @@ def test_the_view_and_the_shift_are_named(place, shift, seed):
     (found,) = doubts(views)
     assert found.startswith("The star ids are wrong: shift the ids of view")
     assert shifts_of(found) == {(f"pose-{place + 1:03d}", *shift)}
-    falls, enough = map(int, re.search(r"falls by (\d+), and (\d+) would decide", found).groups())
-    assert falls > enough
+    reached, enough = map(int, re.search(r"ratio is (\d+), and (\d+) is enough", found).groups())
+    assert reached > enough
 
 
 @pytest.mark.parametrize("world", ["polynomial", "raytraced"])
@@ -70,7 +70,7 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     places = np.unique(np.round(views[0].target_mm, 6)[:, 0])
     views[2] = replace(views[2], target_mm=views[2].target_mm + np.median(np.diff(places)) * np.array([1, 0]))
     (found,) = doubts(views, options_for(drawn, "0"))
-    assert found.startswith("The star ids are wrong: shift the ids of view pose 3 by -1 column; ")
+    assert found.startswith("The star ids are wrong: shift the ids of view pose 3 by -1 column. ")
 
 
 @settings(max_examples=4, deadline=None)
