@@ -179,7 +179,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
     start = first_parameters(views, options, lens)
     seen = seen_poses(views, start.rotations)
     try:
-        found = _searched(views, options, lens, start, seen)
+        found, near = _searched(views, options, lens, start, seen)
     except (NotConverged, np.linalg.LinAlgError) as error:
         why = explain_weak_geometry(views, start)
         if not why:
@@ -189,13 +189,14 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
             remedy="Add views turned about other axes, with the stars elsewhere in the image.",
         ) from error
     pupils = found.marginal.problem.pupils
-    if pupils is None or pupils.certain:
-        return found
-    try:
-        turned = _searched(views, options, lens, start, seen, by_hand=False)
-        return turned if value_as_weighed(turned, found) < found.solution.value else found
-    except (CalibrationError, np.linalg.LinAlgError):  # this is no gimbal
-        return found
+    if pupils is not None and not pupils.certain:
+        try:
+            turned, seen_from = _searched(views, options, lens, start, seen, by_hand=False)
+            if value_as_weighed(turned, found) < found.solution.value:
+                found, near = turned, seen_from
+        except (CalibrationError, np.linalg.LinAlgError):  # this is no gimbal
+            pass
+    return _without_wrong_certificate(found, near, options)
 
 
 def _approached(problem: Problem, start: State, views: Sequence[View], options: CalibrationOptions) -> State:
@@ -256,15 +257,15 @@ def _searched(
     seen: Poses,
     *,
     by_hand: bool = True,
-) -> Optimum:
+) -> tuple[Optimum, State]:
+    """Return the optimum, and the state near it that the views alone show."""
     problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
     near = _approached(problem, state, views, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
     problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
-    found = search(problem, state, options.max_iterations)
-    return _without_wrong_certificate(found, state, options)
+    return search(problem, state, options.max_iterations), state
 
 
 def _without_wrong_certificate(found: Optimum, near: State, options: CalibrationOptions) -> Optimum:

@@ -68,13 +68,14 @@ def lever_of(found: Discs | None, turns: Array, r_mm: float) -> float:
     away, differences = _about_their_mean(found)
     turned = turns - turns.mean(axis=0)
     squares = (turned**2).sum(axis=0)
-    as_turned = np.einsum("na,ab->anb", turned / np.maximum(squares, _NO_TURN**2), np.eye(2)).reshape(2, -1) / r_mm
-    ways = as_turned @ away.reshape(-1)
-    covariance = as_turned @ differences @ as_turned.T + np.diag(np.where(squares < _NO_TURN**2, 1.0, 0.0))
+    along = turned / (r_mm * np.maximum(squares, _NO_TURN**2))
+    along = np.einsum("na,ab->anb", along, np.eye(2)).reshape(2, -1)
+    ways = along @ away.reshape(-1)
+    unseen = np.diag(np.where(squares < _NO_TURN**2, 1.0, 0.0))
     logs = np.log(_LEVER) + _LEVERS * _LEVER_SPREAD
-    spread = np.exp(2.0 * logs)[:, None, None] * np.eye(2) + covariance
-    fit = (ways * np.linalg.solve(spread, np.broadcast_to(ways[:, None], (len(logs), 2, 1)))[:, :, 0]).sum(axis=1)
-    density = -0.5 * (_LEVERS**2 + fit + np.linalg.slogdet(spread)[1])
+    variances = along @ differences @ along.T + unseen + np.exp(2.0 * logs)[:, None, None] * np.eye(2)
+    fit = np.einsum("a,gab,b->g", ways, np.linalg.inv(variances), ways)
+    density = -0.5 * (_LEVERS**2 + fit + np.linalg.slogdet(variances)[1])
     weights = np.exp(density - density.max())
     return float(np.exp(weights @ logs / weights.sum()))
 
