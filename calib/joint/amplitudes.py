@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.joint.fields import DEGREE
+from calib.model.gimbal_readings import ENCODER_SHARE
 
 #: Highest degree of the field of a pose.
 POSE_DEGREE = 4
@@ -87,7 +88,7 @@ _FALL = 0.65
 FAMILIES = (
     Family((STAR,), (1.0,), 1.5, 0.0),
     Family((READING,), (1.0,), 0.4, 0.0),
-    Family((ENCODER,), (0.7,), 0.7, 0.0),
+    Family((ENCODER,), (ENCODER_SHARE,), 0.7, 0.0),
     Family(POSE, smooth(2e-6, POSE_DEGREE), 1.3, 0.5, 0.25),
     Family(COMMON, smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN, smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),

@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from calib.arrays import Array
 from calib.joint.layout import ECCENTRICITY, ENCODER
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal, aligned_gimbal
-from calib.model.gimbal_readings import AXES, GimbalReadings
+from calib.model.gimbal_readings import AXES, ONE_ANGLE_DEG, GimbalReadings
 from calib.model.rotation import log_map
 
 _TURNS = (*MOUNTING, *STANDING)
-#: Readings of an axis that differ by less are those of one angle: the encoder is off by the same.
-_ONE_ANGLE_DEG = 0.05
 
 
 @dataclass(frozen=True)
@@ -55,9 +53,9 @@ class Readings:
         found = {}
         for k in np.flatnonzero(self.moved).tolist():
             order = np.argsort(self.angles_deg[:, k], kind="stable")
-            ends = np.flatnonzero(np.diff(self.angles_deg[order, k]) > _ONE_ANGLE_DEG) + 1
+            ends = np.flatnonzero(np.diff(self.angles_deg[order, k]) > ONE_ANGLE_DEG) + 1
             for views in np.split(order, ends):
-                if np.ptp(self.angles_deg[views], axis=0).max() > _ONE_ANGLE_DEG:
+                if np.ptp(self.angles_deg[views], axis=0).max() > ONE_ANGLE_DEG:
                     axis, angle = AXES[k].removesuffix("_deg"), float(self.angles_deg[views[0], k])
                     found[f"{ENCODER}_{axis}_{angle:g}"] = (k, np.isin(range(len(order)), views))
         return found

@@ -20,6 +20,10 @@ from calib.errors import InputMismatch
 AXES = ("pan_deg", "tilt_deg", "roll_deg")
 #: How far a camera's pupil is beside the axes that turn it, 1-sigma, if the camera was set up by eye.
 BESIDE_AXES_MM = 2.0
+#: Readings of an axis that differ by less are those of one angle: the encoder is off by the same.
+ONE_ANGLE_DEG = 0.05
+#: What they share is expected to be so large, over the 1-sigma of what each reading has for itself.
+ENCODER_SHARE = 0.7
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 
 from calib.arrays import Array, rms_length
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.gimbal_readings import AXES, angles_of
+from calib.model.gimbal_readings import AXES, ENCODER_SHARE, ONE_ANGLE_DEG, angles_of
 from calib.model.likelihood_ratio import DECISIVE
 from calib.studies.gimbal_faults import Explanation, GimbalFault, SeenRotations, search_faults
 from calib.studies.gimbal_model import (
@@ -105,8 +104,7 @@ def check_hand_eye(
     values = first_scales(rotations, model)
     equal = np.eye(len(covariance))
     start = global_fit(rotations, model, equal, values)[0]
-    turned = np.deg2rad(reading_sigma_deg) * start.motors[:, :, moved]
-    of_readings = linalg.block_diag(*(turned @ np.swapaxes(turned, 1, 2)))
+    of_readings = _covariance_of(np.deg2rad(reading_sigma_deg) * start.motors[:, :, moved], angles[:, moved])
     seen = SeenRotations(rotations, covariance + of_readings, start)
     first = seen.explain(model, start)
     mirrored = False
@@ -134,6 +132,17 @@ def check_hand_eye(
         faults,
         judge(found),
     )
+
+
+def _covariance_of(axes_rad: Array, angles_deg: Array) -> Array:
+    """Return the (3 n, 3 n) covariance of readings, from (n, 3, k) axes times 1 sigma, and (n, k) angles.
+
+    Readings of one angle share an error of the encoder. Without it, the last row of a raster looks like a slip.
+    """
+    alike = np.abs(angles_deg[:, None] - angles_deg) < ONE_ANGLE_DEG
+    shares = np.eye(len(angles_deg))[:, :, None] + ENCODER_SHARE**2 * alike
+    both = np.einsum("nik,nmk,mjk->nimj", axes_rad, shares, axes_rad)
+    return np.asarray(both.reshape(3 * len(angles_deg), -1))
 
 
 def _findings(seen: SeenRotations, last: Explanation, mirrored: bool, scale_sigma: float) -> Findings:

@@ -23,7 +23,6 @@ VerdictKind = Literal[
     "not_square",
     "wrong_sign",
     "ambiguous",
-    "focal_length",
     "scale_or_parallax",
     "gimbal_scale",
     "views_biased",
@@ -36,8 +35,6 @@ AXIS_NAMES = ("pan", "tilt", "roll")
 PARALLAX = 0.015
 #: Views disagree if they differ this many times more than star noise explains.
 _DISAGREE = 1.5
-#: A common ratio this near to 1 and within the U of the focal length is agreement.
-_SMALL = 1e-3
 
 _WRONG_SIGN = (
     "The sign of {} is reversed: as they are, the readings fit no mounting in which the camera looks forward. Check "
@@ -55,8 +52,8 @@ class Verdict:
 
     # ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
     # ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data
-    # equally well. ``focal_length``: a common ratio within the uncertainty of the focal length.
-    # ``scale_or_parallax``: a scale that parallax can imitate. ``gimbal_scale``: a scale error of the gimbal.
+    # equally well. ``scale_or_parallax``: a scale that parallax can imitate. ``gimbal_scale``: a scale error of
+    # the gimbal.
     # ``views_biased``: scatter that the views show among themselves. ``scatter``: scatter of unknown cause.
     kind: VerdictKind
     says: tuple[str, ...]
@@ -221,15 +218,20 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
         off, common = seen_off, found.pairs.ratio
     own_sigma = 1 / float(np.sqrt((own**-2).sum()))
     shown = by_pairs or _significant(found, off, own_sigma)
-    if not differ and (not shown or (off <= focal and off < _SMALL)):
+    if not differ and not shown:
         return "agrees", seen
-    if off <= focal and (not differ or found.views_disagree):
+    if not differ and off <= focal:
         direction = "short" if common > 1 else "long"
-        alike = "alike along all axes" if not differ else "and the views contradict each other"
-        return "focal_length", (
-            f"{seen} The ratio differs from 1 by {_percent(off)}, {alike}. A focal length that is "
-            f"{_percent(off)} too {direction} gives this, and its U is {_percent(focal)}: the calibration (camera or "
-            "collimator) is in question, and nothing points to the gimbal."
+        return "agrees", (
+            f"{seen} The ratio differs from 1 by {_percent(off)}, alike along all axes. This is within the U of the "
+            f"focal length, {_percent(focal)}. If the gimbal is right, the focal length is {_percent(off)} too "
+            f"{direction}."
+        )
+    if off <= focal and found.views_disagree:
+        return "views_biased", (
+            f"{seen} The ratio is not the same along all axes. It differs from 1 by {_percent(off)}, within the U of "
+            f"the focal length, {_percent(focal)}, and the views contradict each other without any reading. Nothing "
+            "points to the gimbal."
         )
     how = f"The ratio is {'not ' if differ else ''}the same along all axes"
     if off <= PARALLAX:
