@@ -104,9 +104,9 @@ FAMILIES = (
     Family((PRISM,), (2e-4,), 1.0, 0.0),
     Family((RIM,), (2e-3,), 1.3, 0.0),
     Family((DISCS,), (1.0,), 0.3, 0.0),  # Errors of the visible discs over those that their fit states
-    # Change of the radius from pose to pose, as a share: a hand moves the pupil along the beam by 4 mm, half as far as
-    # across it, before a collimator with a defocus of a sixteenth.
-    Family((ALONG,), (1e-3,), 1.0, 0.0),
+    # Change of the radius from pose to pose, as a share: a hand moves the pupil along the beam by 2.5 mm before a
+    # collimator with a defocus of a sixteenth.
+    Family((ALONG,), (6e-4,), 1.0, 0.0),
     # Another pupil looks through other places of the glass; another glass differs ten times as much.
     Family((CHANGE,), (3e-6,), 1.3, 0.0),
 )
