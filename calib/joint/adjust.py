@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
@@ -190,12 +191,10 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
         ) from error
     pupils = found.marginal.problem.pupils
     if pupils is not None and not pupils.certain:
-        try:
+        with suppress(CalibrationError, np.linalg.LinAlgError):  # of a mount that is no gimbal
             turned, seen_from = _searched(views, options, lens, start, seen, by_hand=False)
             if value_as_weighed(turned, found) < found.solution.value:
                 found, near = turned, seen_from
-        except (CalibrationError, np.linalg.LinAlgError):  # this is no gimbal
-            pass
     return _without_wrong_certificate(found, near, options)
 
 

@@ -27,7 +27,7 @@ _WANDERS, _CERTAIN = 0.01, 1.5
 _AS_TURNS = 12.0
 #: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
 _LEVER, LEVER_BY_HAND = 0.03, 1.0 / _AS_TURNS
-#: 1-sigma of its logarithm beforehand, and the grid of its posterior in these: a pupil 3 mm or 45 mm before the pivot.
+#: 1-sigma of its logarithm beforehand, and the grid of its posterior in these: a pupil 3 to 20 mm before the pivot.
 _LEVER_SPREAD, _LEVERS = 1.0, np.linspace(-3.0, 3.0, 61)
 #: Turns whose tangent is smaller say nothing of how a pupil moves.
 _NO_TURN = 1e-3

@@ -140,6 +140,7 @@ def _covariance_of(axes_rad: Array, angles_deg: Array) -> Array:
     Readings of one angle share an error of the encoder. Without it, the last row of a raster looks like a slip.
     """
     alike = np.abs(angles_deg[:, None] - angles_deg) < ONE_ANGLE_DEG
+    alike &= alike.sum(axis=1) > 1
     shares = np.eye(len(angles_deg))[:, :, None] + ENCODER_SHARE**2 * alike
     both = np.einsum("nik,nmk,mjk->nimj", axes_rad, shares, axes_rad)
     return np.asarray(both.reshape(3 * len(angles_deg), -1))

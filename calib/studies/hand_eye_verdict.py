@@ -53,8 +53,8 @@ class Verdict:
     # ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
     # ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data
     # equally well. ``scale_or_parallax``: a scale that parallax can imitate. ``gimbal_scale``: a scale error of
-    # the gimbal.
-    # ``views_biased``: scatter that the views show among themselves. ``scatter``: scatter of unknown cause.
+    # the gimbal. ``views_biased``: the views contradict each other, so that scatter, or ratios that differ by axis,
+    # show no error of the gimbal. ``scatter``: scatter of unknown cause.
     kind: VerdictKind
     says: tuple[str, ...]
 
