@@ -66,18 +66,21 @@ def lever_of(found: Discs | None, turns: Array, r_mm: float) -> float:
     if found is None or len(turns) < 2:
         return _LEVER
     away, differences = _about_their_mean(found)
-    turned = turns - turns.mean(axis=0)
-    squares = (turned**2).sum(axis=0)
-    along = turned / (r_mm * np.maximum(squares, _NO_TURN**2))
-    along = np.einsum("na,ab->anb", along, np.eye(2)).reshape(2, -1)
-    ways = along @ away.reshape(-1)
-    unseen = np.diag(np.where(squares < _NO_TURN**2, 1.0, 0.0))
+    along = _along(turns) / r_mm
+    ways, unseen = along @ away.reshape(-1), np.diag(np.where(np.ptp(turns, axis=0) < _NO_TURN, 1.0, 0.0))
     logs = np.log(_LEVER) + _LEVERS * _LEVER_SPREAD
     variances = along @ differences @ along.T + unseen + np.exp(2.0 * logs)[:, None, None] * np.eye(2)
     fit = np.einsum("a,gab,b->g", ways, np.linalg.inv(variances), ways)
     density = -0.5 * (_LEVERS**2 + fit + np.linalg.slogdet(variances)[1])
     weights = np.exp(density - density.max())
     return float(np.exp(weights @ logs / weights.sum()))
+
+
+def _along(turns: Array) -> Array:
+    """Return the (2, 2 n) estimator of how far discs move along X by the turn along X, and along Y by that along Y."""
+    turned = turns - turns.mean(axis=0)
+    turned /= np.maximum((turned**2).sum(axis=0), _NO_TURN**2)
+    return np.einsum("na,ab->anb", turned, np.eye(2)).reshape(2, -1)
 
 
 def _about_their_mean(found: Discs) -> tuple[Array, Array]:
@@ -94,9 +97,8 @@ def pupils_of(found: Discs, turns: Array, r_mm: float) -> Pupils | None:
     On a gimbal each moves along X as the turn along X says, and along Y as that along Y.
     """
     away, differences = _about_their_mean(found)
-    turned = turns - turns.mean(axis=0)
-    ways = (turned * away).sum(axis=0) / np.maximum((turned**2).sum(axis=0), _NO_TURN**2)
-    wander = rms_length(away - ways * turned)
+    ways = _along(turns) @ away.reshape(-1)
+    wander = rms_length(away - ways * (turns - turns.mean(axis=0)))
     if wander < _WANDERS * r_mm:
         return None
     n = len(turns)

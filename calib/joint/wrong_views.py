@@ -180,7 +180,7 @@ def find_shifted_ids(
     } - {_in_words(views, best)}
     if len(views) == 2:  # what all views have in common is another centre
         others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
-    ratio = f"twice the logarithm of the likelihood ratio is {best.gain:.0f}, and {cost(best):.0f} is enough"
+    ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {cost(best):.0f} is enough"
     if not others:
         return (
             f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
@@ -257,10 +257,10 @@ def _lattice_pitch(views: Sequence[View]) -> float | None:
 def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
     """Look for views whose points lie half a pixel away from those of the other views, along both axes.
 
-    Views join the shifted ones, one by one, and the likelihood ratio decides how many of them lie half a pixel off, at
-    most half of them. An offset of another size must not be decisively more likely. One view alone is seldom enough,
-    because its own rotation imitates a shift. It takes three or more views. A sentence, empty if all agree, or if the
-    views cannot decide.
+    Views join the shifted ones, one by one. The likelihood ratio decides how many there are, at most half of all
+    views. An offset of another size must not be decisively more likely. A single view is seldom found, because its own
+    rotation imitates a shift. Three or more views are needed. Returns a sentence; an empty one if all views agree, or
+    if they cannot decide.
     """
     if len(views) < 3:
         return ""

@@ -220,29 +220,24 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
     shown = by_pairs or _significant(found, off, own_sigma)
     if not differ and not shown:
         return "agrees", seen
+    alike = "is not the same along all axes. It differs from 1 by up to" if differ else "differs from 1 by"
+    seen += f" The ratio {alike} {_percent(off)}. The U of the focal length is {_percent(focal)}."
     if not differ and off <= focal:
         direction = "short" if common > 1 else "long"
         return "agrees", (
-            f"{seen} The ratio differs from 1 by {_percent(off)}, alike along all axes. This is within the U of the "
-            f"focal length, {_percent(focal)}. If the gimbal is right, the focal length is {_percent(off)} too "
-            f"{direction}."
+            f"{seen} So the two agree. If the gimbal is right, the focal length is {_percent(off)} too {direction}."
         )
     if off <= focal and found.views_disagree:
         return "views_biased", (
-            f"{seen} The ratio is not the same along all axes. It differs from 1 by {_percent(off)}, within the U of "
-            f"the focal length, {_percent(focal)}, and the views contradict each other without any reading. Nothing "
-            "points to the gimbal."
+            f"{seen} The views contradict each other, also without the readings. So nothing points to the gimbal."
         )
-    how = f"The ratio is {'not ' if differ else ''}the same along all axes"
     if off <= PARALLAX:
         return "scale_or_parallax", (
-            f"{seen} {how} and differs from 1 by {_percent(off)}; the U of the focal length is {_percent(focal)}. "
-            "This is a scale error of the gimbal, or parallax (entrance pupil off the pivot, collimator out of "
-            "focus): up to about 1 % they cannot be told apart."
+            f"{seen} This is a scale error of the gimbal, or parallax (entrance pupil off the pivot, collimator out "
+            "of focus): up to about 1 % they cannot be told apart."
         )
     return "gimbal_scale", (
-        f"{seen} {how} and differs from 1 by {_percent(off)}, but the U of the focal length is {_percent(focal)}: "
-        "the scale of the gimbal is in question. Check the steps or counts per degree in the station file."
+        f"{seen} So the scale of the gimbal is in question. Check the steps or counts per degree in the station file."
     )
 
 

@@ -45,7 +45,7 @@ def doubts(views, options=None):
 
 
 def shifts_of(sentence):
-    """The views that a sentence names, each with its columns and rows."""
+    """By the name of each view in a sentence: the columns and rows by which to shift its ids."""
     said = r"view (pose.?\d+) by (?:(-?\d+) columns?)?(?: and )?(?:(-?\d+) rows?)?"
     return {(view, int(columns or 0), int(rows or 0)) for view, columns, rows in re.findall(said, sentence)}
 
@@ -58,7 +58,7 @@ def test_the_view_and_the_shift_are_named(place, shift, seed):
     (found,) = doubts(views)
     assert found.startswith("The star ids are wrong: shift the ids of view")
     assert shifts_of(found) == {(f"pose-{place + 1:03d}", *shift)}
-    reached, enough = map(int, re.search(r"ratio is (\d+), and (\d+) is enough", found).groups())
+    reached, enough = map(int, re.search(r"ratio\) is (\d+); (\d+) is enough", found).groups())
     assert reached > enough
 
 

@@ -234,7 +234,7 @@ def test_a_common_ratio_within_the_uncertainty_of_the_focal_length_is_not_the_gi
     assert found.verdict.kind == "agrees"
     assert found.pairs.ratio == pytest.approx(1.029, abs=1e-3)
     assert "too short" in text_of(found)
-    assert "within the U of the focal length" in text_of(found)
+    assert "So the two agree. If the gimbal is right" in text_of(found)
     assert "too long" in text_of(judged(draw_gimbal(11, **NINE, focal_error=-0.029, focal_sigma=0.016)))
     # The same ratio far outside the uncertainty of the focal length is the gimbal's.
     known = check_hand_eye(
