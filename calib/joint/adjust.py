@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -39,9 +37,8 @@ _EVIDENCE = 10.0
 #: radial terms of the tangent miss a fisheye lens by several U of fx.
 _WIDE_FIELD = 0.8
 #: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
-#: alone show, even if all errors are larger than expected by 1-sigma. At the start of a search the views err by up to
-#: 6 % on drawn gimbals, and by 17 % if a hand moves the mount for certain.
-_OTHER_RADIUS, _OTHER_RADIUS_BY_HAND, _CLEARLY = 0.1, 0.3, 6.0
+#: alone show, even if all errors are larger than expected by 1-sigma: near the optimum, and at it.
+_OTHER_RADIUS, _CLEARLY = 0.1, 6.0
 #: From this difference on, the state is looked at to which the search leads if the certificate is wrong.
 _OTHER_STATE = 0.02
 #: Limit of the stars' weights, in sigmas, so that none counts as an outlier.
@@ -77,13 +74,10 @@ def posed(
     start: AdjustmentParameters,
     lens: Sequence[str],
     seen: Poses,
-    *,
-    by_hand: bool = True,
 ) -> tuple[Problem, State]:
     """Return the problem and its first state.
 
     A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
-    ``by_hand`` is whether the camera may be moved by hand, if the discs say so.
     """
     passport = options.passport
     centre = start.collimator
@@ -98,7 +92,7 @@ def posed(
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
     moving = None if bounded else discs
     turns, axes = turns_of(start.rotations, poses)
-    pupils = pupils_of(moving, turns, centre.r) if moving and by_hand else None
+    pupils = pupils_of(moving, centre.r) if moving else None
     pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if moving else amp.Pupil.HELD
     layout = Layout(
         names,
@@ -173,10 +167,7 @@ def _is_wide(found: Optimum) -> bool:
 
 
 def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...]) -> Optimum:
-    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry.
-
-    If poor discs cannot tell whether a hand moves the camera, the more probable answer is taken.
-    """
+    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry."""
     start = first_parameters(views, options, lens)
     seen = seen_poses(views, start.rotations)
     try:
@@ -189,12 +180,6 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
             f"These views do not determine the camera. {why}",
             remedy="Add views turned about other axes, with the stars elsewhere in the image.",
         ) from error
-    pupils = found.marginal.problem.pupils
-    if pupils is not None and not pupils.certain:
-        with suppress(CalibrationError, np.linalg.LinAlgError):  # of a mount that is no gimbal
-            turned, seen_from = _searched(views, options, lens, start, seen, by_hand=False)
-            if value_as_weighed(turned, found) < found.solution.value:
-                found, near = turned, seen_from
     return _without_wrong_certificate(found, near, options)
 
 
@@ -214,8 +199,7 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
             alone = search(free, near, options.max_iterations)
             near = alone.state
             if _is_far(free, near, stated):
-                again = partial(adjust, options=replace(options, passport=None))
-                shifted = find_shifted_ids(alone, views, options.max_iterations, again)
+                shifted = find_shifted_ids(alone, views, options.max_iterations)
                 seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
                 raise InputMismatch(
                     f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}. "
@@ -239,9 +223,7 @@ def _is_far(free: Problem, near: State, stated: float) -> bool:
     """Tell whether a radius, mm, is not that of a state, even if errors are larger than expected."""
     at = free.bench.layout.index["r"]
     away = abs(stated - float(near.shared[at]))
-    by_hand = free.pupils is not None and free.pupils.certain
-    share = _OTHER_RADIUS_BY_HAND if by_hand else _OTHER_RADIUS
-    if away <= share * float(near.shared[at]):
+    if away <= _OTHER_RADIUS * float(near.shared[at]):
         return False
     large = free.hyper.mean + np.sqrt(np.diag(free.hyper.covariance))
     found = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), large)
@@ -254,16 +236,14 @@ def _searched(
     lens: tuple[str, ...],
     start: AdjustmentParameters,
     seen: Poses,
-    *,
-    by_hand: bool = True,
 ) -> tuple[Optimum, State]:
     """Return the optimum, and the state near it that the views alone show."""
-    problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
+    problem, state = posed(views, options, start, lens, seen)
     near = _approached(problem, state, views, options)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    problem, state = posed(views, options, start, lens, seen, by_hand=by_hand)
+    problem, state = posed(views, options, start, lens, seen)
     return search(problem, state, options.max_iterations), state
 
 

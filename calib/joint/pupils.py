@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.parameters import poses_of
-from calib.arrays import Array, rms_length
+from calib.arrays import Array
 from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
 
-#: A pupil that wanders by this share of the radius may be moved by hand; on a gimbal with good discs, by less than a
-#: quarter of it. It is moved by hand for certain if it wanders by so many sigmas of the discs' differences.
-#: Three poses on a gimbal do so by chance in 1 of 90 cases.
-_WANDERS, _CERTAIN = 0.01, 1.5
+#: Positive evidence (Kass and Raftery, 1995) of the discs for a gimbal, as 2 log of the likelihood ratio. Three poses
+#: show none: on a gimbal, places by their discs are then as good as by the turn.
+_GIMBAL = 2.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
 #: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
@@ -41,7 +40,6 @@ class Pupils:
 
     shown: Array  # (n, 2) by the discs
     information: Array  # (2 n, 2 n) of that
-    certain: bool  # Whether the discs exclude a gimbal
 
 
 class Poses(NamedTuple):
@@ -91,19 +89,12 @@ def _about_their_mean(found: Discs) -> tuple[Array, Array]:
     return middles - middles.mean(axis=0), about @ found.covariance_mm2 @ about
 
 
-def pupils_of(found: Discs, turns: Array, r_mm: float) -> Pupils | None:
-    """Return the pupils if they may wander as on no gimbal, where the turn shows them far better than a disc.
-
-    On a gimbal each moves along X as the turn along X says, and along Y as that along Y.
-    """
-    away, differences = _about_their_mean(found)
-    ways = _along(turns) @ away.reshape(-1)
-    wander = rms_length(away - ways * (turns - turns.mean(axis=0)))
-    if wander < _WANDERS * r_mm:
+def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
+    """Return the pupils, unless the discs show a gimbal: there the turn shows them far better than a disc."""
+    if found.wander < -_GIMBAL or len(found.of_views) < 2:
         return None
-    n = len(turns)
-    sigma = np.sqrt(np.trace(differences) / n)
-    as_turns = _AS_TURNS / r_mm
+    away, differences = _about_their_mean(found)
+    n, as_turns = len(away), _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))
-    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), bool(wander > _CERTAIN * sigma))
+    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)))

@@ -8,14 +8,14 @@ promise enough, the shifted views are adjusted, and the likelihood ratio decides
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.errors import CalibrationError, NotConverged
+from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import best_amplitudes
 from calib.joint.fields import COEFFICIENTS
@@ -144,15 +144,11 @@ def _gain(first: Optimum, there: Optimum) -> float:
     return _ended(first).solution.value - value_as_weighed(there, first)
 
 
-def find_shifted_ids(
-    optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
-) -> str:
+def find_shifted_ids(optimum: Optimum, views: Sequence[View], rounds: int) -> str:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
     The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A sentence,
-    which is empty if the views agree, if no shift explains their errors, or if the stars lie on no lattice. Also if a
-    hand moves the mount: the ends of a search then differ by more than shifts do. A gimbal with wrong ids looks like
-    such a mount; with right ones, with which it is adjusted ``again``, it does not.
+    which is empty if the views agree, if no shift explains their errors, or if the stars lie on no lattice.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
@@ -173,7 +169,7 @@ def find_shifted_ids(
         if worth(better) <= worth(best):
             break
         best = better
-    if not best.shifts.any() or _by_hand(views, pitch * best.shifts, again):
+    if not best.shifts.any():
         return ""
     others = {
         _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
@@ -215,21 +211,6 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
                 there = _moved(first, best.optimum, rounds, pitch * shifts)
                 found.append(_Moved(shifts, _gain(first, there), there))
     return found
-
-
-def _by_hand(views: Sequence[View], shifts_mm: Array, again: Callable[[Sequence[View]], Optimum]) -> bool:
-    """Tell whether the discs show for certain that a hand moves the mount, with (m, 2) shifts of the views' stars.
-
-    Also if the shifted views cannot be adjusted.
-    """
-    pairs = zip(views, shifts_mm, strict=True)
-    try:
-        pupils = again(
-            [replace(view, target_mm=view.target_mm + shift) for view, shift in pairs]
-        ).marginal.problem.pupils
-    except CalibrationError:
-        return True
-    return pupils is not None and pupils.certain
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:

@@ -27,7 +27,7 @@ The module uses points on the target's plane. It uses no image and no camera.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -180,6 +180,8 @@ _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
 #: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
 #: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
 _SCATTER_POWER = 1.0
+#: A gimbal holds the pupil so well that the centres scatter by at most this share of the radius.
+_HELD = 0.017
 #: So many matrices, one for each view and scatter, are handled at once.
 _MOST_MATRICES = 1000
 #: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
@@ -285,6 +287,9 @@ class Discs:
     of_views: list[Disc]
     covariance_mm2: Array  # (2 V, 2 V) float64, covariance of the centres of all views, mm^2
     motion: DiscMotion  # With the look of the camera; its prior is zero with a 1-sigma of 0.3 for each entry
+    wander: float = (
+        0.0  # 2 log of the likelihood ratio: the centres scatter about that motion as on no gimbal, or not
+    )
 
 
 def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Discs:
@@ -307,7 +312,7 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
     grid = scatters[1:]
     for round_ in range(_FINAL_ROUNDS):
         design, distance = _linearised(_rays(seen, means), means)
-        every = _in_pieces(evidence_of(design, distance, sites), grid, common)
+        tried, every = grid, _in_pieces(evidence_of(design, distance, sites), grid, common)
         weights = _weights(every.log_likelihood, grid)
         kept = weights > _LEAST_AVERAGED
         found, share = _Posterior(*(part[kept] for part in every)), weights[kept] / weights[kept].sum()
@@ -319,7 +324,8 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
             grid, weights = grid[weights > _LEAST_WEIGHT], weights[weights > _LEAST_WEIGHT]
     sites.precision[:, sigmas.shape[1] :] = 0.0  # Bright points do not show the rim
     own = _own_sigmas(evidence_of(design, distance, sites).information, grid[:, 2], weights, reach_mm)
-    return _discs(rims, found, share, own, middle_mm)
+    wander = _wander(every.log_likelihood, tried / reach_mm)
+    return replace(_discs(rims, found, share, own, middle_mm), wander=wander)
 
 
 def _discs(rims: Sequence[RimPoints], found: _Posterior, share: Array, own: Array, middle_mm: Array) -> Discs:
@@ -447,6 +453,18 @@ def _weights(log_likelihood: Array, scatters: Array) -> Array:
     logs = _LIKELIHOOD_POWER * log_likelihood + preference
     weights = np.exp(logs - logs.max())
     return weights / weights.sum()
+
+
+def _wander(log_likelihood: Array, shares: Array) -> float:
+    """Return 2 log of the likelihood ratio: no gimbal holds the pupil, or one does. shares: (G, P) scatters over r.
+
+    All scatters of the centre are as probable as the others of their kind. Those of radius and shape are averaged.
+    """
+    logs = log_likelihood + _SCATTER_POWER * np.log(shares[:, [2, 3]]).sum(axis=1)
+    held = shares[:, 0] < _HELD
+    kinds = [np.logaddexp.reduce(logs[own], initial=-np.inf) for own in (held, ~held)]
+    counts = [sum(one < _HELD for one in _CENTRE_SCATTERS), sum(one >= _HELD for one in _CENTRE_SCATTERS)]
+    return float(2.0 * np.diff(np.subtract(kinds, np.log(counts)))[0])
 
 
 def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
