@@ -100,10 +100,7 @@ class CameraCheck:
             "rms_px": self.rms_px,
             "coverage_factor": self.coverage_factor,
             "shares": dict(self.shares),
-            "regions": [
-                {**asdict(one), "at_px": list(one.at_px), "normalised": one.normalised}
-                for one in self.regions
-            ],
+            "regions": [{**asdict(one), "normalised": one.normalised} for one in self.regions],
         }
 
 
@@ -208,13 +205,7 @@ class OneViewCheck:
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it; a change that cannot be seen is null."""
         seen = {name: size if np.isfinite(size) else None for name, size in self.seen_from.items()}
-        return {
-            "right": self.right,
-            "one_view": True,
-            **asdict(self),
-            "at_px": list(self.at_px),
-            "seen_from": seen,
-        }
+        return {"right": self.right, "one_view": True, **asdict(self), "seen_from": seen}
 
 
 @on_one_thread

@@ -136,8 +136,8 @@ def _noisy(
     """Return noisy views (own model): Gaussian noise of stars and centres, and outliers of a wider Gaussian."""
     views = []
     for i, pose in enumerate(poses_deg, start=1):
-        x, y, r = bench.collimator.values[:3] + drift_mm * rng.standard_normal(3)
-        moved = replace(bench, collimator=Collimator(float(x), float(y), float(r)))
+        centre = bench.collimator.values[:3] + drift_mm * rng.standard_normal(3)
+        moved = replace(bench, collimator=Collimator(*centre.tolist()))
         view, _ = predicted_view(moved, pose, f"pose {i}")
         noise = bench.star_sigma_px * rng.standard_normal(view.points_px.shape)
         if outliers:

@@ -190,10 +190,7 @@ def rim_share(bench: ExpectedBench, rotation: Array) -> float:
     rim = np.column_stack(
         [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), bench.collimator.r)]
     )
-    pixels = bench.camera.project(rim @ rotation.T)
-    limit = np.array(bench.camera.image_size) - 1.0
-    with np.errstate(invalid="ignore"):
-        return float(((pixels > 0) & (pixels < limit)).all(axis=1).mean())
+    return float(_framed(bench.camera, bench.camera.project(rim @ rotation.T), 0.0).mean())
 
 
 def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, Bools]:
@@ -205,8 +202,13 @@ def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[A
     pixels = bench.camera.project(
         (np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre) @ rotation.T
     )
-    limit = np.array(bench.camera.image_size) - 1.0 - _BORDER_PX
-    with np.errstate(invalid="ignore"):
-        framed = ((pixels > _BORDER_PX) & (pixels < limit)).all(axis=1)
     radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
-    return pixels, framed & (np.linalg.norm(points_mm - centre[:2], axis=1) < radius)
+    inside = np.linalg.norm(points_mm - centre[:2], axis=1) < radius
+    return pixels, _framed(bench.camera, pixels, _BORDER_PX) & inside
+
+
+def _framed(camera: CameraModel, pixels: Array, border_px: float) -> Bools:
+    """Return (N,) which image points lie farther inside of the image than its border; NaN does not."""
+    limit = np.array(camera.image_size) - 1.0 - border_px
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((pixels > border_px) & (pixels < limit)).all(axis=1))
