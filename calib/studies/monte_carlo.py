@@ -15,11 +15,11 @@ from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import CalibrationError, NotConverged
 from calib.model.collimator import Collimator
+from calib.model.result_parts import COVERAGE
 from calib.studies.predicted_views import ExpectedBench, predicted_view
 from calib.view import View
 
-#: Nominal coverage of value +- k sigma, and the probability of the band in which the observed coverage must lie.
-COVERAGE = 0.9545
+#: Probability of the band in which the observed coverage must lie.
 _BAND = 0.999
 #: 1-sigma per axis of an outlier.
 _OUTLIER_SIGMA_PX = 2.0

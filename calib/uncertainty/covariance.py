@@ -23,7 +23,7 @@ from calib.adjustment.parameters import AdjustmentParameters, members
 from calib.arrays import Array, rms_length
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
-from calib.model.result_parts import POSE_FIELDS, STARS
+from calib.model.result_parts import COVERAGE, POSE_FIELDS, STARS
 
 #: Below this ratio of eigenvalues, the information matrix (scaled to a unit diagonal) is numerically singular.
 _SINGULAR = 1e-13
@@ -31,8 +31,6 @@ _SINGULAR = 1e-13
 _DETERMINED = 1e-6
 #: Probability that consistent views are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
-#: Coverage probability of value +- 2 sigma for a Gaussian.
-_COVERAGE = 0.9545
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def coverage_factor(degrees_of_freedom: float) -> float:
     """Return the k for 95.45 % (Student; JCGM 100:2008, annex G): 2 for infinite degrees of freedom, else more."""
     from scipy import special
 
-    tail = 0.5 + 0.5 * _COVERAGE
+    tail = 0.5 + 0.5 * COVERAGE
     if np.isinf(degrees_of_freedom):
         return float(special.ndtri(tail))
     return float(special.stdtrit(degrees_of_freedom, tail))
