@@ -88,13 +88,11 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
         found = {name: value for name, value in bench.amplitudes.items() if name in hyper.names}
         eta[hyper.places(tuple(found))] = np.log(list(found.values()))
         return eta
-    errors, focal_px, sigma_px = bench.errors, bench.camera.fx, bench.star_sigma_px
-    edge = float(np.tan(np.radians(bench.half_angle_deg)))
-    eta[hyper.places(_COMMON)] += np.log(errors.times_good(focal_px, sigma_px))
+    errors, edge = bench.errors, float(np.tan(np.radians(bench.half_angle_deg)))
+    times = errors.times_good(bench.camera.fx, bench.star_sigma_px, bench.collimator.r, edge)
     by_turn = [name for name in _BY_TURN if name in hyper.names]
-    eta[hyper.places(by_turn)] += np.log(errors.turn_times_good(focal_px, sigma_px))
-    own = errors.pose_times_good(focal_px, sigma_px, bench.collimator.r, edge)
-    eta[hyper.places(amp.POSE)] += np.log(own)
+    for names, larger in zip((_COMMON, by_turn, amp.POSE), times, strict=True):
+        eta[hyper.places(names)] += np.log(larger)
     if bench.readings is not None:
         wander_deg = np.degrees(errors.defocus * errors.pupil_wander_mm / bench.collimator.r)
         scatter = np.hypot(1.0, wander_deg / bench.readings.reading_sigma_deg)

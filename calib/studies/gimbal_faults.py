@@ -163,12 +163,10 @@ class SeenRotations:
         off = fit.off + fit.jacobian[:, 6:] @ (fit.values - fit.model.start)
         stacked = np.hstack([turns, scales, *sizes, off[:, None]])
         always = turns.shape[1] + count
-        prior = np.ones(stacked.shape[1])
-        prior[: turns.shape[1]] = prior[-1] = 0.0
-        prior[always:-1] = _SINGULAR
-        ends = always + np.cumsum([0, *(fault.size for fault in faults)])
+        ends = np.cumsum([0, *(fault.size for fault in faults)])
+        prior = np.repeat([0.0, 1.0, _SINGULAR, 0.0], [turns.shape[1], count, ends[-1], 1])
         places = {fault: range(ends[k], ends[k + 1]) for k, fault in enumerate(faults)}
-        indices = [[at - always for fault in one for at in places[fault]] for one in hypotheses]
+        indices = [[at for fault in one for at in places[fault]] for one in hypotheses]
         answer = np.empty((len(_SHAPES), len(self._variances), len(hypotheses)))
         steps = np.log(np.append(0.5, np.full(_TRIED, 0.5 / _TRIED)))
         for k, scatter in enumerate(self._scatters):

@@ -66,20 +66,19 @@ class CollimatorErrors:
         if not np.isfinite(self.defocus):
             raise InputMismatch(f"defocus is {self.defocus}; it must be a number.")
 
-    def times_good(self, focal_px: float, star_sigma_px: float) -> float:
-        """Return how many times larger the errors are than those of a good collimator."""
-        return max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)
+    def times_good(
+        self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float
+    ) -> tuple[float, float, float]:
+        """Return how many times larger the errors are than those of a good collimator.
 
-    def turn_times_good(self, focal_px: float, star_sigma_px: float) -> float:
-        """Return the same of the errors that follow the turn."""
-        own = _FOLLOWS * _per_axis(self.pose_rms_px, star_sigma_px) / focal_px / GOOD_POSE_RAD
-        return max(own, self.times_good(focal_px, star_sigma_px))
-
-    def pose_times_good(self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float) -> float:
-        """Return the same of the errors that differ from pose to pose; ``edge`` is the tangent of the half angle."""
+        Those that follow the collimator, those that follow the turn, and those that differ from pose to pose; ``edge``
+        is the tangent of the half angle.
+        """
         own = _per_axis(self.pose_rms_px, star_sigma_px) / focal_px
+        common = max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)
+        turn = max(_FOLLOWS * own / GOOD_POSE_RAD, common)
         own = float(np.hypot(own, _KEYSTONE * edge**2 * self.pupil_wander_mm / r_mm))
-        return max(own / GOOD_POSE_RAD, _STEADY * self.times_good(focal_px, star_sigma_px), _IDEAL)
+        return common, turn, max(own / GOOD_POSE_RAD, _STEADY * common, _IDEAL)
 
 
 def _per_axis(rms_px: float, star_sigma_px: float) -> float:
