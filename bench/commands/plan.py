@@ -145,7 +145,7 @@ def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
         return None
     forecast = found.forecast
     return {
-        "model": forecast.model,
+        "model": "joint",
         "poses": found.poses,
         "chosen_in_run": found.chosen,
         "sigma": dict(forecast.sigma),
@@ -169,7 +169,7 @@ def _forecast_lines(found: PlanForecast) -> Iterator[str]:
     k = forecast.coverage_factor
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
     direction = angle_text(URAD_PER_ARCSEC * k * forecast.projection_map.worst_arcsec)
-    yield f"Expected with {found.poses_text}, {forecast.model} model; U with k = {k:.3g}:"
+    yield f"Expected with {found.poses_text}, joint model; U with k = {k:.3g}:"
     yield f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}"
     yield f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}"
     for row in _largest(forecast.budget_rows):

@@ -144,7 +144,7 @@ def _clock_lines(clocks: Sequence[ClockOffset]) -> Iterator[str]:
     if not clocks:
         return
     rate, sigma = common_rate(clocks)
-    gain, expanded = with_uncertainty(1e6 * rate, 2e6 * sigma)
+    gain, expanded = with_uncertainty(rate, 2.0 * sigma)
     yield f"Clock of the second camera: it gains {gain} ± {expanded} parts in a million (k = 2)."
     for one in clocks:
         offset, expanded = with_uncertainty(one.offset_us, 2.0 * one.sigma_us)

@@ -106,8 +106,8 @@ def _fault(fault: GimbalFault) -> GimbalFaultData:
     """Return a fault, for results.json; poses count from 0."""
     return {
         "kind": fault.kind,
-        "axis": None if fault.axis is None else AXES[fault.axis],
-        "pose": fault.pose,
+        "axis": AXES[fault.axis] if fault.kind == "slip" else None,
+        "pose": None if fault.kind == "squareness" else fault.pose,
         "size_deg": fault.size_deg,
         "sigma_deg": fault.sigma_deg,
         "probability": fault.probability,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,11 +53,8 @@ class RigFound:
         if not self.clocks:
             return told
         rate, sigma = common_rate(self.clocks)
-        every = [one.to_dict() for one in self.clocks]
-        return {
-            **told,
-            "clocks": {"rate_ppm": 1e6 * rate, "sigma_rate_ppm": 1e6 * sigma, "recordings": every},
-        }
+        every = [asdict(one) for one in self.clocks]
+        return {**told, "clocks": {"rate_ppm": rate, "sigma_rate_ppm": sigma, "recordings": every}}
 
 
 def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:

@@ -38,9 +38,7 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
     Raises InputMismatch: If points lie outside of the image size, or the known radius shows another unit of the target.
     """
     require_points_inside(views)
-    notes = find_duplicates(views)
-    units = check_target_units(views, known_r_mm=known_r_mm)
-    return (*notes, units) if units else tuple(notes)
+    return (*find_duplicates(views), *filter(None, [check_target_units(views, known_r_mm=known_r_mm)]))
 
 
 def find_duplicates(views: Sequence[View]) -> list[str]:

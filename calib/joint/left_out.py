@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, State
+from calib.joint.equations import Bench, Equations, State
 from calib.joint.marginal import Problem
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
@@ -30,13 +30,14 @@ def left_out_rms(optimum: Optimum) -> float | None:
     n = bench.n_poses
     if n < MIN_POSES:
         return None
-    squares = np.exp(2.0 * optimum.eta)
-    star = squares[marginal.problem.hyper.at(amp.STAR)]
+    normal = normal_of_poses(marginal.problem, marginal.equations, optimum.state, np.exp(2.0 * optimum.eta))
+    maps = maps_with_gimbal(bench, marginal.equations.maps)
     information = np.linalg.inv(solution.covariance)
     total, count = 0.0, 0.0
     for pose in range(n):
-        own, right = _of_pose(optimum, pose, star, squares)
-        left = np.linalg.solve(information - own, information @ solution.step - right)
+        own = maps[pose].T @ normal[pose]
+        others = information - own[:, :-1] @ maps[pose]
+        left = np.linalg.solve(others, information @ solution.step - own[:, -1])
         there, state = _predicted(optimum, pose, np.asarray(left, np.float64))
         for v in np.flatnonzero(bench.poses == pose):
             residual = there.view_residuals(state, int(v))
@@ -76,28 +77,31 @@ def _as_shown(problem: Problem, pose: int) -> Bench:
     return replace(bench, pupils=places)
 
 
-def _of_pose(optimum: Optimum, pose: int, star: float, squares: Array) -> tuple[Array, Array]:
-    """Return what one pose adds to the information of the shared unknowns, and to its right-hand side."""
-    marginal = optimum.marginal
-    equations, maps = marginal.equations, marginal.equations.maps[pose]
-    information = maps.T @ equations.squares[pose] @ maps / star
-    right = maps.T @ equations.right[pose] / star
-    own, pull = marginal.own[pose] / star, marginal.own_pull[pose] / star
-    between = marginal.between[pose] / star
-    if marginal.uses_readings:
-        weights = marginal.reading_weights(squares)[:, :, None]
-        for v in np.flatnonzero(marginal.problem.bench.poses == pose):
-            rows, own_rows = weights[v] * marginal.rows[v], weights[v] * marginal.own_rows[v]
-            information = information + marginal.rows[v].T @ rows
-            right = right + rows.T @ marginal.off[v]
-            own = own + marginal.own_rows[v].T @ own_rows
-            pull = pull + own_rows.T @ marginal.off[v]
-            between = between + own_rows.T @ marginal.rows[v]
-    expected = marginal.problem.own_information(squares)
-    own = own + np.diag(expected)
-    pull = pull - expected * optimum.state.fields[pose]
-    follow = np.linalg.solve(own, np.column_stack([between, pull]))
-    return information - between.T @ follow[:, :-1], right - between.T @ follow[:, -1]
+def normal_of_poses(problem: Problem, equations: Equations, state: State, squares: Array) -> Array:
+    """Return (n, Z, Z + 1) what each pose says of its basis and of the gimbal, its own field eliminated.
+
+    It is the information, and the right-hand side in the last column.
+    """
+    bench, star = problem.bench, squares[problem.hyper.at(amp.STAR)]
+    size, gimbal = bench.layout.size, len(bench.layout.gimbal)
+    whole = np.zeros((bench.n_poses, size + gimbal, size + gimbal + 1))
+    whole[:, :size, :size], whole[:, :size, -1] = equations.squares / star, equations.right / star
+    if len(equations.off) and bench.readings is not None:
+        noise = squares[problem.hyper.at(amp.READING)] * bench.readings.sigma_rad**2
+        repeats = np.bincount(bench.poses)[bench.poses, None, None]
+        weights = np.linalg.inv(star * np.linalg.inv(equations.turns) + noise * repeats * np.eye(3))
+        rows = np.concatenate([equations.coupling, equations.gimbal, equations.off[:, :, None]], axis=2)
+        whole += bench.by_pose(np.swapaxes(rows[:, :, :-1], 1, 2) @ weights @ rows)
+    expected, between = problem.own_information(squares), whole[:, bench.layout.pose_places]
+    own = between[:, :, bench.layout.pose_places] + np.diag(expected)
+    between[:, :, -1] -= expected * state.fields
+    return np.asarray(whole - np.swapaxes(between[:, :, :-1], 1, 2) @ np.linalg.solve(own, between))
+
+
+def maps_with_gimbal(bench: Bench, maps: Array) -> Array:
+    """Return (n, Z, S) what the shared unknowns do to the bases of the poses, from (n, B, S), and to the gimbal."""
+    units = np.eye(maps.shape[2])[bench.gimbal_places]
+    return np.concatenate([maps, np.tile(units, (len(maps), 1, 1))], axis=1)
 
 
 def rotation_errors(found: Posterior) -> RotationErrors:

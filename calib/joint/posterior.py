@@ -26,10 +26,8 @@ from calib.joint.places import places_of
 from calib.joint.prior import NO_FAULT, Faults, block_diagonal
 from calib.joint.samples import Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step, weighed_as
-from calib.model.result_parts import GIMBAL_SCALE, PASSPORT
+from calib.model.result_parts import COVERAGE, GIMBAL_SCALE, PASSPORT
 
-#: Share of the posterior that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
-COVERAGE = 0.9545
 #: Halvings of an interval until its half width is known to 1e-9 of the widest.
 _HALVINGS = 30
 _PAIRS, _FAULT_PAIRS = 12, 4

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.joint.layout import ECCENTRICITY, ENCODER
-from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal, aligned_gimbal
+from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, STANDING, Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import AXES, ONE_ANGLE_DEG, GimbalReadings
 from calib.model.rotation import log_map
-
-_TURNS = (*MOUNTING, *STANDING)
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Readings:
         turned = [f"scale_{axis}" for axis in axes] + [
             name for name in ECCENTRICITY if name.split("_")[1] in axes
         ]
-        return (*_TURNS, *turned, *self.at_angles, NON_ORTHOGONALITY)
+        return (*MOUNTING, *STANDING, *turned, *self.at_angles, NON_ORTHOGONALITY)
 
     @cached_property
     def at_angles(self) -> Mapping[str, tuple[int, NDArray[np.bool_]]]:
@@ -89,19 +87,8 @@ class Readings:
     def jacobian(self, gimbal: Gimbal, shared: Mapping[str, float]) -> Array:
         """Return (m, 3, g) change of the predicted rotations by the unknowns of `names`, on the camera's side."""
         turned, axes, leaning = gimbal.turned(self.true_angles_deg(shared))
-        angles = np.radians(self.angles_deg)
-        columns = []
-        for name in self.names:
-            if name in MOUNTING:
-                columns.append(np.broadcast_to(np.eye(3)[MOUNTING.index(name)], angles.shape))
-            elif name in STANDING:
-                columns.append(turned[:, :, STANDING.index(name)])
-            elif name in SCALES:
-                k = SCALES.index(name)
-                columns.append(axes[:, :, k] * angles[:, k : k + 1])
-            elif name == NON_ORTHOGONALITY:
-                columns.append(leaning)
-            else:
-                k, error = self.errors[name]
-                columns.append(axes[:, :, k] * error[:, None])
-        return np.stack(columns, axis=2)
+        by_mounting, angles = np.broadcast_to(np.eye(3), turned.shape), np.radians(self.angles_deg)
+        by_gimbal = np.concatenate([by_mounting, turned, axes * angles[:, None], leaning[:, :, None]], axis=2)
+        columns = dict(zip(GIMBAL, by_gimbal.transpose(2, 0, 1), strict=True))
+        columns |= {name: axes[:, :, k] * error[:, None] for name, (k, error) in self.errors.items()}
+        return np.stack([columns[name] for name in self.names], axis=2)

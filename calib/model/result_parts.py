@@ -11,6 +11,8 @@ import numpy as np
 from calib.arrays import Array
 from calib.model.rotation import log_map, skew
 
+#: Share of its distribution that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
+COVERAGE = 0.9545
 #: The quantities of a row: the pinhole parameters, and the point of the sensor with the largest projection uncertainty.
 WORST_CORNER = "worst_corner"
 ROW_QUANTITIES = ("fx", "fy", "cx", "cy", WORST_CORNER)

@@ -100,10 +100,7 @@ class CameraCheck:
             "rms_px": self.rms_px,
             "coverage_factor": self.coverage_factor,
             "shares": dict(self.shares),
-            "regions": [
-                {**asdict(one), "at_px": list(one.at_px), "normalised": one.normalised}
-                for one in self.regions
-            ],
+            "regions": [{**asdict(one), "normalised": one.normalised} for one in self.regions],
         }
 
 
@@ -208,13 +205,7 @@ class OneViewCheck:
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it; a change that cannot be seen is null."""
         seen = {name: size if np.isfinite(size) else None for name, size in self.seen_from.items()}
-        return {
-            "right": self.right,
-            "one_view": True,
-            **asdict(self),
-            "at_px": list(self.at_px),
-            "seen_from": seen,
-        }
+        return {"right": self.right, "one_view": True, **asdict(self), "seen_from": seen}
 
 
 @on_one_thread
@@ -224,14 +215,14 @@ def check_one_view(camera: CameraModel, covariance: Array | None, view: View) ->
     Raises DegenerateViews: If there are too few points, or the stated camera sees no plane target there.
     """
     require_image_size(camera, view.image_size, "this view has")
-    kept = np.asarray(np.isfinite(camera.rays(view.points_px)).all(axis=1))
-    seen = _Seen.of(camera, view, kept)
-    if (gross := seen.gross()).any():
-        kept[np.flatnonzero(kept)[gross]] = False
-        seen = _Seen.of(camera, view, kept)
     # Stated covariances hold errors that neighbours share, too. Points of a file have none: unit covariances.
     least = 0.0 if (view.covariances_px2 == np.eye(2)).all() else 1.0
-    return _judge(camera, covariance, view.points_px[kept], seen, least)
+    view = view.part(np.asarray(np.isfinite(camera.rays(view.points_px)).all(axis=1)))
+    seen = _Seen.of(camera, view)
+    if (gross := seen.gross()).any():
+        view = view.part(~gross)
+        seen = _Seen.of(camera, view)
+    return _judge(camera, covariance, view.points_px, seen, least)
 
 
 @dataclass(frozen=True)
@@ -244,13 +235,13 @@ class _Seen:
     whitening: Array  # (N, 2, 2)
 
     @classmethod
-    def of(cls, camera: CameraModel, view: View, kept: Bools) -> _Seen:
-        if kept.sum() < _LEAST_POINTS:
+    def of(cls, camera: CameraModel, view: View) -> _Seen:
+        if len(view) < _LEAST_POINTS:
             raise DegenerateViews(
-                f"Cannot check by one view: {kept.sum()} usable points; at least {_LEAST_POINTS} are needed.",
+                f"Cannot check by one view: {len(view)} usable points; at least {_LEAST_POINTS} are needed.",
                 remedy="Record the target so that it fills more of the image.",
             )
-        bundle, posed = _best_pose(camera, view.part(kept))
+        bundle, posed = _best_pose(camera, view)
         rows = bundle.derivatives(posed).transpose(2, 1, 0).reshape(-1, len(camera.values) + 6)
         by_camera, by_pose = rows[:, :-6], rows[:, -6:]
         residuals = bundle.weighted_residuals(posed).ravel()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,13 +17,13 @@ from calib.errors import InputMismatch
 #: Two crystals of 100 parts in a million each.
 _LARGEST_RATE = 200e-6
 _LEAST_EDGES = 5
+#: Edges around an anchor by which a match is judged.
 _NEIGHBOURS = 200
-"""Edges around an anchor by which a match is judged."""
 _ANCHORS = 7
+#: Edges by which a match is looked for; how many of them may be missing; how many shifts are judged.
 _NEXT, _NEXT_MISSED, _MOST_SHIFTS = 9, 2, 2000
-"""Edges by which a match is looked for; how many of them may be missing; how many shifts are judged."""
+#: Largest share of the edges that one camera may have missed; one edge in any case.
 _MISSED = 0.1
-"""Largest share of the edges that one camera may have missed; one edge in any case."""
 _JITTER_US = 3.0
 _REACHES = (16, 128, 1024, 8192)
 #: Times are whole microseconds, in both cameras: variance of the difference of two roundings.
@@ -39,24 +38,11 @@ class ClockOffset:
     offset_us: float
     sigma_us: float
     at_us: float  # By the first camera's clock: the middle of the edges
-    rate: float  # What the second clock gains, as a share
-    sigma_rate: float
+    rate_ppm: float  # What the second clock gains
+    sigma_rate_ppm: float
     edges: int
     # The offset may differ by whole periods; None if the pattern of the edges leaves one offset only.
     period_us: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain numbers, ready for JSON."""
-        return {
-            "name": self.name,
-            "offset_us": self.offset_us,
-            "sigma_us": self.sigma_us,
-            "at_us": self.at_us,
-            "rate_ppm": 1e6 * self.rate,
-            "sigma_rate_ppm": 1e6 * self.sigma_rate,
-            "edges": self.edges,
-            "period_us": self.period_us,
-        }
 
 
 def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence[int] | Array) -> ClockOffset:
@@ -73,7 +59,11 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
         )
     shifts = _good_shifts(first, second)
     found = _fitted(name, first, second, *shifts[np.abs(shifts[:, 1]).argmin()]) if len(shifts) else None
-    if found is None or abs(found.rate) > _LARGEST_RATE or found.edges < _expected(found, first, second):
+    if (
+        found is None
+        or abs(found.rate_ppm) > 1e6 * _LARGEST_RATE
+        or found.edges < _expected(found, first, second)
+    ):
         raise InputMismatch(
             f"At {name}, the sync edges of the two cameras do not belong together: the first has {len(first)} rising"
             f" edges, {_usual_us(first):.0f} us apart, the second {len(second)}, {_usual_us(second):.0f} us apart.",
@@ -89,9 +79,9 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
 
 
 def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
-    """Return the weighted mean of the rates, and its 1-sigma, enlarged if they scatter more (Birge, 1932)."""
-    rates = np.array([one.rate for one in clocks])
-    weights = np.array([one.sigma_rate for one in clocks]) ** -2.0
+    """Return the weighted mean of the rates, and its 1-sigma, ppm, enlarged if they scatter more (Birge, 1932)."""
+    rates = np.array([one.rate_ppm for one in clocks])
+    weights = np.array([one.sigma_rate_ppm for one in clocks]) ** -2.0
     mean = float(weights @ rates / weights.sum())
     birge = weights @ (rates - mean) ** 2 / max(len(rates) - 1, 1)
     return mean, float(np.sqrt(max(birge, 1.0) / weights.sum()))
@@ -99,7 +89,7 @@ def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
 
 def _expected(found: ClockOffset, first: Array, second: Array) -> float:
     """Return how many edges both must have at least, in the time that both recorded."""
-    moved = first + found.offset_us + found.rate * (first - found.at_us)
+    moved = first + found.offset_us + 1e-6 * found.rate_ppm * (first - found.at_us)
     both = float(((moved >= second[0] - _JITTER_US) & (moved <= second[-1] + _JITTER_US)).sum())
     return both - max(1.0, _MISSED * both)
 
@@ -176,7 +166,7 @@ def _fitted(name: str, first: Array, second: Array, anchor: float, shift: float)
         float(shift + rate * (at - anchor)),
         float(np.sqrt(scatter / len(times) + _ROUNDING_US2)),
         at,
-        float(rate),
-        float(np.sqrt(scatter / float(((times - at) ** 2).sum()) + 2.0 * _ROUNDING_US2 / span**2)),
+        float(1e6 * rate),
+        float(1e6 * np.sqrt(scatter / float(((times - at) ** 2).sum()) + 2.0 * _ROUNDING_US2 / span**2)),
         len(times),
     )

@@ -17,14 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.adjustment.parameters import AdjustmentParameters, poses_of
-from calib.arrays import Array, Ints
+from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import lens_names, posed
 from calib.joint.curvature import expected_curvature
-from calib.joint.equations import Equations, State, sines_of, turns_of
+from calib.joint.equations import State, sines_of, turns_of
 from calib.joint.layout import DRIFT, POSE_PLACES
+from calib.joint.left_out import maps_with_gimbal, normal_of_poses
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.posterior import Posterior
 from calib.joint.prior import NO_FAULT
@@ -87,13 +88,11 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
         found = {name: value for name, value in bench.amplitudes.items() if name in hyper.names}
         eta[hyper.places(tuple(found))] = np.log(list(found.values()))
         return eta
-    errors, focal_px, sigma_px = bench.errors, bench.camera.fx, bench.star_sigma_px
-    edge = float(np.tan(np.radians(bench.half_angle_deg)))
-    eta[hyper.places(_COMMON)] += np.log(errors.times_good(focal_px, sigma_px))
+    errors, edge = bench.errors, float(np.tan(np.radians(bench.half_angle_deg)))
+    times = errors.times_good(bench.camera.fx, bench.star_sigma_px, bench.collimator.r, edge)
     by_turn = [name for name in _BY_TURN if name in hyper.names]
-    eta[hyper.places(by_turn)] += np.log(errors.turn_times_good(focal_px, sigma_px))
-    own = errors.pose_times_good(focal_px, sigma_px, bench.collimator.r, edge)
-    eta[hyper.places(amp.POSE)] += np.log(own)
+    for names, larger in zip((_COMMON, by_turn, amp.POSE), times, strict=True):
+        eta[hyper.places(names)] += np.log(larger)
     if bench.readings is not None:
         wander_deg = np.degrees(errors.defocus * errors.pupil_wander_mm / bench.collimator.r)
         scatter = np.hypot(1.0, wander_deg / bench.readings.reading_sigma_deg)
@@ -159,10 +158,10 @@ class PoseGains:
         eta = expected_amplitudes(bench, problem.hyper)
         squares = np.exp(2.0 * eta)
         equations = own.linearised(state, _LIMIT)
-        self._own = _reduced(replace(problem, bench=own), equations, squares)
+        self._own = normal_of_poses(replace(problem, bench=own), equations, state, squares)[:, :, :-1]
         maps = own.maps.copy()
         maps[:, :, own.layout.index[DRIFT]] = 0.0  # it is not known when a candidate will be recorded
-        self._maps = _maps(maps, own.gimbal_places if own.readings else None)
+        self._maps = maps_with_gimbal(own, maps)
         self._prior = _prior(problem, squares)
         self._camera = len(own.layout.camera)
         self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
@@ -209,33 +208,6 @@ def _thinned(view: View) -> View:
     step = max(1, len(view) // _STARS)
     part = view.part(np.arange(len(view)) % step == 0)
     return replace(part, covariances_px2=part.covariances_px2 / step)
-
-
-def _reduced(problem: Problem, equations: Equations, squares: Array) -> Array:
-    """Return (n, Z, Z) the information of each pose on its basis and on the gimbal, its own field eliminated."""
-    bench, hyper = problem.bench, problem.hyper
-    star = squares[hyper.at(amp.STAR)]
-    size, gimbal = bench.layout.size, len(bench.layout.gimbal)
-    whole = np.zeros((bench.n_poses, size + gimbal, size + gimbal))
-    whole[:, :size, :size] = equations.squares / star
-    if len(equations.off) and bench.readings is not None:
-        noise = squares[hyper.at(amp.READING)] * bench.readings.sigma_rad**2
-        weights = np.linalg.inv(star * np.linalg.inv(equations.turns) + noise * np.eye(3))
-        rows = np.concatenate([equations.coupling, equations.gimbal], axis=2)
-        whole += np.swapaxes(rows, 1, 2) @ weights @ rows
-    at = bench.layout.pose_places
-    between = whole[:, at]
-    own = between[:, :, at] + np.diag(problem.own_information(squares))
-    return np.asarray(whole - np.swapaxes(between, 1, 2) @ np.linalg.solve(own, between))
-
-
-def _maps(maps: Array, gimbal: Ints | None) -> Array:
-    """Return (n, Z, S) what the shared unknowns do to the bases of the poses and to the gimbal."""
-    if gimbal is None:
-        return maps
-    units = np.zeros((len(maps), len(gimbal), maps.shape[2]))
-    units[:, range(len(gimbal)), gimbal] = 1.0
-    return np.concatenate([maps, units], axis=1)
 
 
 def _prior(problem: Problem, squares: Array) -> Array:

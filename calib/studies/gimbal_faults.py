@@ -87,6 +87,11 @@ class Explanation:
         """Scatter of each component of a rotation that the stated covariance does not explain, 1 sigma, rad, or 0."""
         return float(np.sqrt(self.scatter.excess)) if self.scattered else 0.0
 
+    @cached_property
+    def covariance(self) -> Array:
+        """(6 + p, 6 + p) covariance of mounting, standing and the values of the model."""
+        return self.fit.covariance(self.scatter.whitening)
+
 
 @dataclass(frozen=True, eq=False)
 class SeenRotations:
@@ -131,12 +136,8 @@ class SeenRotations:
         The scatter is the mean over its posterior.
         """
         values = np.append(near.values, model.start[len(near.values) :])
-        fit = fit_at(
-            self.rotations,
-            model,
-            np.eye(len(self.covariance)),
-            (near.camera_from_head, near.base_from_target, values),
-        )
+        start = near.camera_from_head, near.base_from_target, values
+        fit = fit_at(self.rotations, model, np.eye(len(self.covariance)), start)
         for _ in range(_ROUNDS):
             found, scattered = self._scatter(fit)
             start = fit.camera_from_head, fit.base_from_target, fit.values
@@ -162,12 +163,10 @@ class SeenRotations:
         off = fit.off + fit.jacobian[:, 6:] @ (fit.values - fit.model.start)
         stacked = np.hstack([turns, scales, *sizes, off[:, None]])
         always = turns.shape[1] + count
-        prior = np.ones(stacked.shape[1])
-        prior[: turns.shape[1]] = prior[-1] = 0.0
-        prior[always:-1] = _SINGULAR
-        ends = always + np.cumsum([0, *(fault.size for fault in faults)])
+        ends = np.cumsum([0, *(fault.size for fault in faults)])
+        prior = np.repeat([0.0, 1.0, _SINGULAR, 0.0], [turns.shape[1], count, ends[-1], 1])
         places = {fault: range(ends[k], ends[k + 1]) for k, fault in enumerate(faults)}
-        indices = [[at - always for fault in one for at in places[fault]] for one in hypotheses]
+        indices = [[at for fault in one for at in places[fault]] for one in hypotheses]
         answer = np.empty((len(_SHAPES), len(self._variances), len(hypotheses)))
         steps = np.log(np.append(0.5, np.full(_TRIED, 0.5 / _TRIED)))
         for k, scatter in enumerate(self._scatters):
@@ -201,14 +200,10 @@ _FITTED = 4
 _FEWEST = 5
 
 
-@dataclass(frozen=True)
-class GimbalFault:
+@dataclass(frozen=True, kw_only=True)
+class GimbalFault(Fault):
     """A fault of the gimbal, or of one pose, that the rotations show."""
 
-    kind: FaultKind
-    axis: int | None  # Index of the axis that slipped; None for the other kinds
-    # Index of the first pose after the slip, or of the pose that does not fit; None for ``squareness``.
-    pose: int | None
     # size_deg, sigma_deg: Size of the fault and its 1-sigma, degrees; for ``pose`` the angle it is off
     size_deg: float
     sigma_deg: float
@@ -266,8 +261,7 @@ def _described(
 ) -> GimbalFault:
     """Return one of the faults found with its size, its uncertainty and its rival."""
     model = found.fit.model
-    rows = model.of(fault, found.fit.estimator(found.scatter.whitening)[6:])
-    spread = rows @ found.scatter.covariance @ rows.T
+    spread = model.of(fault, model.of(fault, found.covariance[6:, 6:]).T)
     value = model.of(fault, found.fit.values)
     size = float(value[0] if fault.size == 1 else np.linalg.norm(value))
     others = tuple(one for one in model.faults if one != fault)
@@ -279,10 +273,10 @@ def _described(
     undecided = bool(rivals) and worth[2 + best] > worth[0] - DECISIVE
     return GimbalFault(
         fault.kind,
-        fault.axis if fault.kind == "slip" else None,
-        None if fault.kind == "squareness" else fault.pose,
-        float(np.rad2deg(size)),
-        float(np.rad2deg(np.sqrt(np.linalg.eigvalsh(spread)[-1]))),
-        float(special.expit(0.5 * (worth[1] - worth[0]))),
-        rivals[best][-1].kind if undecided else None,
+        fault.axis,
+        fault.pose,
+        size_deg=float(np.rad2deg(size)),
+        sigma_deg=float(np.rad2deg(np.sqrt(np.linalg.eigvalsh(spread)[-1]))),
+        probability=float(special.expit(0.5 * (worth[1] - worth[0]))),
+        rival=rivals[best][-1].kind if undecided else None,
     )

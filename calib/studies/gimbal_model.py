@@ -14,9 +14,11 @@ This is the rotation part of the robot-world and hand-eye problem (Tsai and Lenz
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy import linalg
 
 from calib.arrays import Array
 from calib.model.gimbal import Gimbal, mountings
@@ -189,21 +191,26 @@ class GimbalFit:
         """Return (3 n, size) derivatives of the rotations by the parameters of a fault."""
         return fault.columns(self.motors, self.leaning).reshape(len(self.off), -1)
 
+    @cached_property
+    def open_directions(self) -> Array:
+        """(6 + p, d) orthonormal changes of A, B and the values, in units of their effect, that turn nothing."""
+        return np.asarray(linalg.null_space(_unit_columns(self.jacobian)[0], rcond=_DETERMINED))
+
+    @property
     def degrees_of_freedom(self) -> int:
-        """Return the number of measured components minus the number of determined parameters."""
-        return len(self.off) - int(np.linalg.matrix_rank(_unit_columns(self.jacobian)[0], tol=_DETERMINED))
+        """Number of measured components minus the number of determined parameters."""
+        return len(self.off) - self.jacobian.shape[1] + self.open_directions.shape[1]
 
+    @property
     def undetermined_scales(self) -> bool:
-        """Return whether different scales give the same rotations: an undetermined direction changes a scale."""
-        columns, _ = _unit_columns(self.jacobian)
-        _, singular, vt = np.linalg.svd(columns)
-        null = vt[np.append(singular, np.zeros(len(vt) - len(singular))) <= _DETERMINED * singular[0]]
-        return bool((np.abs(null[:, 6 : 6 + len(self.model.free)]) > _SAME).any())
+        """Whether different scales give the same rotations."""
+        return bool((np.abs(self.open_directions[6 : 6 + len(self.model.free)]) > _SAME).any())
 
-    def estimator(self, whitening: Array) -> Array:
-        """Return the (6 + p, 3 n) estimator of A, B and the values: generalised least squares (Aitken, 1936)."""
+    def covariance(self, whitening: Array) -> Array:
+        """Return the (6 + p, 6 + p) covariance of A, B and the values: generalised least squares (Aitken, 1936)."""
         columns, lengths = _unit_columns(whitening @ self.jacobian)
-        return np.asarray(np.linalg.pinv(columns, rcond=_DETERMINED) @ whitening / lengths[:, None])
+        root = np.linalg.pinv(columns, rcond=_DETERMINED) / lengths[:, None]
+        return np.asarray(root @ root.T)
 
 
 def fit_at(

@@ -11,26 +11,26 @@ ratio within the uncertainty of the focal length belongs to the calibration (cam
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Array, rms_length
+from calib.arrays import Array
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, ENCODER_SHARE, ONE_ANGLE_DEG, angles_of
 from calib.model.likelihood_ratio import DECISIVE
-from calib.studies.gimbal_faults import Explanation, GimbalFault, SeenRotations, search_faults
+from calib.model.rotation import log_map
+from calib.studies.gimbal_faults import Explanation, SeenRotations, search_faults
 from calib.studies.gimbal_model import (
     GimbalFit,
     GimbalModel,
-    PairRatios,
     first_scales,
     global_fit,
     pair_ratios,
     scales_near,
 )
-from calib.studies.hand_eye_verdict import Findings, Verdict, judge
+from calib.studies.hand_eye_verdict import HandEyeCheck
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
 _MIN_VIEWS = 3
@@ -39,30 +39,6 @@ _MOVED_DEG = 0.5
 _UNDETERMINED = 0.25
 #: Minima differ if their scales or mountings differ by this many sigmas.
 _DIFFERENT = 5.0
-
-
-@dataclass(frozen=True)
-class HandEyeCheck:
-    """Result of the comparison of rotations and readings."""
-
-    # True angle over reading, for each axis whose scale may be stated; faults that were found are allowed
-    # for.
-    scale: Mapping[str, float]
-    scale_sigma: Mapping[str, float]  # 1-sigma of the scales
-    # (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's
-    # axes, arc seconds.
-    residuals_arcsec: Array
-    # 1-sigma of the scatter, for each component of a rotation, that the stated uncertainties and the faults do
-    # not explain, arc seconds.
-    excess_arcsec: float
-    pairs: PairRatios | None  # Ratios from the pairs of poses; None if no pair turned far enough
-    faults: tuple[GimbalFault, ...]
-    verdict: Verdict
-
-    @property
-    def rms_arcsec(self) -> float:
-        """Root mean square angle between rotations and readings, arc seconds."""
-        return rms_length(self.residuals_arcsec)
 
 
 @on_one_thread
@@ -115,22 +91,12 @@ def check_hand_eye(
         mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
-    found = replace(
-        _findings(seen, last, mirrored, scale_sigma),
+    return replace(
+        _compared(seen, first, last, mirrored, scale_sigma),
         names=names,
         faults=faults,
         focal_uncertainty=focal_uncertainty,
         birge_ratio=birge_ratio,
-    )
-    known = [AXES[axis] for axis in found.axes] if found.scale_known else []
-    return HandEyeCheck(
-        dict(zip(known, found.scale.tolist(), strict=False)),
-        dict(zip(known, found.scale_sigma.tolist(), strict=False)),
-        ARCSEC * first.fit.off.reshape(-1, 3),
-        ARCSEC * last.excess_rad,
-        found.pairs,
-        faults,
-        judge(found),
     )
 
 
@@ -146,35 +112,39 @@ def _covariance_of(axes_rad: Array, angles_deg: Array) -> Array:
     return np.asarray(both.reshape(3 * len(angles_deg), -1))
 
 
-def _findings(seen: SeenRotations, last: Explanation, mirrored: bool, scale_sigma: float) -> Findings:
-    """Collect what the rotations show; names, faults, focal length and the views' agreement are given elsewhere."""
-    fit, covariance = last.fit, last.scatter.covariance
-    free = fit.model.free
-    estimator = fit.estimator(last.scatter.whitening)[6 : 6 + len(free)]
-    spread = estimator @ covariance @ estimator.T
-    sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    freedom = fit.degrees_of_freedom()
+def _compared(
+    seen: SeenRotations, first: Explanation, last: Explanation, mirrored: bool, scale_sigma: float
+) -> HandEyeCheck:
+    """Return what the rotations show, without faults and with them, before anything is said of the calibration."""
+    fit, free = last.fit, last.fit.model.free
+    scales = slice(6, 6 + len(free))
+    spread = last.covariance[scales, scales]
+    sigma = np.sqrt(np.diag(spread))
+    freedom, whole = fit.degrees_of_freedom, not fit.open_directions.size
     # Shared errors have few, large eigenvalues; the median is the variance that is a rotation's own.
-    scatter = max(fit.off @ fit.off / max(freedom, 1), float(np.median(np.linalg.eigvalsh(covariance))))
-    alone = scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)]
+    own = float(np.median(np.linalg.eigvalsh(last.scatter.covariance)))
+    scatter = max(float(fit.off @ fit.off) / max(freedom, 1), own)
+    alone = scatter * np.diag(fit.covariance(np.eye(len(fit.off))))[scales]
     values = fit.values[: len(free)]
     apart = np.zeros(len(free))
     if free:
         apart[values.argmax()] += 1.0
         apart[values.argmin()] -= 1.0
-    whole = freedom == len(fit.off) - fit.jacobian.shape[1]
-    return Findings(
-        free,
-        values,
-        sigma,
+    ambiguous = bool(free) and (
+        fit.undetermined_scales or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)
+    )
+    known = [] if ambiguous else [AXES[axis] for axis in free]
+    return HandEyeCheck(
+        dict(zip(known, values.tolist(), strict=False)),
+        dict(zip(known, sigma.tolist(), strict=False)),
         np.sqrt(alone + scale_sigma**2),
         float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0) + 2.0 * scale_sigma**2)),
         pair_ratios(seen.rotations, fit.model, fit.values),
-        bool(free)
-        and (fit.undetermined_scales() or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)),
+        ambiguous,
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
-        float(np.rad2deg(last.excess_rad)),
+        ARCSEC * last.excess_rad,
         freedom,
+        ARCSEC * first.fit.off.reshape(-1, 3),
     )
 
 
@@ -193,19 +163,16 @@ def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> str:
 
 def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array) -> bool:
     """Return whether another minimum with other scales, or another mounting, fits nearly as well."""
-    fit, scatter, count = last.fit, last.scatter, len(last.fit.model.free)
-    minima = global_fit(seen.rotations, fit.model, scatter.whitening, fit.values)
-    mounted = fit.estimator(scatter.whitening)[:3]
-    mounting = float(np.sqrt(np.trace(np.asarray(mounted @ scatter.covariance @ mounted.T))))
-    whole = fit.degrees_of_freedom() == len(fit.off) - fit.jacobian.shape[1]
+    fit, count = last.fit, len(last.fit.model.free)
+    minima = global_fit(seen.rotations, fit.model, last.scatter.whitening, fit.values)
+    mounting = float(np.sqrt(np.trace(last.covariance[:3, :3])))
 
     def differs(other: GimbalFit) -> bool:
         if not scales_near(other, fit.values) or other.chi_square > fit.chi_square + DECISIVE:
             return False
         if (np.abs(other.values[:count] - fit.values[:count]) > _DIFFERENT * sigma + 1e-6).any():
             return True
-        cosine = 0.5 * (np.trace(other.camera_from_head @ fit.camera_from_head.T) - 1.0)
-        turned = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        return whole and turned > _DIFFERENT * mounting + 1e-4
+        turned = float(np.linalg.norm(log_map(other.camera_from_head @ fit.camera_from_head.T)))
+        return not fit.open_directions.size and turned > _DIFFERENT * mounting + 1e-4
 
     return any(differs(other) for other in minima)

@@ -1,17 +1,19 @@
-"""Verdict of the hand-eye check in words: whose error it is, how large, and where.
+"""Result of the hand-eye check, and its verdict in words: whose error it is, how large, and where.
 
-It knows what was found (`Findings`), and compares nothing itself (`calib.studies.hand_eye`).
+It compares nothing itself (`calib.studies.hand_eye`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
+from calib.model.gimbal_readings import AXES
 from calib.model.likelihood_ratio import DECISIVE
 from calib.studies.gimbal_faults import GimbalFault
 from calib.studies.gimbal_model import FaultKind, PairRatios
@@ -30,7 +32,6 @@ VerdictKind = Literal[
 ]
 
 _KINDS: Mapping[FaultKind, VerdictKind] = {"slip": "slip", "pose": "wrong_pose", "squareness": "not_square"}
-AXIS_NAMES = ("pan", "tilt", "roll")
 #: Parallax before a real collimator imitates a scale up to about this size.
 PARALLAX = 0.015
 #: Views disagree if they differ this many times more than star noise explains.
@@ -60,23 +61,27 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What the verdict is made of."""
+class HandEyeCheck:
+    """Result of the comparison of rotations and readings."""
 
-    axes: tuple[int, ...]  # Those of which a scale was estimated, by their indices
-    # scale, scale_sigma: (a,) true angle over reading and 1-sigma.
-    scale: Array
-    scale_sigma: Array
+    # True angle over reading, for each axis whose scale may be stated; faults that were found are allowed for.
+    scale: Mapping[str, float]
+    scale_sigma: Mapping[str, float]  # 1-sigma of the scales
     # (a,) 1-sigma of each scale's difference from 1: what is stated of it, and the scatter of the rotations alone,
     # without errors that all rotations share.
     own_sigma: Array
     difference_sigma: float  # The same of the largest difference between the scales of two axes
-    pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
+    pairs: PairRatios | None  # Ratios from the pairs of poses; None if no pair turned far enough
     ambiguous: bool  # Whether another optimum fits nearly as well
     # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
     reversed_axes: str
-    excess_deg: float  # Scatter of the rotations that nothing explains, degrees
+    # 1-sigma of the scatter, for each component of a rotation, that the stated uncertainties and the faults do
+    # not explain, arc seconds.
+    excess_arcsec: float
     degrees_of_freedom: int
+    # (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's
+    # axes, arc seconds.
+    residuals_arcsec: Array
     names: Sequence[str] = ()  # Of the poses
     faults: tuple[GimbalFault, ...] = ()
     # Expanded uncertainty U of the focal length as a share of it; None if unknown.
@@ -89,12 +94,17 @@ class Findings:
         return self.birge_ratio > _DISAGREE
 
     @property
-    def scale_known(self) -> bool:
-        """Whether a scale may be stated."""
-        return bool(self.axes) and not self.ambiguous
+    def rms_arcsec(self) -> float:
+        """Root mean square angle between rotations and readings, arc seconds."""
+        return rms_length(self.residuals_arcsec)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whose error it is."""
+        return _judged(self)
 
 
-def judge(found: Findings) -> Verdict:
+def _judged(found: HandEyeCheck) -> Verdict:
     """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
     judged = [_fault(found, fault) for fault in found.faults]
     if found.reversed_axes:
@@ -142,24 +152,26 @@ def _ratio(value: float, uncertainty: float) -> str:
     return f"{value:.{max(_decimals(uncertainty), 2)}f}"
 
 
-def _pose(found: Findings, index: int) -> str:
+def _name(axis: str) -> str:
+    """Return the name of an axis without its unit."""
+    return axis.removesuffix("_deg")
+
+
+def _pose(found: HandEyeCheck, index: int) -> str:
     """Return number and name of a pose."""
     name = found.names[index] if index < len(found.names) else ""
     return f"pose {index + 1} ({name})" if name else f"pose {index + 1}"
 
 
-def _fault(found: Findings, fault: GimbalFault) -> tuple[VerdictKind, str]:
+def _fault(found: HandEyeCheck, fault: GimbalFault) -> tuple[VerdictKind, str]:
     """Return the kind and the sentence of a fault."""
     size = angle_and_uncertainty(fault.size_deg, fault.sigma_deg)
     if fault.kind == "slip":
-        assert fault.axis is not None
-        assert fault.pose is not None
         before, after = _pose(found, fault.pose - 1), _pose(found, fault.pose)
         more = "more" if fault.size_deg < 0 else "less"
-        sentence = f"The {AXIS_NAMES[fault.axis]} axis slipped between {before} and {after}: "
+        sentence = f"The {_name(AXES[fault.axis])} axis slipped between {before} and {after}: "
         sentence += f"after that, readings show {size} {more} than the axis turned"
     elif fault.kind == "pose":
-        assert fault.pose is not None
         pose = _pose(found, fault.pose)
         sentence = f"{pose[0].upper()}{pose[1:]} does not fit: reading and rotation differ by {size}"
     else:
@@ -170,7 +182,7 @@ def _fault(found: Findings, fault: GimbalFault) -> tuple[VerdictKind, str]:
     return _KINDS[fault.kind], f"{sentence}."
 
 
-def _of_pairs(found: Findings) -> str:
+def _of_pairs(found: HandEyeCheck) -> str:
     """Return what the pairs of poses show, in words."""
     pairs = found.pairs
     if pairs is None:
@@ -180,36 +192,36 @@ def _of_pairs(found: Findings) -> str:
     return f"Median of {what}: {_ratio(pairs.ratio, 0.1 * pairs.spread)}{spread}."
 
 
-def _significant(found: Findings, size: float, sigma: float) -> bool:
+def _significant(found: HandEyeCheck, size: float, sigma: float) -> bool:
     """Return whether the likelihood ratio decides for a value; that of Student's distribution if there is scatter."""
     ratio, freedom = (size / max(sigma, 1e-12)) ** 2, max(found.degrees_of_freedom, 1)
-    return bool((freedom * np.log1p(ratio / freedom) if found.excess_deg > 0 else ratio) > DECISIVE)
+    return bool((freedom * np.log1p(ratio / freedom) if found.excess_arcsec > 0 else ratio) > DECISIVE)
 
 
-def _common_to_pairs(found: Findings) -> float:
+def _common_to_pairs(found: HandEyeCheck) -> float:
     """Return how far the ratio of the pairs is from 1; 0 if the pairs differ among themselves.
 
     With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
     """
-    if found.pairs is None or found.pairs.count < len(found.axes) + 1:
+    if found.pairs is None or found.pairs.count < len(found.scale) + 1:
         return 0.0
     off = abs(found.pairs.ratio - 1)
     return off if off > 3 * found.pairs.spread else 0.0
 
 
-def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
+def _scale(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     """Return what the scales show, or what the pairs show if no scale is known."""
-    if not found.scale_known:
+    if not found.scale:
         return ("agrees", _of_pairs(found)) if found.pairs is not None else None
-    values, own = found.scale, np.maximum(found.own_sigma, 1e-12)
+    values, own = np.array(list(found.scale.values())), np.maximum(found.own_sigma, 1e-12)
     common = float(np.average(values, weights=own**-2))
-    common_sigma = float(found.scale_sigma.min())
+    common_sigma = min(found.scale_sigma.values())
     focal = found.focal_uncertainty if found.focal_uncertainty is not None else 2 * common_sigma
     differ = _significant(found, float(np.ptp(values)), found.difference_sigma)
     off = float(np.abs(values - 1).max()) if differ else abs(common - 1)
     by_axis = ", ".join(
-        f"{AXIS_NAMES[axis]} {_ratio(value, 2 * sigma)} ± {_ratio(2 * sigma, 2 * sigma)}"
-        for axis, value, sigma in zip(found.axes, values, found.scale_sigma, strict=True)
+        f"{_name(axis)} {_ratio(found.scale[axis], 2 * sigma)} ± {_ratio(2 * sigma, 2 * sigma)}"
+        for axis, sigma in found.scale_sigma.items()
     )
     seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(found)}"
     seen_off = _common_to_pairs(found)
@@ -241,13 +253,13 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
     )
 
 
-def _scatter(found: Findings) -> tuple[VerdictKind, str] | None:
+def _scatter(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     """Return what scatter remains, if the stated uncertainties do not explain it."""
-    if found.excess_deg <= 0:
+    if found.excess_arcsec <= 0:
         return None
     differ = (
-        f"Rotations and readings differ by {angle(found.excess_deg)} (standard deviation per axis) more than their "
-        "stated uncertainties explain."
+        f"Rotations and readings differ by {angle(found.excess_arcsec / 3600)} (standard deviation per axis) more than "
+        "their stated uncertainties explain."
     )
     if found.views_disagree:
         return "views_biased", (

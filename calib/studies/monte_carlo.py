@@ -15,11 +15,11 @@ from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import CalibrationError, NotConverged
 from calib.model.collimator import Collimator
+from calib.model.result_parts import COVERAGE
 from calib.studies.predicted_views import ExpectedBench, predicted_view
 from calib.view import View
 
-#: Nominal coverage of value +- k sigma, and the probability of the band in which the observed coverage must lie.
-COVERAGE = 0.9545
+#: Probability of the band in which the observed coverage must lie.
 _BAND = 0.999
 #: 1-sigma per axis of an outlier.
 _OUTLIER_SIGMA_PX = 2.0
@@ -136,8 +136,8 @@ def _noisy(
     """Return noisy views (own model): Gaussian noise of stars and centres, and outliers of a wider Gaussian."""
     views = []
     for i, pose in enumerate(poses_deg, start=1):
-        x, y, r = bench.collimator.values[:3] + drift_mm * rng.standard_normal(3)
-        moved = replace(bench, collimator=Collimator(float(x), float(y), float(r)))
+        centre = bench.collimator.values[:3] + drift_mm * rng.standard_normal(3)
+        moved = replace(bench, collimator=Collimator(*centre.tolist()))
         view, _ = predicted_view(moved, pose, f"pose {i}")
         noise = bench.star_sigma_px * rng.standard_normal(view.points_px.shape)
         if outliers:

@@ -8,6 +8,7 @@ remains at the worst point of the sensor (the G-optimality of experimental desig
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +49,6 @@ class Forecast:
     coverage_factors: Mapping[str, float]
     projection_map: ProjectionMap  # Expected projection uncertainty over the sensor, at infinity, 1 sigma
     stars: tuple[int, ...]
-    model: str
     budget_rows: tuple[BudgetRow, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -119,7 +119,6 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
         dict(zip(ROW_QUANTITIES, factors, strict=True)),
         projection_uncertainty(camera, covariance[:size, :size]),
         tuple(len(view) for view, _ in views),
-        "joint",
         budget_rows(found, gradients, parts),
         _remarks(bench),
     )
@@ -217,16 +216,8 @@ class PoseWeigher:
         self._refused = tuple(refused_deg)
         self._min_stars = min_stars
         views = self._views(self._taken)
-        self._shown = [
-            (pose, view) for pose, view in zip(self._taken, views, strict=True) if view is not None
-        ]
-        self._news = np.array(
-            [
-                share_of_news(self._taken[i], self._taken[:i])
-                for i, view in enumerate(views)
-                if view is not None
-            ]
-        )
+        self._shown = [(self._taken[i], view) for i, view in views.items()]
+        self._news = np.array([share_of_news(self._taken[i], self._taken[:i]) for i in views])
         self.before: Sigmas | None = None
         if self._shown:
             gains = self._gains(self._shown)
@@ -286,21 +277,15 @@ class PoseWeigher:
         """Return the possible poses, each with what it shows."""
         others = (*self._taken, *self._refused)
         new = [pose for pose in candidates_deg if not _repeats(pose, others)]
-        return [
-            (pose, view)
-            for pose, view in zip(new, self._views(new), strict=True)
-            if view is not None and len(view) >= self._min_stars
-        ]
+        return [(new[i], view) for i, view in self._views(new).items() if len(view) >= self._min_stars]
 
-    def _views(self, poses: Sequence[Angles]) -> list[View | None]:
-        """Return the stars that each pose shows; None if it shows too few."""
-        return [self._view(rotation) for rotation in self._rotations(poses)]
-
-    def _view(self, rotation: Array) -> View | None:
-        try:
-            return view_at(self._bench, rotation, "possible")
-        except TooFewStars:
-            return None
+    def _views(self, poses: Sequence[Angles]) -> dict[int, View]:
+        """Return the stars that the poses show, by their places; poses that show too few are left out."""
+        found = {}
+        for i, rotation in enumerate(self._rotations(poses)):
+            with suppress(TooFewStars):
+                found[i] = view_at(self._bench, rotation, "possible")
+        return found
 
     def _rotations(self, poses: Sequence[Angles]) -> Array:
         """Return the (n, 3, 3) rotations of the camera at some poses."""

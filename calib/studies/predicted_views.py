@@ -66,20 +66,19 @@ class CollimatorErrors:
         if not np.isfinite(self.defocus):
             raise InputMismatch(f"defocus is {self.defocus}; it must be a number.")
 
-    def times_good(self, focal_px: float, star_sigma_px: float) -> float:
-        """Return how many times larger the errors are than those of a good collimator."""
-        return max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)
+    def times_good(
+        self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float
+    ) -> tuple[float, float, float]:
+        """Return how many times larger the errors are than those of a good collimator.
 
-    def turn_times_good(self, focal_px: float, star_sigma_px: float) -> float:
-        """Return the same of the errors that follow the turn."""
-        own = _FOLLOWS * _per_axis(self.pose_rms_px, star_sigma_px) / focal_px / GOOD_POSE_RAD
-        return max(own, self.times_good(focal_px, star_sigma_px))
-
-    def pose_times_good(self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float) -> float:
-        """Return the same of the errors that differ from pose to pose; ``edge`` is the tangent of the half angle."""
+        Those that follow the collimator, those that follow the turn, and those that differ from pose to pose; ``edge``
+        is the tangent of the half angle.
+        """
         own = _per_axis(self.pose_rms_px, star_sigma_px) / focal_px
+        common = max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)
+        turn = max(_FOLLOWS * own / GOOD_POSE_RAD, common)
         own = float(np.hypot(own, _KEYSTONE * edge**2 * self.pupil_wander_mm / r_mm))
-        return max(own / GOOD_POSE_RAD, _STEADY * self.times_good(focal_px, star_sigma_px), _IDEAL)
+        return common, turn, max(own / GOOD_POSE_RAD, _STEADY * common, _IDEAL)
 
 
 def _per_axis(rms_px: float, star_sigma_px: float) -> float:
@@ -190,10 +189,7 @@ def rim_share(bench: ExpectedBench, rotation: Array) -> float:
     rim = np.column_stack(
         [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), bench.collimator.r)]
     )
-    pixels = bench.camera.project(rim @ rotation.T)
-    limit = np.array(bench.camera.image_size) - 1.0
-    with np.errstate(invalid="ignore"):
-        return float(((pixels > 0) & (pixels < limit)).all(axis=1).mean())
+    return float(_framed(bench.camera, bench.camera.project(rim @ rotation.T), 0.0).mean())
 
 
 def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, Bools]:
@@ -205,8 +201,13 @@ def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[A
     pixels = bench.camera.project(
         (np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre) @ rotation.T
     )
-    limit = np.array(bench.camera.image_size) - 1.0 - _BORDER_PX
-    with np.errstate(invalid="ignore"):
-        framed = ((pixels > _BORDER_PX) & (pixels < limit)).all(axis=1)
     radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
-    return pixels, framed & (np.linalg.norm(points_mm - centre[:2], axis=1) < radius)
+    inside = np.linalg.norm(points_mm - centre[:2], axis=1) < radius
+    return pixels, _framed(bench.camera, pixels, _BORDER_PX) & inside
+
+
+def _framed(camera: CameraModel, pixels: Array, border_px: float) -> Bools:
+    """Return (N,) which image points lie farther inside of the image than its border; NaN does not."""
+    limit = np.array(camera.image_size) - 1.0 - border_px
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((pixels > border_px) & (pixels < limit)).all(axis=1))

@@ -177,10 +177,8 @@ def _brown_flags(names: Sequence[str]) -> int:
     flags = 0 if {"p1", "p2"} & set(names) else cv2.CALIB_ZERO_TANGENT_DIST
     if {"k4", "k5", "k6"} & set(names):
         flags |= cv2.CALIB_RATIONAL_MODEL
-    held = {name: getattr(cv2, f"CALIB_FIX_{name.upper()}") for name in BROWN if name.startswith("k")}
-    for name, flag in held.items():
-        flags |= 0 if name in names else flag
-    return int(flags)
+    held = [name for name in BROWN if name.startswith("k") and name not in names]
+    return int(flags + sum(getattr(cv2, f"CALIB_FIX_{name.upper()}") for name in held))
 
 
 # Calibration from one collimator image by angle invariance.
@@ -217,7 +215,6 @@ def calibrate_by_angles(
         )
     except (DegenerateViews, NotConverged) as error:
         raise NotConverged("The angles of one image did not determine the camera.", where=where) from error
-    camera, stated = found.parameters.camera, found.uncertainty.sigma
-    sigma = {name: stated[name] for name in camera.parameter_names}
+    camera, sigma = found.parameters.camera, found.uncertainty.sigma
     lengths = _rms_and_mean(found.bundle, found.parameters)
     return MethodResult("one image, angle invariance", camera, sigma, *lengths, None)

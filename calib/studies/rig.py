@@ -189,15 +189,15 @@ def through_collimator(
     scatter = off + by @ np.linalg.solve(information, pull) - np.tile(found[-3:], len(common))
     kept = np.r_[0 : len(first.camera.values), places[: len(second.camera.values)], size : size + 3]
     k = len(first.camera.values)
-    cameras = found[kept]
+    cameras, rotation = found[kept], exp_map(found[-3:]) @ start
     return Rig(
         first.camera.with_values(first.camera.values + cameras[:k]),
         second.camera.with_values(second.camera.values + cameras[k:-3]),
-        exp_map(found[-3:]) @ start,
+        rotation,
         None,
         covariance[np.ix_(kept, kept)],
         common,
-        ARCSEC * log_map(pairs @ (exp_map(found[-3:]) @ start).T),
+        ARCSEC * log_map(pairs @ rotation.T),
         chi_square=float(scatter @ expected @ scatter),
         degrees_of_freedom=n - 3,
     )
@@ -259,12 +259,9 @@ def _errors(calibration: Calibration) -> RotationErrors:
 
 def _shift(one: RotationErrors, other: RotationErrors) -> Array:
     """Return by how much the second calibration must move so that both have one collimator, (S,)."""
-    shift = np.zeros(len(other.names))
-    for name in _shared(one, other):
-        shift[other.names.index(name)] = (
-            one.means[one.names.index(name)] - other.means[other.names.index(name)]
-        )
-    return shift
+    ours, shared = dict(zip(one.names, one.means.tolist(), strict=True)), _shared(one, other)
+    theirs = zip(other.names, other.means.tolist(), strict=True)
+    return np.array([ours[name] - mean if name in shared else 0.0 for name, mean in theirs])
 
 
 def _shared(one: RotationErrors, other: RotationErrors) -> tuple[str, ...]:
@@ -274,11 +271,9 @@ def _shared(one: RotationErrors, other: RotationErrors) -> tuple[str, ...]:
 def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints]:
     """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns."""
     shared = _shared(one, other)
-    size = len(one.names)
-    places = np.zeros(len(other.names), np.int64)
-    for at, name in enumerate(other.names):
-        places[at] = one.names.index(name) if name in shared else size
-        size += name not in shared
+    unknowns = [*one.names, *(f"second {name}" for name in other.names if name not in shared)]
+    places = np.array([unknowns.index(name if name in shared else f"second {name}") for name in other.names])
+    size = len(unknowns)
     information, pull = np.zeros((size, size)), np.zeros(size)
     k = len(one.names)
     information[:k, :k] = np.linalg.inv(one.covariance)

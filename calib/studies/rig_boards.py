@@ -19,7 +19,7 @@ from calib.adjustment.initialization import pose_start
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.arrays import Array
+from calib.arrays import Array, rms_length
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.camera import CameraModel, require_image_size
@@ -83,8 +83,7 @@ class _Boards:
 
     def squares(self, state: _State) -> Array:
         """Return the (m, 2) sums of squares of each board in each image; NaN behind a camera."""
-        seen = zip(self.bundles, (state.first, state.second), strict=True)
-        return 2.0 * np.column_stack([bundle.costs(own, Loss("l2")) for bundle, own in seen])
+        return _squares(self.bundles, (state.first, state.second))
 
     def costs(self, state: _State, _loss: Loss) -> Array:
         """Return the (m + 1,) costs of the boards, and that of the prior."""
@@ -204,14 +203,17 @@ def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> No
 
 def _rms_px(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
     """Return the (m, 2) root mean square residuals of each board in each image, px."""
-    squares = [
-        [
-            (bundle.residuals_px(own)[rows] ** 2).sum() / (rows.stop - rows.start)
-            for rows in bundle.observations.slices
-        ]
+    found = [
+        [rms_length(bundle.residuals_px(own)[rows]) for rows in bundle.observations.slices]
         for bundle, own in zip(bundles, seen, strict=True)
     ]
-    return np.sqrt(np.transpose(squares))
+    return np.transpose(found)
+
+
+def _squares(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
+    """Return the (m, 2) sums of squares of each board in each image, in units of the bundles' noise."""
+    pairs = zip(bundles, seen, strict=True)
+    return 2.0 * np.column_stack([bundle.costs(own, Loss("l2")) for bundle, own in pairs])
 
 
 def _with_noise(bundle: Bundle, sigma: float) -> Bundle:
@@ -248,9 +250,7 @@ def _apart(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> A
     """
     held = [replace(bundle, names=()) for bundle in bundles]
     ends = [refine(bundle, own, Loss("l2")).parameters for bundle, own in zip(held, seen, strict=True)]
-    return 2.0 * np.column_stack(
-        [bundle.costs(end, Loss("l2")) for bundle, end in zip(held, ends, strict=True)]
-    )
+    return _squares(held, ends)
 
 
 def _start(

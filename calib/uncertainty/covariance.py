@@ -23,7 +23,7 @@ from calib.adjustment.parameters import AdjustmentParameters, members
 from calib.arrays import Array, rms_length
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
-from calib.model.result_parts import POSE_FIELDS, STARS
+from calib.model.result_parts import COVERAGE, POSE_FIELDS, STARS
 
 #: Below this ratio of eigenvalues, the information matrix (scaled to a unit diagonal) is numerically singular.
 _SINGULAR = 1e-13
@@ -31,8 +31,6 @@ _SINGULAR = 1e-13
 _DETERMINED = 1e-6
 #: Probability that consistent views are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
-#: Coverage probability of value +- 2 sigma for a Gaussian.
-_COVERAGE = 0.9545
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def coverage_factor(degrees_of_freedom: float) -> float:
     """Return the k for 95.45 % (Student; JCGM 100:2008, annex G): 2 for infinite degrees of freedom, else more."""
     from scipy import special
 
-    tail = 0.5 + 0.5 * _COVERAGE
+    tail = 0.5 + 0.5 * COVERAGE
     if np.isinf(degrees_of_freedom):
         return float(special.ndtri(tail))
     return float(special.stdtrit(degrees_of_freedom, tail))
@@ -101,7 +99,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     factor = variance / float(slope) ** 2
     inverse = inverse_information(views.information.sum(axis=0), bundle.names)
     covariance = factor * inverse
-    ratio, views_freedom = _birge(*pose_scores(bundle, views), variance, len(bundle.names))
+    ratio, views_freedom = _birge(bundle, views, variance)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -145,21 +143,25 @@ def enlarged(nominal: Uncertainty) -> Uncertainty:
     )
 
 
-def _birge(information: Array, scores: Array, variance: float, count: int) -> tuple[float, int]:
-    """Return the squared Birge ratio of P poses and its degrees of freedom; `count` parameters are shared.
+def _birge(bundle: Bundle, views: ViewScores, variance: float) -> tuple[float, int]:
+    """Return the squared Birge ratio of P poses and its degrees of freedom.
 
     At the optimum the scores s_i (P, G) of the poses cancel. Star noise gives s_i the covariance variance * A_i, where
     A_i is the pose's information (P, G, G) on the shared parameters. The sum of s_i^T A_i^+ s_i has as many degrees of
     freedom as the poses determine directions, minus the number of shared parameters. Own extension of Birge (1932) from
     one measurand to several, of which a pose may determine only some.
     """
+    poses = views_of_poses(bundle)
+    information, scores = (
+        np.array([each[own].sum(axis=0) for own in poses]) for each in (views.information, views.score)
+    )
     diagonals = np.diagonal(information, axis1=1, axis2=2)
     scale = 1.0 / np.sqrt(np.maximum(diagonals, np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None])
     determined = eigenvalues > _DETERMINED * eigenvalues[:, -1:]
     along = np.einsum("pgk,pg->pk", vectors, scale * scores)
     squares = np.divide(along**2, eigenvalues, out=np.zeros_like(along), where=determined)
-    freedom = int(determined.sum()) - count
+    freedom = int(determined.sum()) - len(bundle.names)
     if freedom <= 0 or variance <= 0:
         return 1.0, 0
     return float(squares.sum()) / freedom / variance, freedom
@@ -188,15 +190,6 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
 def views_of_poses(bundle: Bundle) -> list[list[int]]:
     """Return the views of each pose; without `Bundle.poses`, each view is a pose of its own."""
     return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
-
-
-def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
-    """Return the (P, G, G) information and (P, G) score of each pose: the sums over its views."""
-    poses = views_of_poses(bundle)
-    return (
-        np.array([scores.information[views].sum(axis=0) for views in poses]),
-        np.array([scores.score[views].sum(axis=0) for views in poses]),
-    )
 
 
 #: Leaving one view out must leave enough to calibrate with.

@@ -88,13 +88,11 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     left, by_ray, rays, seen = _without_turn(camera, pixels)
     variance = left @ covariance @ np.swapaxes(left, 1, 2)
 
-    sigma_px, sigma_arcsec = np.full(len(pixels), np.nan), np.full(len(pixels), np.nan)
-    sigma_px[seen] = _larger(variance)
-    across = by_ray @ _across(rays)
-    to_angle = np.linalg.inv(across)
-    sigma_arcsec[seen] = ARCSEC * _larger(to_angle @ variance @ np.swapaxes(to_angle, 1, 2))
-    shape = grid.shape[:2]
-    return ProjectionMap(grid, sigma_px.reshape(shape), sigma_arcsec.reshape(shape))
+    to_angle = np.linalg.inv(by_ray @ _across(rays))
+    angular = to_angle @ variance @ np.swapaxes(to_angle, 1, 2)
+    sigmas = np.full((2, len(pixels)), np.nan)
+    sigmas[:, seen] = _larger(variance), ARCSEC * _larger(angular)
+    return ProjectionMap(grid, *sigmas.reshape(2, *grid.shape[:2]))
 
 
 def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, Bools]:

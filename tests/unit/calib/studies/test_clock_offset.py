@@ -36,7 +36,7 @@ def test_a_pattern_gives_the_offset_within_its_uncertainty_however_large_it_is()
         assert found.period_us is None
         assert found.sigma_us < 1.0
         off.append((found.offset_us - truth(found.at_us)) / found.sigma_us)
-        slope.append((found.rate - RATE) / found.sigma_rate)
+        slope.append((found.rate_ppm - 1e6 * RATE) / found.sigma_rate_ppm)
     assert np.sqrt(np.mean(np.square(off))) < 1.2
     assert np.abs(slope).max() < 3.0
 
@@ -54,8 +54,8 @@ def test_a_periodic_signal_gives_the_offset_up_to_whole_periods(n):
 def test_rates_of_all_recordings_are_one_rate():
     clocks = [clock_offset(str(seed), *drawn(seed, pattern(seed), 50.0)[:2]) for seed in range(5)]
     rate, sigma = common_rate(clocks)
-    assert abs(rate - RATE) < 3.0 * sigma
-    assert sigma < min(one.sigma_rate for one in clocks)
+    assert abs(rate - 1e6 * RATE) < 3.0 * sigma
+    assert sigma < min(one.sigma_rate_ppm for one in clocks)
 
 
 def test_many_edges_without_a_common_signal_are_refused_in_seconds():

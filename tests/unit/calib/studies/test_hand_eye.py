@@ -7,8 +7,8 @@ from drawn_gimbal import AXES, DrawnGimbal, draw_gimbal
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import euler_zxy, exp_map
 from calib.studies import gimbal_faults
-from calib.studies.hand_eye import HandEyeCheck, check_hand_eye
-from calib.studies.hand_eye_verdict import angle, angle_and_uncertainty
+from calib.studies.hand_eye import check_hand_eye
+from calib.studies.hand_eye_verdict import HandEyeCheck, angle, angle_and_uncertainty
 
 
 def quiet(seed: int, **drawn) -> DrawnGimbal:
