@@ -17,7 +17,7 @@ from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound, placed
 from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
-from calib.stars.grid_map import fit_grid_map
+from calib.stars.grid_map import fit_grid_map, without_outliers
 from calib.view import View
 
 #: Blur before the points are located, px: it lowers the noise of single pixels.
@@ -133,23 +133,22 @@ def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tup
     """
     smoothed = smooth(image, _BLUR_PX)
     nodes = board.nodes[ids]
+    grid = nodes.astype(float)
     # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
     reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
     points, good = coarse, np.ones(len(coarse), np.bool_)
     covariances = np.full((len(points), 2, 2), np.nan)
     for step_px in _STEPS_PX:
-        grid_map, _ = fit_grid_map(nodes[good].astype(float), points[good])
-        local_map = grid_map.local_map(nodes.astype(float))
+        grid_map, _ = fit_grid_map(grid[good], points[good])
+        local_map = grid_map.local_map(grid)
         pitch = local_map.pitch_px
         samples = symmetry_samples(pitch / step_px) * (reach / SYMMETRY_REACH)
         used_to = np.full((len(points), 2), reach)
         fit = refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)
-        good = fit.converged.copy()
+        good = fit.converged
         if np.count_nonzero(good) < _LEAST_SHARE * len(good):
             return np.full_like(points, np.nan), covariances
-        fitted, residuals = fit_grid_map(nodes[good].astype(float), fit.centres[good])
-        limit = max(_OUTLIER_SIGMAS * fitted.sigma_px, _OUTLIER_PX)
-        good[np.flatnonzero(good)[np.linalg.norm(residuals, axis=1) > limit]] = False
+        good = without_outliers(grid, fit.centres, good, sigmas=_OUTLIER_SIGMAS, least_px=_OUTLIER_PX)
         points = np.where(good[:, None], fit.centres, coarse)
         covariances = fit.mean_square[:, None, None] * np.linalg.inv(
             np.where(good[:, None, None], fit.information, np.eye(2))

@@ -200,14 +200,13 @@ def flicker_from_events(
             remedy="Check that the light is on.",
         )
     times = event_times(t_us, np.asarray(p))
-    counts = (times.on, times.off)
     start, span = float(times.t[0]), float(times.t[-1] - times.t[0])
     late = times.t.astype(np.float64) - start
     bin_us = max(RATE_BIN_US, span / RATE_BINS)
     bins, at = int(span / bin_us) + 1, (late / bin_us).astype(np.int64)
-    rates = np.array([np.bincount(at, count, bins) for count in counts])
+    rates = np.array([np.bincount(at, count, bins) for count in (times.on, times.off)])
     period = 1e6 / _search_frequency(rates, bin_us, band_hz)
-    on, off = (_onset(folded(late, count, period, ONSET_BINS)) for count in counts)
+    on, off = map(_onset, folded_rates(times, start, period, ONSET_BINS))
     return Flicker(
         period_us=period,
         phase_us=start + on * period,
@@ -345,11 +344,11 @@ def _harmonic_power(rates: Array, bin_us: float, frequencies_hz: Array) -> Array
     return power
 
 
-def folded(late_us: Array, count: Ints, period_us: float, bins: int) -> Array:
-    """Count the events, ``count`` at each time, over the phase of one period (Leahy et al., 1983), in (bins,)."""
-    turns = late_us / period_us
+def folded_rates(times: EventTimes, start_us: float, period_us: float, bins: int) -> Array:
+    """Return (2, bins) ON and OFF events over the phase of a period (epoch folding; Leahy et al., 1983)."""
+    turns = np.asarray(times.t - start_us, np.float64) / period_us
     at = np.minimum(((turns - np.floor(turns)) * bins).astype(np.int64), bins - 1)
-    return np.asarray(np.bincount(at, count, bins), np.float64)
+    return np.array([np.bincount(at, count, bins) for count in (times.on, times.off)])
 
 
 def _onset(rate: Array) -> float:

@@ -58,7 +58,8 @@ def gather_edge_pixels(
     tau, along_x, along_y, u, v = np.empty((5, room), np.float32)
     found = EdgePixels(first, tau, along_x, along_y, u, v, level)
     # In the order of rows, as the kernel is compiled once.
-    back = LocalMap(*map(np.ascontiguousarray, (np.linalg.inv(linear), local_map.quadratic)))
+    inverse = np.ascontiguousarray(np.linalg.inv(linear), np.float64)
+    back = LocalMap(inverse, np.ascontiguousarray(local_map.quadratic))
     _gather(levels, np.ascontiguousarray(centres), reach, used_to, back, edge_map, found)
     used = slice(int(first[-1]))
     return EdgePixels(first, tau[used], along_x[used], along_y[used], u[used], v[used], level[used])
@@ -242,7 +243,7 @@ def edge_scores(
 def _add_edge(
     pixels: EdgePixels, group: int, unknowns: Any, scores: Any, fishers: Any, limit_px: float, sums: Any
 ) -> None:
-    """Sum score, (5,), and Fisher information, (5, 5), over the pixels of one edge of one star, number ``group`` of all.
+    """Sum score, (5,), and Fisher information, (5, 5), over the pixels of edge number ``group``.
 
     ``scores`` are the rows of `ScoreTables.score`, one after the other. Fisher scoring: Osborne (1992). Every sum is a
     variable of its own, in single precision, and there is no branch and no store in the loop, so that it runs over

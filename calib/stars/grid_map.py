@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array
+from calib.arrays import Array, Bools
 from calib.model.homography import apply_homography, fit_homography
 
 
@@ -132,6 +132,14 @@ def fit_grid_map(grid: Array, points: Array) -> tuple[GridMap, Array]:
             break
         kept = now if np.count_nonzero(now) >= max(4, len(grid) // 2) else kept
     return GridMap(h, centre, scale, degree, coefficients, sigma), residuals
+
+
+def without_outliers(grid: Array, points: Array, good: Bools, *, sigmas: float, least_px: float) -> Bools:
+    """Return which good points lie on the smooth map of the others: within ``sigmas`` or ``least_px`` (own rule)."""
+    fitted, residuals = fit_grid_map(grid[good], points[good])
+    kept = good.copy()
+    kept[good] = np.linalg.norm(residuals, axis=1) <= max(sigmas * fitted.sigma_px, least_px)
+    return kept
 
 
 def _monomials(at: Array, degree: int) -> Array:
