@@ -15,6 +15,7 @@ from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.closed_forms import (
     camera_matrix_from_centre,
+    central_matrix,
     linear_solution,
     poses_from_homographies,
     rotations_from_centre,
@@ -68,10 +69,8 @@ def planar_starts(
     Camera and poses: Zhang (2000), 3.1. ``homographies``: (n, 3, 3) of `calib.model.homography.view_homography`.
     """
     matrices = [zhang_matrix(homographies, image_size, free_principal_point=free) for free in (True, False)]
-    middle = ((image_size[0] - 1) / 2, (image_size[1] - 1) / 2)
-    for share in _FOCAL_SHARES:
-        f = share * float(np.hypot(*image_size))
-        matrices.append(np.array([[f, 0.0, middle[0]], [0.0, f, middle[1]], [0.0, 0.0, 1.0]]))
+    diagonal = float(np.hypot(*image_size))
+    matrices += [central_matrix(share * diagonal, image_size) for share in _FOCAL_SHARES]
     known = np.array([matrix for matrix in matrices if matrix is not None])
     nowhere, poses = Collimator(0.0, 0.0, 0.0), poses_from_homographies(homographies, known)
     return [

@@ -9,7 +9,6 @@ locates the centres in an image of how strongly each pixel blinks, with the curv
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
@@ -56,8 +55,7 @@ class _Dots(NamedTuple):
     areas: Ints
 
 
-@dataclass(frozen=True)
-class _Named:
+class _Named(NamedTuple):
     """Dots with their ids, and the map of the grid to the image."""
 
     ids: Ints
@@ -168,11 +166,10 @@ def _dots(kinds: NDArray[np.int32], count: int) -> _Dots:
         for area, (cx, cy) in zip(stats[1:, cv2.CC_STAT_AREA].tolist(), centres[1:].tolist(), strict=True):
             if area >= _SMALLEST_DOT:
                 found.append((kind, cx + left - 1, cy + top - 1, area))
-    if not found:
-        return _Dots(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int64))
-    table = np.array(found, np.float64)
+    table = np.array(found, np.float64).reshape(-1, 4)
     largest = [table[table[:, 0] == kind, 3].max() for kind in np.unique(table[:, 0])]
-    table = table[table[:, 3] >= max(_SMALLEST_DOT, _SMALLEST_SHARE * float(np.median(largest)))]
+    if largest:
+        table = table[table[:, 3] >= _SMALLEST_SHARE * float(np.median(largest))]
     return _Dots(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3].astype(np.int64))
 
 

@@ -102,16 +102,11 @@ def _found(grey: Bytes, board: Board) -> Array | None:
     if board.kind == "checkerboard":  # its finder takes either contrast
         tried = iter([cv2.findChessboardCornersSB(grey, size, flags=_SECTORS)])
     else:
-        flags, blobs = _circle_flags(board), _blobs(grey.shape)
+        grid = cv2.CALIB_CB_SYMMETRIC_GRID if board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+        flags, blobs = grid | cv2.CALIB_CB_CLUSTERING, _blobs(grey.shape)
         both = (grey, np.asarray(255 - grey, np.uint8))
         tried = (cv2.findCirclesGrid(shown, size, flags=flags, blobDetector=blobs) for shown in both)
     return next((np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok), None)
-
-
-def _circle_flags(board: Board) -> int:
-    """Return OpenCV's flags of a grid of circles."""
-    grid = cv2.CALIB_CB_SYMMETRIC_GRID if board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
-    return int(grid | cv2.CALIB_CB_CLUSTERING)
 
 
 def _blobs(shape: tuple[int, ...]) -> Any:

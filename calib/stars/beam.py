@@ -68,14 +68,12 @@ def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = 
     share = float(lit.mean())
     if white <= least or share < MIN_LIT:
         return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
-    rim = _rim(lit)
-    if len(rim) < MIN_RIM:
-        return Beam(share, False, None, None, lit, scale)
-    circle = None
-    if share <= 1.0 - MIN_DARK:
+    rim, circle = _rim(lit), None
+    in_view = len(rim) >= MIN_RIM
+    if in_view and share <= 1.0 - MIN_DARK:
         circle = _circle(rim, lit) if radius_px is None else _circle_of(radius_px / scale, rim, lit)
     if circle is None:
-        return Beam(share, True, None, None, lit, scale)
+        return Beam(share, in_view, None, None, lit, scale)
     (x, y), radius = circle
     centre = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5)
     return Beam(share, True, centre, radius * scale, lit, scale)

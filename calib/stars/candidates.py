@@ -107,14 +107,13 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
 
 
 def _gaps(nodes: Ints, target: StarTarget) -> Array:
-    """Return the (M, 2) centres, pitches, of gaps as large as the tag's, by a summed-area table (Crow, 1984)."""
+    """Return the (M, 2) centres, pitches, of gaps as large as the tag's."""
     side = target.tag_squares + 1
     low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
-    taken = np.zeros(high - low + 1, np.int64)
-    taken[nodes[:, 0] - low[0], nodes[:, 1] - low[1]] = 1
-    total = np.pad(taken.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    inside = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
-    return np.argwhere(inside == 0) + low + (side - 1) / 2.0
+    taken = np.zeros(high - low + 1, np.bool_)
+    taken[tuple((nodes - low).T)] = True
+    filled = np.lib.stride_tricks.sliding_window_view(taken, (side, side)).any(axis=(2, 3))
+    return np.argwhere(~filled) + low + (side - 1) / 2.0
 
 
 def _white_and_black(image: Array32, grown: StarGrid, h: Array, sign: float) -> tuple[float, float]:

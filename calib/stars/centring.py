@@ -309,14 +309,8 @@ def refine_by_symmetry(
     along columns and rows. A centre that moves further than ``reach_px`` from its guess, px, or whose cell lies too far
     outside of the image, is nan and not converged.
     """
-    n = len(guesses)
-    fit = SymmetryFit(
-        np.full((n, 2), np.nan),
-        np.full((n, 2, 2), np.nan),
-        np.full(n, np.nan),
-        np.full(n, np.nan),
-        np.zeros(n, np.bool_),
-    )
+    n, nan = len(guesses), np.full((len(guesses), 2, 2), np.nan)
+    fit = SymmetryFit(nan[:, 0].copy(), nan, nan[:, 0, 0].copy(), nan[:, 0, 0].copy(), np.zeros(n, np.bool_))
     places = np.ascontiguousarray(samples.T, np.float32)
     maps = LocalMap(*map(np.ascontiguousarray, local_map))
     stars, centres, slopes = np.arange(n), guesses.astype(float), np.zeros((n, SYMMETRY_UNKNOWNS - 2))

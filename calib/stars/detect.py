@@ -129,14 +129,13 @@ def detect_stars(
             )
         _require_enough(len(candidates.nodes), blurred=blurred)
         points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
-        kept = np.isfinite(points).all(axis=1)
-        least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
-        _require_enough(int(np.count_nonzero(kept)), least, blurred=blurred, measure_width=measure_width)
-        ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
+        ids = target.id_at(*candidates.nodes.T)
         order = np.argsort(ids)
-        size, stars = (image.shape[1], image.shape[0]), ids[order]
-        points, covariances = points[kept][order], covariances[kept][order]
-        view = View(name, size, stars, points, target.positions_mm(stars), covariances)
+        kept = order[np.isfinite(points[order]).all(axis=1)]
+        least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
+        _require_enough(len(kept), least, blurred=blurred, measure_width=measure_width)
+        size, stars = (image.shape[1], image.shape[0]), ids[kept]
+        view = View(name, size, stars, points[kept], target.positions_mm(stars), covariances[kept])
         return Detection(view, named_by, measure_width)
 
 

@@ -219,12 +219,8 @@ def overdispersion_of_edges(score: Array, fisher: Array) -> Array:
     gain = pair_fisher @ np.linalg.inv(total)[:, None]
     left = pair_score - np.einsum("neij,nj->nei", gain, pair_score.sum(axis=1))
     measured = np.mean(left[:, :, 0] ** 2 + left[:, :, 1] ** 2, axis=0)
-    expected = np.empty((half, half))
-    for e in range(half):
-        for f in range(half):
-            through = (np.eye(EDGE_UNKNOWNS) if e == f else 0.0) - gain[:, e]
-            rows = through[:, :2]
-            expected[e, f] = ((rows @ pair_fisher[:, f]) * rows).sum() / len(rows)
+    rows = np.eye(half)[:, :, None, None] * np.eye(2, EDGE_UNKNOWNS) - gain[:, :, None, :2]
+    expected = ((rows @ pair_fisher[:, None]) * rows).sum(axis=(0, 3, 4)) / len(score)
     ratio = np.linalg.solve(expected + 1e-9 * np.eye(half) * np.trace(expected), measured)
     typical = max(float(np.median(ratio)), 1e-3)
     lowest, highest = OVERDISPERSION_RANGE

@@ -54,16 +54,10 @@ class StarTemplate(NamedTuple):
         turns = (np.arange(segments)[:, None] + across[None, :]).ravel() / segments
         angle, radius = np.meshgrid(2 * np.pi * (turns + 0.25), radii)
         white = np.floor(turns * segments) % 2 == 0
-        octant = np.floor(turns * OCTANTS).astype(np.int64)
-        shape = radius.shape
-        values = np.broadcast_to(np.where(white, 1.0, -1.0), shape).ravel().copy()
-        return cls(
-            np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()]),
-            values,
-            np.broadcast_to(octant, shape).ravel().copy(),
-            (radius >= OUTER_RADIUS).ravel(),
-            values,
-        )
+        values = np.tile(np.where(white, 1.0, -1.0), len(radii))
+        octants = np.tile(np.floor(turns * OCTANTS).astype(np.int64), len(radii))
+        offsets = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()])
+        return cls(offsets, values, octants, (radius >= OUTER_RADIUS).ravel(), values)
 
     def learnt(self, image: Array32, centres: Array, linear: Array, sign: float) -> StarTemplate | None:
         """Learn from stars, right to a few px, what a star looks like in an image; None if the places show no stars.
