@@ -56,8 +56,8 @@ def spherical_starts(
     cameras = [CameraModel.of_matrix(matrix, image_size, distortion) for matrix, _ in known]
     centres = [collimator for _, collimator in known]
     planar = planar_starts(homographies, image_size, distortion)
-    for x, y, z in np.median([start.centres for start in planar], axis=1).tolist():
-        centres.append(Collimator(x, y, -z))
+    medians = np.median([start.centres for start in planar], axis=1).tolist()
+    centres += [Collimator(x, y, -z) for x, y, z in medians]
     return _about(homographies, centres, [*cameras, *(start.camera for start in planar)])
 
 

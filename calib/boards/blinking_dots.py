@@ -223,16 +223,12 @@ def _named_by_grid(dots: _Dots, kind_of_dot: Ints, board: Board) -> _Named:
         grid = _grid_of_dots(dots.centres, size)
         if grid is None:
             continue
-        for turned in (np.rot90(grid, quarter) for quarter in range(4)):
-            for mirrored in (turned, turned[:, ::-1]):
-                if mirrored.shape != (board.rows, board.columns) or not _seen_from_front(
-                    dots.centres[mirrored]
-                ):
-                    continue
-                order = mirrored.ravel()
-                agree = int(np.count_nonzero(dots.kind[order] == kind_of_dot))
-                if agree > best[0]:
-                    best = (agree, order)
+        # OpenCV may start at any corner, and may count the columns from either side.
+        columns = slice(None, None, 1 if _seen_from_front(dots.centres[grid]) else -1)
+        for turned in (np.rot90(grid, quarter)[:, columns] for quarter in range(4)):
+            if turned.shape == (board.rows, board.columns):
+                agree = int(np.count_nonzero(dots.kind[turned.ravel()] == kind_of_dot))
+                best = max(best, (agree, turned.ravel()), key=lambda one: one[0])
     if best[0] < _LEAST_OF_GRID * len(kind_of_dot):
         raise TargetNotFound(
             f"No {board.words} was found: {len(dots.kind)} dots blink at its frequencies, and at most "

@@ -260,7 +260,4 @@ def _by_subpixel(grey: Bytes, board: Board) -> Array:
             window = (_WINDOW_PX, _WINDOW_PX)
             found = cv2.cornerSubPix(cv2.GaussianBlur(shown, (0, 0), 2.0), corners, window, (-1, -1), _STOP)
             return np.asarray(found, np.float64).reshape(-1, 2)
-    raise TargetNotFound(
-        f"No checkerboard of {board.columns} x {board.rows} inner corners was found.",
-        remedy="Show the whole board, in focus.",
-    )
+    raise TargetNotFound(f"No {board.words} was found.", remedy="Show the whole board, in focus.")

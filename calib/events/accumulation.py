@@ -140,8 +140,7 @@ def accumulate(
     """
     times = event_times(events[0], events[3])
     on_rate, off_rate = folded_rates(times, start_us, period_us, FOLD_BINS)
-    on_window = burst_window(on_rate, start_us, period_us)
-    off_window = burst_window(off_rate, start_us, period_us)
+    on_window, off_window = (burst_window(rate, start_us, period_us) for rate in (on_rate, off_rate))
     wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
     response_us = start_us + float(np.angle((on_rate - off_rate) @ wave)) / (2 * np.pi) * period_us
     sums = PixelSums.empty(size)

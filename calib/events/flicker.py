@@ -275,22 +275,17 @@ def _fit_trains(
     t = np.concatenate([rising[0], falling[0]])
     k = np.concatenate([rising[1], falling[1]])
     is_rising = np.arange(t.size) < rising[0].size
-    columns = [is_rising.astype(float), (~is_rising).astype(float)]
     origin = t[0]
     fixed_period = len(np.unique(rising[1])) < 2 and len(np.unique(falling[1])) < 2
     target = t - origin - (k * period if fixed_period else 0.0)
-    design = np.column_stack(columns if fixed_period else [*columns, k])
+    design = np.column_stack([is_rising, ~is_rising, k])[:, : 2 if fixed_period else 3]
     solution, _, rank, _ = np.linalg.lstsq(design, target, rcond=None)
     residuals = target - design @ solution
     spare = t.size - int(rank)
     jitter = float(np.sqrt(residuals @ residuals / spare)) if spare > 0 else float("nan")
     fall_phase = origin + solution[1] if falling[0].size else float("nan")
-    return (
-        period if fixed_period else float(solution[2]),
-        float(origin + solution[0]),
-        float(fall_phase),
-        jitter,
-    )
+    fitted = period if fixed_period else float(solution[2])
+    return fitted, float(origin + solution[0]), float(fall_phase), jitter
 
 
 def _search_frequency(rates: Array, bin_us: float, band_hz: tuple[float, float]) -> float:
