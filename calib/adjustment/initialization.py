@@ -157,10 +157,9 @@ def _about(
     """Return the parameters of cameras, each with a known centre."""
     centres = np.array([one.centre for one in collimators])
     turns = rotations_from_centre(homographies, np.array([one.matrix for one in cameras]), centres)
+    offsets = np.zeros((len(homographies), 3))
     return [
-        AdjustmentParameters(
-            camera, Collimator(one.x, one.y, one.r), rotations, np.zeros((len(rotations), 3))
-        )
+        AdjustmentParameters(camera, Collimator(one.x, one.y, one.r), rotations, offsets)
         for one, camera, rotations in zip(collimators, cameras, turns, strict=True)
     ]
 

@@ -384,28 +384,19 @@ def _frequencies(times: Any, ends: Any, counts: Any) -> Any:
         period = np.median(np.diff(own))
         if period <= 0:
             continue
-        regular, number, used = 0, 0.0, 1
-        sum_n, sum_t, sum_nn, sum_nt = 0.0, 0.0, 0.0, 0.0
-        at = own[0]
+        number, late, regular, used = np.zeros(count), own - own[0], 0, 1
         for i in range(1, count):
-            steps = (own[i] - at) / period
+            steps = (late[i] - late[used - 1]) / period
             whole = np.round(steps)
             if whole < 1.0 or abs(steps - whole) > _TOLERANCE:
                 continue  # an additional start, of noise
-            if whole == 1.0:
-                regular += 1
-            number += whole
-            at = own[i]
-            delta = own[i] - own[0]
+            regular += whole == 1.0
+            number[used], late[used] = number[used - 1] + whole, late[i]
             used += 1
-            sum_n += number
-            sum_t += delta
-            sum_nn += number * number
-            sum_nt += number * delta
         if used < LEAST_STARTS or regular < _REGULAR_SHARE * (count - 1):
             continue
-        spread = used * sum_nn - sum_n * sum_n
-        slope = (used * sum_nt - sum_n * sum_t) / spread
+        n, t = number[:used], late[:used]
+        slope = (used * (n * t).sum() - n.sum() * t.sum()) / (used * (n * n).sum() - n.sum() ** 2)
         if slope > 0:
             found[pixel] = 1e6 / slope
     return found

@@ -145,9 +145,8 @@ def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tup
             return np.full_like(points, np.nan), covariances
         good = without_outliers(grid, fit.centres, good, sigmas=_OUTLIER_SIGMAS, least_px=_OUTLIER_PX)
         points = np.where(good[:, None], fit.centres, coarse)
-        covariances = fit.mean_square[:, None, None] * np.linalg.inv(
-            np.where(good[:, None, None], fit.information, np.eye(2))
-        )
+        information = np.where(good[:, None, None], fit.information, np.eye(2))
+        covariances = fit.mean_square[:, None, None] * np.linalg.inv(information)
     factor = variance_factor(nodes[good], points[good], covariances[good], typical=_TYPICAL_FACTOR)
     return np.where(good[:, None], points, np.nan), covariances * factor + _COMMON_PX**2 * np.eye(2)
 

@@ -33,9 +33,8 @@ class EventTimes(NamedTuple):
 def event_times(t: Ints, p: NDArray[np.integer]) -> EventTimes:
     """Gather (N,) events by their time, each time once; times are us, ascending, N >= 1; polarity 1 is ON."""
     first = np.concatenate([[0], np.flatnonzero(t[1:] != t[:-1]) + 1, [len(t)]])
-    return EventTimes(
-        t[first[:-1]].astype(np.int64), first, np.add.reduceat(p > 0, first[:-1], dtype=np.int64)
-    )
+    on = np.add.reduceat(p > 0, first[:-1], dtype=np.int64)
+    return EventTimes(t[first[:-1]].astype(np.int64), first, on)
 
 
 #: Largest distance of an edge from its place in the train, as a share of the period.

@@ -58,10 +58,9 @@ def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = 
     """
     small, scale = reduced(image, REDUCED)
     side = 2 * round(CLOSING * REDUCED / 2) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     # A dark border would stop the closing at the frame; the default border of OpenCV's morphology does not.
-    closed = cv2.morphologyEx(
-        small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    )
+    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, disc)
     white, dark = float(np.quantile(closed, 0.98)), max(float(np.quantile(closed, 0.01)), 0.0)
     level = LIT * white if dark < LIT * white else 0.0
     lit = _filled((closed > level).astype(np.uint8))

@@ -29,9 +29,7 @@ MIN_INNER_SHARE = 1 / 3
 MIN_MARGIN = 0.15
 #: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
 MAX_OFF_NODE, MAX_SCATTER = 0.3, 0.35
-_QUARTER_TURNS = [
-    np.array(m) for m in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])
-]
+_QUARTER_TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarter) for quarter in range(4)]
 
 
 class StarLabels(NamedTuple):

@@ -124,9 +124,8 @@ def detect_stars(
         blurred = False
         for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
             _require_enough(len(candidates.nodes), blurred=blurred)
-            candidates, fit, local_map, blurred = refine_candidates(
-                smoothed, candidates, target, sign, step_px
-            )
+            refined = refine_candidates(smoothed, candidates, target, sign, step_px)
+            candidates, fit, local_map, blurred = refined
         _require_enough(len(candidates.nodes), blurred=blurred)
         points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
         ids = target.id_at(*candidates.nodes.T)

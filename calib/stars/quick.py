@@ -64,9 +64,8 @@ def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
             nodes, named_by = labels.apply(nodes), "part of the tag"
     if len(nodes) < MIN_STARS:
         return _none(tag)
-    candidates, _, local_map, blurred = refine_candidates(
-        smoothed, Candidates(nodes, grown.places()), target, sign, COARSE_STEP_PX
-    )
+    found = Candidates(nodes, grown.places())
+    candidates, _, local_map, blurred = refine_candidates(smoothed, found, target, sign, COARSE_STEP_PX)
     # Far out of focus, the pattern shows again with its contrast reversed: shapes that are learnt there are no stars.
     if len(candidates.nodes) < MIN_STARS or (blurred and not named_by):
         return _none(tag)

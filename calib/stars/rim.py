@@ -86,12 +86,8 @@ def rim_in_sections(
     direction = middle + fit.shift / radius
     points = centre + fit.place[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
     lit = _last_bright(all_sections, all_rho, coarse.levels > 0.5, np.isnan(start), pitch_mm)
-    return RimPoints(
-        points[found],
-        np.hypot(fit.sigma[found], _MAP_SIGMA_PX / px_per_mm),
-        coarse.places_mm[lit],
-        _LEVEL_SIGMA * fit.width,
-    )
+    sigmas_mm = np.hypot(fit.sigma[found], _MAP_SIGMA_PX / px_per_mm)
+    return RimPoints(points[found], sigmas_mm, coarse.places_mm[lit], _LEVEL_SIGMA * fit.width)
 
 
 def _polar(away: Array, count: int) -> tuple[Ints, Array, Array]:
